@@ -1,2 +1,16 @@
+//! What the ihd firmware and its host must agree on, and nothing else: units, ratings of the hob,
+//! the sampling grid, wire messages and frames, the window layout, the RL lookup and fault codes.
+//!
+//! `no_std`, no allocator, no floating point in anything the firmware calls in its sampling path.
 #![no_std]
-//! .
+
+#[cfg(test)]
+extern crate std;
+
+pub mod fault;
+pub mod hob;
+pub mod lookup;
+pub mod sampling;
+pub mod units;
+pub mod window;
+pub mod wire;

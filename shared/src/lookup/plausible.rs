@@ -1,0 +1,153 @@
+//! What a lookup must look like before firmware believes it: physics' signs and bounded slopes.
+//!
+//! With frequency the skin depth falls, so R rises and L falls. With current a ferromagnetic load
+//! saturates, so both fall. Measured tables are noisy, so a little of the wrong way is allowed;
+//! slopes are bounded so that one bad cell cannot make the power control jump.
+
+use core::fmt;
+
+use super::RlLookup;
+use super::grid::{CURRENTS, FREQUENCIES};
+
+/// Smallest and largest plausible resistance code: 0.02 and 15.9 ohm.
+pub const R_CODES: core::ops::RangeInclusive<u16> = 82..=65_126;
+
+/// Smallest and largest plausible inductance code: 2 and 63.9 µH.
+pub const L_CODES: core::ops::RangeInclusive<u16> = 2_048..=65_433;
+
+/// Largest ratio of neighbouring cells, in 1/1024: 1.6.
+pub const MAX_RATIO_Q10: u32 = 1_638;
+
+/// How far a neighbour may run the wrong way, in 1/1024: 4 %.
+pub const WRONG_WAY_Q10: u32 = 1_065;
+
+/// Why a lookup is not plausible, and at which cell (`frequency · CURRENTS + current`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Implausible {
+    /// R or L outside its range.
+    Range {
+        /// Index of the cell.
+        cell: u16,
+    },
+    /// A neighbour with larger index differs by more than [`MAX_RATIO_Q10`].
+    Slope {
+        /// Index of the cell.
+        cell: u16,
+    },
+    /// R or L runs the wrong way towards a neighbour with larger index.
+    NotMonotone {
+        /// Index of the cell.
+        cell: u16,
+    },
+}
+
+impl fmt::Display for Implausible {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (cell, what) = match self {
+            Self::Range { cell } => (cell, "is outside 0.02-15.9 ohm or 2-63.9 µH"),
+            Self::Slope { cell } => (cell, "differs from a neighbour by more than a factor 1.6"),
+            Self::NotMonotone { cell } => (
+                cell,
+                "runs the wrong way with frequency or current by more than 4 %",
+            ),
+        };
+        let (frequency, current) = (usize::from(*cell) / CURRENTS, usize::from(*cell) % CURRENTS);
+        write!(
+            f,
+            "cell {cell} (frequency {frequency}, current {current}) {what}"
+        )
+    }
+}
+
+impl core::error::Error for Implausible {}
+
+/// Checks range, slopes and monotony of every cell.
+///
+/// # Errors
+/// The first cell, in index order, outside its range; else the first with a bad neighbour.
+pub fn check(lookup: &RlLookup) -> Result<(), Implausible> {
+    // Ranges first: a wild cell would otherwise be reported as its neighbour's slope.
+    for (cell, (r, l)) in lookup
+        .r
+        .iter()
+        .flatten()
+        .zip(lookup.l.iter().flatten())
+        .enumerate()
+    {
+        if !R_CODES.contains(r) || !L_CODES.contains(l) {
+            return Err(Implausible::Range { cell: cell as u16 });
+        }
+    }
+    for f in 0..FREQUENCIES {
+        for i in 0..CURRENTS {
+            let cell = (f * CURRENTS + i) as u16;
+            let (r, l) = (lookup.r[f][i], lookup.l[f][i]);
+            if i + 1 < CURRENTS {
+                step(r, lookup.r[f][i + 1], Trend::Falls, cell)?;
+                step(l, lookup.l[f][i + 1], Trend::Falls, cell)?;
+            }
+            if f + 1 < FREQUENCIES {
+                step(r, lookup.r[f + 1][i], Trend::Rises, cell)?;
+                step(l, lookup.l[f + 1][i], Trend::Falls, cell)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Trend {
+    Rises,
+    Falls,
+}
+
+fn step(from: u16, to: u16, trend: Trend, cell: u16) -> Result<(), Implausible> {
+    let (low, high) = (u32::from(from.min(to)), u32::from(from.max(to)));
+    if high << 10 > low * MAX_RATIO_Q10 {
+        return Err(Implausible::Slope { cell });
+    }
+    let wrong_way = match trend {
+        Trend::Rises => to < from,
+        Trend::Falls => to > from,
+    };
+    if wrong_way && high << 10 > low * WRONG_WAY_Q10 {
+        return Err(Implausible::NotMonotone { cell });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::prior::prior;
+    use super::*;
+
+    #[test]
+    fn the_prior_is_plausible() {
+        assert_eq!(check(&prior()), Ok(()));
+    }
+
+    #[test]
+    fn each_kind_of_nonsense_is_named_with_its_cell() {
+        let mut low = prior();
+        low.r[2][3] = 1;
+        assert_eq!(check(&low), Err(Implausible::Range { cell: 2 * 17 + 3 }));
+        let mut jump = prior();
+        jump.l[0][0] = jump.l[0][1] / 2;
+        assert_eq!(check(&jump), Err(Implausible::Slope { cell: 0 }));
+        let mut rising = prior();
+        rising.r[0][1] = (f32::from(rising.r[0][0]) * 1.1) as u16;
+        assert_eq!(check(&rising), Err(Implausible::NotMonotone { cell: 0 }));
+        let mut falling = prior();
+        for i in 0..CURRENTS {
+            falling.r[1][i] = (f32::from(falling.r[0][i]) * 0.94) as u16;
+        }
+        assert_eq!(check(&falling), Err(Implausible::NotMonotone { cell: 0 }));
+    }
+
+    #[test]
+    fn a_little_of_the_wrong_way_is_noise() {
+        let mut noisy = prior();
+        noisy.r[0][1] = (f32::from(noisy.r[0][0]) * 1.02) as u16;
+        assert_eq!(check(&noisy), Ok(()));
+    }
+}

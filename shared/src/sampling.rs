@@ -1,0 +1,76 @@
+//! The sampling grid: both ADCs are triggered together, at a rate locked to the PWM.
+//!
+//! f_adc = f_sw · p / q with p = 61, q = 3. The ratio is not an integer on purpose: with an
+//! integer number of samples per switching period the harmonics of the voltage edges alias onto
+//! the fundamental. With 61 samples over three periods, harmonic h falls on the fundamental only
+//! for h ≡ ±1 (mod 61): h = 60 and 62 are even, which a 50 % half-bridge does not produce, and
+//! the first odd ones are 121 and 123.
+
+/// Samples per block, the numerator p of f_adc / f_sw. One block spans [`ADC_LOCK_Q`] periods.
+pub const ADC_LOCK_P: usize = 61;
+
+/// Switching periods per block, the denominator q of f_adc / f_sw.
+pub const ADC_LOCK_Q: u32 = 3;
+
+/// Half the input range of the voltage channel, in volt: code −2048 is −400 V.
+pub const V_FULL_SCALE_V: f64 = 400.0;
+
+/// Half the input range of the current channel, in ampere: code −2048 is −80 A.
+pub const I_FULL_SCALE_A: f64 = 80.0;
+
+/// Half the number of codes of the 12-bit ADC.
+pub const CODE_HALF_RANGE: i16 = 2048;
+
+/// Largest code; a sample at this code or above is saturated.
+pub const CODE_MAX: i16 = CODE_HALF_RANGE - 1;
+
+/// Smallest code; a sample at this code or below is saturated.
+pub const CODE_MIN: i16 = -CODE_HALF_RANGE;
+
+/// Volt per code of the voltage channel.
+pub const VOLT_PER_CODE: f64 = V_FULL_SCALE_V / CODE_HALF_RANGE as f64;
+
+/// Ampere per code of the current channel.
+pub const AMPERE_PER_CODE: f64 = I_FULL_SCALE_A / CODE_HALF_RANGE as f64;
+
+/// Sampling rate in hertz at a switching frequency in hertz.
+pub fn f_adc_hz(f_sw_hz: u32) -> f64 {
+    f64::from(f_sw_hz) * ADC_LOCK_P as f64 / f64::from(ADC_LOCK_Q)
+}
+
+/// Duration of one block of [`ADC_LOCK_P`] pairs, in nanoseconds, rounded to nearest.
+pub fn block_ns(f_sw_hz: u32) -> u32 {
+    let f = u64::from(f_sw_hz.max(1));
+    ((u64::from(ADC_LOCK_Q) * 1_000_000_000 + f / 2) / f) as u32
+}
+
+/// One simultaneous sample of coil voltage and coil current, as signed ADC codes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pair {
+    /// Voltage code, [`VOLT_PER_CODE`] each.
+    pub v: i16,
+    /// Current code, [`AMPERE_PER_CODE`] each.
+    pub i: i16,
+}
+
+impl Pair {
+    /// Whether either channel stands at the end of its range.
+    pub fn is_saturated(self) -> bool {
+        self.v >= CODE_MAX || self.v <= CODE_MIN || self.i >= CODE_MAX || self.i <= CODE_MIN
+    }
+
+    /// The layout on the wire and in files: v then i, little-endian 16 bit.
+    pub fn to_le_bytes(self) -> [u8; 4] {
+        let [v0, v1] = self.v.to_le_bytes();
+        let [i0, i1] = self.i.to_le_bytes();
+        [v0, v1, i0, i1]
+    }
+
+    /// Inverse of [`Pair::to_le_bytes`].
+    pub fn from_le_bytes(b: [u8; 4]) -> Self {
+        Self {
+            v: i16::from_le_bytes([b[0], b[1]]),
+            i: i16::from_le_bytes([b[2], b[3]]),
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Frames: `00 COBS(id u8 · seq u16 LE · payload · crc32 LE) 00`.
+//!
+//! The leading zero costs a byte and buys that a frame cut short cannot swallow the next one.
+//! The CRC-32 (ISO-HDLC, as in zlib) covers id, sequence number and payload. The sequence number
+//! counts the frames one end sends, per direction, so that the other sees what got lost.
+
+use core::fmt;
+
+use super::messages::Message;
+
+/// Longest frame before stuffing: id, sequence number, payload and CRC.
+pub const MAX_BODY: usize = 1024;
+
+/// Bytes of id and sequence number.
+pub const HEADER: usize = 3;
+
+/// Bytes of the CRC.
+pub const TRAILER: usize = 4;
+
+/// Longest payload.
+pub const MAX_PAYLOAD: usize = MAX_BODY - HEADER - TRAILER;
+
+/// Longest frame on the wire: stuffing adds a byte per 254, and the two zeros.
+pub const MAX_ENCODED: usize = MAX_BODY + MAX_BODY.div_ceil(254) + 2;
+
+/// CRC-32 of frames, windows and lookups. Sixteen-entry tables, because the firmware's flash is
+/// worth more than the few instructions per byte that a full one saves.
+pub const CRC32: crc::Crc<u32, crc::Table<1>> =
+    crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_ISO_HDLC);
+
+/// Why a message could not be framed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EncodeError {
+    /// The message is longer than [`MAX_PAYLOAD`].
+    TooLong,
+    /// The output buffer is shorter than the frame.
+    NoRoom,
+}
+
+impl fmt::Display for EncodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong => write!(f, "message longer than {MAX_PAYLOAD} bytes"),
+            Self::NoRoom => write!(f, "output buffer shorter than the frame"),
+        }
+    }
+}
+
+impl core::error::Error for EncodeError {}
+
+/// Writes one frame into `out`; returns its length, at most [`MAX_ENCODED`].
+///
+/// # Errors
+/// [`EncodeError`] when the message or the frame does not fit; `out` is then undefined.
+pub fn encode<M: Message>(message: &M, seq: u16, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut body = [0u8; MAX_BODY];
+    let payload_end = MAX_BODY - TRAILER;
+    let used = postcard::to_slice(message, &mut body[HEADER..payload_end])
+        .map_err(|_| EncodeError::TooLong)?
+        .len();
+    encode_body(M::ID, seq, used, &mut body, out)
+}
+
+/// As [`encode`], for a payload that is already bytes. For tests and tools that send what no
+/// message table would.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_raw(id: u8, seq: u16, payload: &[u8], out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut body = [0u8; MAX_BODY];
+    body.get_mut(HEADER..HEADER + payload.len())
+        .filter(|_| payload.len() <= MAX_PAYLOAD)
+        .ok_or(EncodeError::TooLong)?
+        .copy_from_slice(payload);
+    encode_body(id, seq, payload.len(), &mut body, out)
+}
+
+fn encode_body(
+    id: u8,
+    seq: u16,
+    payload_len: usize,
+    body: &mut [u8; MAX_BODY],
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let end = HEADER + payload_len;
+    body[0] = id;
+    body[1..HEADER].copy_from_slice(&seq.to_le_bytes());
+    let crc = CRC32.checksum(&body[..end]);
+    body[end..end + TRAILER].copy_from_slice(&crc.to_le_bytes());
+    let body = &body[..end + TRAILER];
+    if out.len() < cobs::max_encoding_length(body.len()) + 2 {
+        return Err(EncodeError::NoRoom);
+    }
+    out[0] = 0;
+    let stuffed = cobs::encode(body, &mut out[1..]);
+    out[stuffed + 1] = 0;
+    Ok(stuffed + 2)
+}
+
+/// A frame whose CRC is right; the payload is not decoded yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// Message id.
+    pub id: u8,
+    /// The sender's frame counter.
+    pub seq: u16,
+    /// postcard bytes.
+    pub payload: &'a [u8],
+}
+
+/// Why bytes between two zeros are not a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameError {
+    /// Longer than any frame.
+    TooLong,
+    /// Shorter than header and CRC.
+    TooShort,
+    /// Byte stuffing is broken.
+    Stuffing,
+    /// The CRC does not match.
+    Crc,
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::TooLong => "frame longer than any message",
+            Self::TooShort => "frame shorter than header and CRC",
+            Self::Stuffing => "byte stuffing broken",
+            Self::Crc => "CRC-32 does not match",
+        })
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// Unstuffs one frame in place and checks its CRC. `stuffed` holds no zero.
+///
+/// # Errors
+/// [`FrameError`] when the bytes are not a frame.
+pub fn decode(stuffed: &mut [u8]) -> Result<Frame<'_>, FrameError> {
+    let len = cobs::decode_in_place(stuffed).map_err(|_| FrameError::Stuffing)?;
+    let body = &stuffed[..len];
+    if len < HEADER + TRAILER {
+        return Err(FrameError::TooShort);
+    }
+    let (covered, crc) = body.split_at(len - TRAILER);
+    if CRC32.checksum(covered).to_le_bytes() != crc {
+        return Err(FrameError::Crc);
+    }
+    Ok(Frame {
+        id: covered[0],
+        seq: u16::from_le_bytes([covered[1], covered[2]]),
+        payload: &covered[HEADER..],
+    })
+}

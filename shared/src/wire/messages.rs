@@ -1,0 +1,393 @@
+//! The message table: ids, layouts and meanings. docs/protocol.md is generated from it.
+
+use heapless::String;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::schema::{Entry, FNV_BASIS, Item, fold_entry, wire_enum};
+use crate::fault::Fault;
+use crate::units::{MicroOhm, PicoHenry};
+
+/// Bytes that travel as they are: a varint length, then the bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Raw<'a>(pub &'a [u8]);
+
+impl Serialize for Raw<'_> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_bytes(self.0)
+    }
+}
+
+impl<'de: 'a, 'a> Deserialize<'de> for Raw<'a> {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        <&'a [u8]>::deserialize(d).map(Raw)
+    }
+}
+
+/// A message with its number in the table.
+pub trait Message: Serialize {
+    /// Number of the message; never reused.
+    const ID: u8;
+}
+
+wire_enum! {
+    /// What the controller is doing.
+    pub enum State {
+        /// Inverter off, waiting for a power request.
+        Idle = 0,
+        /// A few half-cycles at the highest frequency to see what stands on the coil.
+        Probing = 1,
+        /// Regulating power.
+        Heating = 2,
+        /// Inverter off because of a fault; `ClearFault` leaves it.
+        Faulted = 3,
+    }
+}
+
+wire_enum! {
+    /// What stands on the coil.
+    pub enum Pot {
+        /// Not looked at yet.
+        Unknown = 0,
+        /// Nothing.
+        Absent = 1,
+        /// A ferromagnetic pot that can be heated.
+        Ferromagnetic = 2,
+        /// A ferromagnetic pot much smaller than the coil, or far off its centre.
+        Small = 3,
+        /// A non-ferromagnetic load (aluminium, copper, austenitic stainless).
+        Unsuitable = 4,
+    }
+}
+
+wire_enum! {
+    /// Answer to a command.
+    pub enum Outcome {
+        /// Done.
+        Ok = 0,
+        /// The payload is not a message of that id.
+        Malformed = 1,
+        /// No message of that id, or one that only the device sends.
+        UnknownMessage = 2,
+        /// No compatible `Hello` has been exchanged.
+        NotPaired = 3,
+        /// Asked power above the rating; `detail` is the rating in watt.
+        PowerOutOfRange = 4,
+        /// A fault is active; clear it first. `detail` is its number.
+        FaultActive = 5,
+        /// Lookup of the wrong length; `detail` is the length expected.
+        LookupLength = 6,
+        /// Lookup does not begin with its magic or is of an unknown format.
+        LookupFormat = 7,
+        /// Lookup fails its CRC-32.
+        LookupCrc = 8,
+        /// Lookup not newer than the active one; `detail` is the active version.
+        LookupStale = 9,
+        /// A lookup cell is outside the plausible range; `detail` is the cell's index.
+        LookupRange = 10,
+        /// Neighbouring lookup cells differ too much; `detail` is the cell's index.
+        LookupSlope = 11,
+        /// R or L runs the wrong way with frequency or current; `detail` is the cell's index.
+        LookupNotMonotone = 12,
+        /// A lookup is already waiting for its half-cycle boundary; try again.
+        Busy = 13,
+    }
+}
+
+macro_rules! message_table {
+    ($lt:lifetime; $(
+        $(#[doc = $doc:literal])+
+        $id:literal $direction:literal $name:ident $(<$l:lifetime>)? {
+            $($(#[doc = $fdoc:literal])+ $(#[serde($attr:ident)])? $field:ident : $ty:ty,)*
+        }
+    )+) => {
+        $(
+            $(#[doc = $doc])+
+            #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+            pub struct $name $(<$l>)? {
+                $($(#[doc = $fdoc])+ $(#[serde($attr)])? pub $field: $ty,)*
+            }
+            impl $(<$l>)? Message for $name $(<$l>)? {
+                const ID: u8 = $id;
+            }
+        )+
+
+        /// Any message of the table, borrowed from the bytes it was decoded from.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum AnyMessage<$lt> {
+            $(
+                #[doc = concat!("See [`", stringify!($name), "`].")]
+                $name($name $(<$l>)?),
+            )+
+        }
+
+        impl<$lt> AnyMessage<$lt> {
+            /// Decodes the payload of message `id`; the payload must be used up.
+            pub fn decode(id: u8, payload: &$lt [u8]) -> Result<Self, DecodeError> {
+                match id {
+                    $($id => match postcard::take_from_bytes::<$name>(payload) {
+                        Ok((message, [])) => Ok(Self::$name(message)),
+                        Ok((_, rest)) => Err(DecodeError::Trailing { id, bytes: rest.len() }),
+                        Err(_) => Err(DecodeError::Malformed { id }),
+                    },)+
+                    _ => Err(DecodeError::UnknownId { id }),
+                }
+            }
+        }
+
+        /// Every message, in table order.
+        pub const MESSAGES: &[Entry] = &[$(Entry {
+            id: Some($id),
+            direction: $direction,
+            name: stringify!($name),
+            doc: concat!($($doc),+),
+            items: &[$(Item {
+                name: stringify!($field),
+                kind: stringify!($ty),
+                doc: concat!($($fdoc),+),
+            }),*],
+        }),+];
+    };
+}
+
+message_table! { 'a;
+    /// First message in both directions. Frozen for ever: same id, same layout, whatever the version.
+    0x01 "both" Hello {
+        /// [`super::hello::MAGIC`].
+        magic: u32,
+        /// 0 host, 1 device.
+        role: u8,
+        /// Incompatible when different.
+        protocol_major: u16,
+        /// The higher one knows more messages.
+        protocol_minor: u16,
+        /// Hash of the message table; must agree where major and minor do.
+        schema_hash: u64,
+        /// Bits of [`super::hello`]'s `CAP_` constants.
+        capabilities: u32,
+        /// Differs from boot to boot.
+        boot_id: u32,
+        /// 0 power-on, 1 watchdog, 2 panic, 3 brown-out, 4 pin, 5 software, 6 stack overflow.
+        reset_reason: u8,
+        /// Number of the fault that was active before the reset, 0 for none.
+        fault_before_reset: u16,
+        /// Name and version of the sender's build.
+        build: String<32>,
+        /// Board or host name.
+        board: String<32>,
+    }
+    /// Asks for power; 0 switches off.
+    0x02 "to device" SetPower {
+        /// Mean power over a half-cycle, in watt.
+        power_w: u16,
+    }
+    /// Chooses what the device streams.
+    0x03 "to device" Stream {
+        /// A `Telemetry` every this many half-cycles; 0 for none.
+        telemetry_every: u8,
+        /// A window every this many half-cycles; 0 for none.
+        windows_every: u8,
+    }
+    /// Asks for a `Status`.
+    0x04 "to device" GetStatus {}
+    /// Offers a lookup ([`crate::lookup::RlLookup::to_bytes`]). Answered by `Reply`; it becomes
+    /// active at the next half-cycle boundary, seen in `Status`.
+    0x05 "to device" PushLookup<'a> {
+        /// The lookup's bytes, its own CRC included.
+        #[serde(borrow)]
+        blob: Raw<'a>,
+    }
+    /// Asks for the active lookup.
+    0x06 "to device" ReadLookup {}
+    /// Leaves the safe state after a fault; power must be asked for again.
+    0x07 "to device" ClearFault {}
+    /// Answer to every command that has no answer of its own.
+    0x80 "from device" Reply {
+        /// Id of the command.
+        to: u8,
+        /// What became of it.
+        outcome: Outcome,
+        /// See the outcome.
+        detail: u32,
+    }
+    /// The controller now, and everything it has counted since boot.
+    0x81 "from device" Status {
+        /// What the controller is doing.
+        state: State,
+        /// Active fault.
+        fault: Fault,
+        /// What stands on the coil.
+        pot: Pot,
+        /// Power asked for, in watt.
+        asked_w: u16,
+        /// Mean power of the last half-cycle, in milliwatt.
+        delivered_mw: u32,
+        /// Switching frequency in hertz; 0 with the inverter off.
+        f_sw_hz: u32,
+        /// Version of the active lookup; 0 is the built-in prior.
+        lookup_version: u32,
+        /// Half-cycles since boot.
+        half_cycles: u32,
+        /// Windows recorded completely.
+        windows_recorded: u32,
+        /// Windows that were due and found the recorder busy.
+        windows_dropped: u32,
+        /// Telemetry messages that found their queue full.
+        telemetry_dropped: u32,
+        /// Frames received with a bad CRC, bad stuffing or a bad length.
+        frames_bad: u32,
+        /// Frames missing from the host's sequence.
+        frames_lost: u32,
+        /// Sample pairs at the end of the ADC's range.
+        saturated_pairs: u32,
+    }
+    /// One half-cycle in numbers.
+    0x82 "from device" Telemetry {
+        /// Counts every telemetry that was due, sent or not.
+        seq: u32,
+        /// Telemetry messages dropped since boot.
+        dropped: u32,
+        /// Half-cycle since boot.
+        half_cycle: u32,
+        /// What the controller is doing.
+        state: State,
+        /// Active fault.
+        fault: Fault,
+        /// What stands on the coil.
+        pot: Pot,
+        /// Switching frequency in hertz; 0 with the inverter off.
+        f_sw_hz: u32,
+        /// Estimated R at the crest of the current.
+        r: MicroOhm,
+        /// Estimated L at the crest of the current.
+        l: PicoHenry,
+        /// Largest amplitude of the current's fundamental, in milliampere.
+        i_crest_ma: u32,
+        /// Mean power of the half-cycle, in milliwatt.
+        power_mw: u32,
+        /// Lag of the current behind the inverter's voltage at the crest, in milliradian; above
+        /// resonance it is positive.
+        phase_mrad: i16,
+        /// Version of the active lookup.
+        lookup_version: u32,
+    }
+    /// Begins a window ([`crate::window`]).
+    0x83 "from device" WindowStart {
+        /// Counts every window that was due, recorded or not.
+        seq: u32,
+        /// Windows dropped since boot.
+        dropped: u32,
+        /// Half-cycle since boot.
+        half_cycle: u32,
+        /// Switching frequency throughout the window, in hertz.
+        f_sw_hz: u32,
+        /// Duration of the half-cycle, in nanoseconds.
+        half_cycle_ns: u32,
+        /// Time of the first pair after the mains zero crossing, in nanoseconds.
+        first_pair_ns: i32,
+        /// Time of the first track entry after the mains zero crossing, in nanoseconds.
+        first_track_ns: i32,
+        /// Pairs in the window.
+        pairs: u16,
+        /// Track entries in the window.
+        track: u16,
+        /// Pairs at the end of the ADC's range.
+        saturated: u16,
+        /// Version of the lookup that was active.
+        lookup_version: u32,
+    }
+    /// A run of a window's pairs.
+    0x84 "from device" WindowChunk<'a> {
+        /// Window.
+        seq: u32,
+        /// Index of the first pair.
+        offset: u16,
+        /// Whole pairs, [`crate::sampling::Pair::to_le_bytes`] each.
+        #[serde(borrow)]
+        data: Raw<'a>,
+    }
+    /// A run of a window's track.
+    0x85 "from device" TrackChunk<'a> {
+        /// Window.
+        seq: u32,
+        /// Index of the first entry.
+        offset: u16,
+        /// Whole entries, [`crate::window::TrackEntry::to_le_bytes`] each.
+        #[serde(borrow)]
+        data: Raw<'a>,
+    }
+    /// Ends a window.
+    0x86 "from device" WindowEnd {
+        /// Window.
+        seq: u32,
+        /// CRC-32 of all pair bytes, then all track bytes.
+        crc32: u32,
+    }
+    /// The active lookup.
+    0x87 "from device" LookupBlob<'a> {
+        /// The lookup's bytes, its own CRC included.
+        #[serde(borrow)]
+        blob: Raw<'a>,
+    }
+    /// Sent when a fault trips, and with [`Fault::None`] when it is cleared.
+    0x88 "from device" FaultEvent {
+        /// Half-cycle since boot.
+        half_cycle: u32,
+        /// The fault.
+        fault: Fault,
+    }
+}
+
+/// Every enumeration that messages use.
+pub const ENUMS: &[Entry] = &[State::ENTRY, Pot::ENTRY, Outcome::ENTRY, Fault::ENTRY];
+
+/// Hash of the whole table: names, ids, fields, types and enumeration numbers.
+pub const SCHEMA_HASH: u64 = {
+    let mut hash = FNV_BASIS;
+    let mut k = 0;
+    while k < MESSAGES.len() {
+        hash = fold_entry(hash, &MESSAGES[k]);
+        k += 1;
+    }
+    let mut k = 0;
+    while k < ENUMS.len() {
+        hash = fold_entry(hash, &ENUMS[k]);
+        k += 1;
+    }
+    hash
+};
+
+/// Why a payload is not a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DecodeError {
+    /// No message has this id.
+    UnknownId {
+        /// The id.
+        id: u8,
+    },
+    /// The payload does not decode as the message of this id.
+    Malformed {
+        /// The id.
+        id: u8,
+    },
+    /// The message decoded, but bytes were left over.
+    Trailing {
+        /// The id.
+        id: u8,
+        /// How many.
+        bytes: usize,
+    },
+}
+
+impl core::fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::UnknownId { id } => write!(f, "no message has id {id:#04x}"),
+            Self::Malformed { id } => write!(f, "payload does not decode as message {id:#04x}"),
+            Self::Trailing { id, bytes } => {
+                write!(f, "{bytes} bytes left over after message {id:#04x}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {}
