@@ -24,6 +24,7 @@ use workspace::Workspace;
 #[derive(Parser)]
 #[command(
     name = "cargo xtask",
+    bin_name = "cargo xtask",
     version,
     after_help = "Example:\n  cargo xtask test"
 )]
@@ -52,7 +53,7 @@ struct TestArgs {
     #[arg(long, value_name = "STEP")]
     only: Vec<Step>,
     /// Leave this step out (repeatable)
-    #[arg(long, value_name = "STEP")]
+    #[arg(long, value_name = "STEP", hide_possible_values = true)]
     skip: Vec<Step>,
     /// Stop at the first step that fails
     #[arg(long)]
