@@ -1,2 +1,32 @@
+//! The induction-hob controller, everything that needs no hardware.
+//!
+//! ```text
+//!  pairs ─► demod ─► ekf ─► R, L ─┬─► protection (every block)
+//!    │                            ├─► half_cycle ─► control: pot, power ─► drive
+//!    └────► recorder (pairs, R, L)┘                     ▲
+//!              │                                        │
+//!              └────────► session ◄──── link ────► lookup, checked
+//! ```
+//!
+//! [`realtime::RealTime`] is what runs in the sampling interrupt: one call per block of 61 sample
+//! pairs, no waiting, no panic, no float. [`housekeeping::Housekeeping`] runs below it: link,
+//! power control and pot detection, once per half-cycle. The board owns both and nothing else
+//! decides anything; the host's simulator is just another board.
 #![no_std]
-//! .
+
+#[cfg(test)]
+extern crate std;
+
+//MOD pub mod control;
+pub mod demod;
+pub mod ekf;
+pub mod fixed;
+pub mod half_cycle;
+//MOD pub mod housekeeping;
+pub mod impedance;
+pub mod pot;
+pub mod power;
+pub mod protection;
+pub mod realtime;
+pub mod recorder;
+//MOD pub mod session;

@@ -1,0 +1,108 @@
+//! Time update: current by the backward difference, covariance by its Jacobian.
+
+use super::{COVARIANCE_BITS, Ekf, KAPPA_Q31, VARIANCE_CEILING};
+use crate::demod::STATE_BITS;
+use crate::fixed::{Complex, Reciprocal, narrow, wide};
+
+/// Shift of a product of two state mantissas back to one.
+const Q: u32 = STATE_BITS;
+
+fn product(a: Complex, b: Complex) -> Complex {
+    Complex {
+        re: narrow(wide(a.re, b.re).saturating_sub(wide(a.im, b.im)), Q),
+        im: narrow(wide(a.re, b.im).saturating_add(wide(a.im, b.re)), Q),
+    }
+}
+
+fn dot2(a: [i32; 2], b: [i32; 2]) -> i64 {
+    wide(a[0], b[0]).saturating_add(wide(a[1], b[1]))
+}
+
+fn dot4(a: [i32; 2], b: [i32; 2], c: [i32; 2], d: [i32; 2]) -> i32 {
+    narrow(dot2(a, b).saturating_add(dot2(c, d)), Q)
+}
+
+impl Ekf {
+    /// `i_norm` is |I|² of the measurement, twice the state's fractional bits.
+    pub(super) fn predict(&mut self, v: Complex, i_norm: u64) {
+        let kx = narrow(wide(self.x, KAPPA_Q31), 31);
+        let d = Complex {
+            re: self.r.saturating_add(kx),
+            im: self.x,
+        };
+        let inverse = Reciprocal::of(d.norm_squared());
+        // 1/D = conj(D)/|D|²; the norm carries 2·26 fractional bits, D and the result 26.
+        let g = Complex {
+            re: inverse.scale(d.re, 2 * Q as i32),
+            im: inverse.scale(-d.im, 2 * Q as i32),
+        };
+        let drive = Complex {
+            re: narrow(wide(kx, self.i.re).saturating_add(i64::from(v.re) << Q), Q),
+            im: narrow(wide(kx, self.i.im).saturating_add(i64::from(v.im) << Q), Q),
+        };
+        let before = self.i;
+        self.i = product(g, drive);
+        // ∂I'/∂I = κX/D, ∂I'/∂R = −I'/D, ∂I'/∂X = (κ(I − I') − j I')/D.
+        let a = Complex {
+            re: narrow(wide(kx, g.re), Q),
+            im: narrow(wide(kx, g.im), Q),
+        };
+        let by_r = product(g, self.i);
+        let change = |i: i32, new: i32| narrow(wide(i.saturating_sub(new), KAPPA_Q31), 31);
+        let by_x = product(
+            g,
+            Complex {
+                re: change(before.re, self.i.re).saturating_add(self.i.im),
+                im: change(before.im, self.i.im).saturating_sub(self.i.re),
+            },
+        );
+        self.propagate(
+            [[a.re, a.im.saturating_neg()], [a.im, a.re]],
+            [
+                [by_r.re.saturating_neg(), by_x.re],
+                [by_r.im.saturating_neg(), by_x.im],
+            ],
+        );
+        self.add_process_noise(i_norm);
+    }
+
+    /// P ← F P Fᵀ with F = (A B; 0 1), in blocks: N = A P_It + B P_tt, W = A P_II + B P_tI,
+    /// P_II ← W Aᵀ + N Bᵀ, P_It ← N.
+    fn propagate(&mut self, a: [[i32; 2]; 2], b: [[i32; 2]; 2]) {
+        let p = &self.p;
+        let tt = [[p.tt[0], p.tt[1]], [p.tt[1], p.tt[2]]];
+        let ii = [[p.ii[0], p.ii[1]], [p.ii[1], p.ii[2]]];
+        let mut n = [[0; 2]; 2];
+        let mut w = [[0; 2]; 2];
+        for row in 0..2 {
+            for col in 0..2 {
+                n[row][col] = dot4(a[row], [p.it[0][col], p.it[1][col]], b[row], tt[col]);
+                w[row][col] = dot4(a[row], ii[col], b[row], p.it[col]);
+            }
+        }
+        let re_re = dot4(w[0], a[0], n[0], b[0]);
+        let re_im = dot4(w[0], a[1], n[0], b[1]);
+        let im_im = dot4(w[1], a[1], n[1], b[1]);
+        self.p.ii = [re_re, re_im, im_im];
+        self.p.it = n;
+    }
+
+    fn add_process_noise(&mut self, i_norm: u64) {
+        let q = self.noise;
+        for k in [0, 2] {
+            self.p.ii[k] = self.p.ii[k].saturating_add(q.current);
+        }
+        // (0.6 V)²/|I|²: the norm carries twice the state's bits, the noise the covariance's.
+        let growing = Reciprocal::of(i_norm).scale(q.impedance_by_current, 2 * Q as i32);
+        for k in [0, 2] {
+            let grown = self.p.tt[k]
+                .saturating_add(q.impedance)
+                .saturating_add(growing);
+            self.p.tt[k] = grown.min(VARIANCE_CEILING);
+        }
+        // A capped variance must still cover its covariance: |P_RX| ≤ ceiling.
+        self.p.tt[1] = self.p.tt[1].clamp(-VARIANCE_CEILING, VARIANCE_CEILING);
+    }
+}
+
+const _: () = assert!(COVARIANCE_BITS < 31 && Q == 26);

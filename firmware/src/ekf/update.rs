@@ -1,0 +1,68 @@
+//! Measurement update: the two components of I, one after the other.
+//!
+//! With S = P_kk + r and gains K = P_·k / S, the new variance of the measured component is
+//! P_kk·r/S and its covariances shrink by r/S: products, no cancellation. The other entries lose
+//! K·P_k·, which rounding can turn negative only on the diagonal, where a floor stands.
+
+use super::{COVARIANCE_BITS, Ekf, VARIANCE_FLOOR};
+use crate::demod::STATE_BITS;
+use crate::fixed::{Complex, Reciprocal, narrow, wide};
+
+impl Ekf {
+    pub(super) fn update(&mut self, measured: Complex) {
+        self.update_component(0, measured.re);
+        self.update_component(1, measured.im);
+    }
+
+    /// `k` = 0 measures the real part, 1 the imaginary one.
+    fn update_component(&mut self, k: usize, measured: i32) {
+        let r = self.noise.measurement;
+        let other = 1 - k;
+        let p = &mut self.p;
+        let own = p.ii[2 * k].max(0);
+        let cross = p.ii[1];
+        let row = p.it[k];
+        let s = u64::from(own.unsigned_abs()) + u64::from(r.unsigned_abs());
+        let inverse = Reciprocal::of(s);
+        // P and S share their format, so a gain is a plain ratio in the state's bits.
+        let gain = |p: i32| inverse.scale(p, STATE_BITS as i32);
+        let shrink = gain(r);
+        let (to_own, to_other) = (gain(own), gain(cross));
+        let to_theta = [gain(row[0]), gain(row[1])];
+
+        let shrunk = |x: i32| narrow(wide(x, shrink), STATE_BITS);
+        let lost = |x: i32, gain: i32, y: i32| x.saturating_sub(narrow(wide(gain, y), STATE_BITS));
+        p.ii[2 * k] = shrunk(own).max(1);
+        p.ii[1] = shrunk(cross);
+        p.ii[2 * other] = lost(p.ii[2 * other], to_other, cross).max(1);
+        for theta in 0..2 {
+            p.it[other][theta] = lost(p.it[other][theta], to_other, row[theta]);
+            p.it[k][theta] = shrunk(row[theta]);
+        }
+        p.tt[0] = lost(p.tt[0], to_theta[0], row[0]).max(VARIANCE_FLOOR);
+        p.tt[1] = lost(p.tt[1], to_theta[0], row[1]);
+        p.tt[2] = lost(p.tt[2], to_theta[1], row[1]).max(VARIANCE_FLOOR);
+
+        let predicted = if k == 0 { self.i.re } else { self.i.im };
+        let innovation = measured.saturating_sub(predicted);
+        let moved =
+            |x: i32, gain: i32| x.saturating_add(narrow(wide(gain, innovation), STATE_BITS));
+        let (own_new, other_old) = (moved(predicted, to_own), [self.i.im, self.i.re][k]);
+        let other_new = moved(other_old, to_other);
+        self.i = if k == 0 {
+            Complex {
+                re: own_new,
+                im: other_new,
+            }
+        } else {
+            Complex {
+                re: other_new,
+                im: own_new,
+            }
+        };
+        self.r = moved(self.r, to_theta[0]);
+        self.x = moved(self.x, to_theta[1]);
+    }
+}
+
+const _: () = assert!(COVARIANCE_BITS > STATE_BITS);

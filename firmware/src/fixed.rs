@@ -1,0 +1,119 @@
+//! Fixed-point arithmetic of the estimator: i32 mantissas, i64 products, one rounding per sum of
+//! products, a normalised reciprocal instead of a division.
+
+/// A complex number whose parts share the fixed-point format of their context.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Complex {
+    /// Real part.
+    pub re: i32,
+    /// Imaginary part.
+    pub im: i32,
+}
+
+impl Complex {
+    /// Squared magnitude, in twice the fractional bits. Never overflows: at most 2^63.
+    pub fn norm_squared(self) -> u64 {
+        (i64::from(self.re) * i64::from(self.re)) as u64
+            + (i64::from(self.im) * i64::from(self.im)) as u64
+    }
+}
+
+/// The exact 64-bit product of two mantissas.
+#[inline(always)]
+pub fn wide(a: i32, b: i32) -> i64 {
+    i64::from(a) * i64::from(b)
+}
+
+/// `x / 2^shift`, rounded to nearest (ties up) and saturated. `shift` from 1 to 62.
+#[inline(always)]
+pub fn narrow(x: i64, shift: u32) -> i32 {
+    saturate((x >> (shift - 1)).saturating_add(1) >> 1)
+}
+
+/// Saturates to 32 bit.
+#[inline(always)]
+pub fn saturate(x: i64) -> i32 {
+    if x > i64::from(i32::MAX) {
+        i32::MAX
+    } else if x < i64::from(i32::MIN) {
+        i32::MIN
+    } else {
+        x as i32
+    }
+}
+
+/// 1/n as `mantissa · 2^-exponent`, mantissa in (2^30, 2^31].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reciprocal {
+    mantissa: u32,
+    exponent: i32,
+}
+
+impl Reciprocal {
+    /// The reciprocal of a positive integer to within 2^-29 of its value; of 0, that of 1.
+    ///
+    /// One 32-bit hardware division gives 15 bits, one Newton step doubles them. A 64-bit
+    /// division would be a library call of variable time on a Cortex-M4.
+    pub fn of(n: u64) -> Self {
+        let n = n.max(1);
+        let zeros = n.leading_zeros();
+        // m ≤ n·2^(zeros-32) < m + 1, 2^31 ≤ m < 2^32.
+        let m = ((n << zeros) >> 32) as u32;
+        let seed = u32::MAX / (m >> 16); // ≈ 2^48 / m, 16 to 17 bits
+        // m · seed ≈ 2^48, so `product` ≈ 2^31 and 2^32 − product ≈ 2^31.
+        let product = (u64::from(m) * u64::from(seed)) >> 17;
+        let correction = (1u64 << 32).saturating_sub(product);
+        let mantissa = ((u64::from(seed) * correction) >> 17) as u32; // ≈ 2^62 / m
+        Self {
+            mantissa,
+            exponent: 94 - zeros as i32,
+        }
+    }
+
+    /// `x · 2^q / n`, rounded and saturated.
+    #[inline(always)]
+    pub fn scale(self, x: i32, q: i32) -> i32 {
+        let product = i64::from(x) * i64::from(self.mantissa);
+        match self.exponent - q {
+            shift @ 1..=62 => narrow(product, shift as u32),
+            shift if shift > 62 => 0,
+            _ if x == 0 => 0,
+            shift @ -31..=0 => saturate(product.saturating_mul(1i64 << -shift)),
+            _ if x < 0 => i32::MIN,
+            _ => i32::MAX,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn narrow_rounds_to_nearest_and_saturates() {
+        assert_eq!(narrow(5, 1), 3);
+        assert_eq!(narrow(-5, 1), -2);
+        assert_eq!(narrow(6, 2), 2);
+        assert_eq!(narrow(i64::MAX, 1), i32::MAX);
+        assert_eq!(narrow(i64::MIN, 1), i32::MIN);
+    }
+
+    proptest! {
+        #[test]
+        fn reciprocal_is_good_to_nine_digits(bits in 0u32..64, low in any::<u64>()) {
+            let n = (1u64 << bits) | (low & ((1u64 << bits) - 1));
+            let r = Reciprocal::of(n);
+            let value = f64::from(r.mantissa) * 2f64.powi(-r.exponent);
+            prop_assert!((value * n as f64 - 1.0).abs() < 2e-9, "1/{} = {}", n, value);
+        }
+
+        #[test]
+        fn scale_multiplies(x in any::<i32>(), n in 1u64..u64::MAX, q in -10i32..70) {
+            let exact = f64::from(x) * 2f64.powi(q) / n as f64;
+            let got = f64::from(Reciprocal::of(n).scale(x, q));
+            let bounded = exact.clamp(f64::from(i32::MIN), f64::from(i32::MAX));
+            prop_assert!((got - bounded).abs() <= 1.0 + 4e-9 * bounded.abs(), "{got} {bounded}");
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! The series tank in integers: reactances, impedance, phase, distance from resonance.
+
+use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use micromath::F32Ext;
+
+/// Load and capacitor in series at one switching frequency.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tank {
+    /// Resistance, in milliohm.
+    pub r_mohm: i64,
+    /// Reactance of the coil, in milliohm.
+    pub x_l_mohm: i64,
+    /// Reactance of the capacitor as a positive number, in milliohm.
+    pub x_c_mohm: i64,
+}
+
+impl Tank {
+    /// The tank of a load at a switching frequency in hertz.
+    pub fn new(f_sw_hz: u32, r: MicroOhm, l: PicoHenry) -> Self {
+        let f = u64::from(f_sw_hz.max(1));
+        let l = l.0.max(0) as u64;
+        Self {
+            r_mohm: i64::from(r.0) / 1_000,
+            // 2π = 6.2832: f·L stays below 2e14, so the product fits 64 bit.
+            x_l_mohm: (f * l / 1_000 * 62_832 / 10_000_000_000) as i64,
+            // 1/(2πfC) in milliohm: 1e12 / (6.2832 · f · C_nF).
+            x_c_mohm: (10_000_000_000_000_000 / (62_832 * f * u64::from(RESONANCE_CAPACITANCE_NF)))
+                as i64,
+        }
+    }
+
+    /// Net reactance, in milliohm; positive above resonance.
+    pub fn x_mohm(self) -> i64 {
+        self.x_l_mohm - self.x_c_mohm
+    }
+
+    /// Magnitude of the impedance, in milliohm.
+    pub fn z_mohm(self) -> u64 {
+        let x = self.x_mohm();
+        ((self.r_mohm * self.r_mohm + x * x) as u64).isqrt()
+    }
+
+    /// Whether the frequency is above resonance with at least `percent` of the coil's reactance to
+    /// spare.
+    pub fn is_above_resonance(self, percent: i64) -> bool {
+        100 * self.x_mohm() >= percent * self.x_l_mohm
+    }
+
+    /// Lag of the current behind the inverter's voltage, in milliradian; positive above resonance.
+    /// micromath's arc tangent is good to 2 mrad, enough for a soft-switching margin.
+    pub fn phase_mrad(self) -> i16 {
+        (F32Ext::atan2(self.x_mohm() as f32, self.r_mohm as f32) * 1e3) as i16
+    }
+}
+
+/// The inductance that resonates with the capacitor at a switching frequency: with less, the
+/// inverter runs below resonance. 1/((2πf)²·C).
+pub fn resonant_inductance(f_sw_hz: u32) -> PicoHenry {
+    /// 1e20 / (2π)²: henry per hertz² and farad, as picohenry and nanofarad, over ten.
+    const SCALE: u64 = 2_533_029_591_058_444_300;
+    let f_squared = u64::from(f_sw_hz.max(1_000)) * u64::from(f_sw_hz.max(1_000));
+    let l_ph = SCALE / u64::from(RESONANCE_CAPACITANCE_NF) * 10 / f_squared;
+    PicoHenry(i32::try_from(l_ph).unwrap_or(i32::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    #[test]
+    fn integers_follow_the_formulas() {
+        for f in [34_000u32, 45_000, 80_000] {
+            for l_uh in [2.0, 17.0, 25.0, 90.0] {
+                let t = Tank::new(f, MicroOhm(3_250_000), PicoHenry((l_uh * 1e6) as i32));
+                let x_l = TAU * f64::from(f) * l_uh * 1e-3;
+                let x_c = 1e3 / (TAU * f64::from(f) * 1080e-9);
+                assert!((t.x_l_mohm as f64 - x_l).abs() <= 1.0 + 1e-5 * x_l);
+                assert!((t.x_c_mohm as f64 - x_c).abs() <= 1.0 + 1e-5 * x_c);
+                let z = (x_l - x_c).hypot(3250.0);
+                assert!((t.z_mohm() as f64 - z).abs() <= 3.0);
+                let phase = (x_l - x_c).atan2(3250.0) * 1e3;
+                assert!((f64::from(t.phase_mrad()) - phase).abs() < 4.0);
+            }
+        }
+    }
+
+    #[test]
+    fn resonant_inductance_follows_its_formula() {
+        for f in [34_000u32, 45_000, 80_000] {
+            let l = 1e12 / ((TAU * f64::from(f)).powi(2) * 1080e-9);
+            assert!((f64::from(resonant_inductance(f).0) / l - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn resonance_is_told_from_both_sides() {
+        // 20 µH and 1080 nF resonate at 34.25 kHz.
+        let at = |f| Tank::new(f, MicroOhm(3_000_000), PicoHenry(20_000_000));
+        assert!(!at(34_000).is_above_resonance(0));
+        assert!(at(34_500).is_above_resonance(0));
+        assert!(!at(34_500).is_above_resonance(10));
+        assert!(at(38_000).is_above_resonance(10));
+    }
+}

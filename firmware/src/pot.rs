@@ -1,0 +1,79 @@
+//! Pot detection: the estimate at the crest against what the lookup expects there.
+//!
+//! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 1.4-0.84 / 52-49, aluminium
+//! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
+//! to the lookup at the same frequency and current separate them: R below half of the expected is
+//! no full pot, and then L tells air (above) from a non-magnetic plate (below).
+
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::messages::Pot;
+
+use crate::half_cycle::Summary;
+
+/// Amplitude below which nothing can be said: 1.5 A.
+pub const MIN_CURRENT_MA: u32 = 1_500;
+
+/// R of a full-size pot, at least this percentage of the lookup's.
+const FULL_R_PERCENT: i64 = 50;
+
+/// R of any ferromagnetic pot worth heating, at least this percentage of the lookup's.
+const SMALL_R_PERCENT: i64 = 10;
+
+/// L above this percentage of the lookup's means that the coil looks into air.
+const AIR_L_PERCENT: i64 = 125;
+
+/// What stands on the coil, by the last half-cycle.
+pub fn classify(summary: &Summary, lookup: &RlLookup) -> Pot {
+    if summary.f_sw_hz == 0 || summary.i_crest_ma < MIN_CURRENT_MA {
+        return Pot::Unknown;
+    }
+    let (r, l) = lookup.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+    let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
+    let (r, l) = (percent(summary.r.0, r.0), percent(summary.l.0, l.0));
+    match (r, l) {
+        (FULL_R_PERCENT.., _) => Pot::Ferromagnetic,
+        (_, ..AIR_L_PERCENT) => Pot::Unsuitable,
+        (SMALL_R_PERCENT.., _) => Pot::Small,
+        _ => Pot::Absent,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::lookup::prior::prior;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+
+    /// R at 45 kHz in ohm, L in µH, current in ampere; R ∝ √f.
+    fn seen(f_sw_hz: u32, r: f64, l: f64, i: f64) -> Pot {
+        let r = r * (f64::from(f_sw_hz) / 45e3).sqrt();
+        let summary = Summary {
+            f_sw_hz,
+            r: MicroOhm((r * 1e6) as i32),
+            l: PicoHenry((l * 1e6) as i32),
+            i_crest_ma: (i * 1e3) as u32,
+            ..Summary::default()
+        };
+        classify(&summary, &prior())
+    }
+
+    #[test]
+    fn loads_of_the_design_are_told_apart() {
+        for f in [36_000, 45_000, 60_000, 80_000] {
+            assert_eq!(seen(f, 3.7, 24.0, 40.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 5.0, 30.0, 10.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 3.1, 19.6, 54.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 1.2, 50.0, 8.0), Pot::Small);
+            assert_eq!(seen(f, 0.22, 17.0, 30.0), Pot::Unsuitable);
+            assert_eq!(seen(f, 0.76, 18.0, 25.0), Pot::Unsuitable);
+            assert_eq!(seen(f, 0.1, 55.0, 8.0), Pot::Absent);
+            assert_eq!(seen(f, 0.1, 90.0, 5.0), Pot::Absent);
+        }
+    }
+
+    #[test]
+    fn no_current_tells_nothing() {
+        assert_eq!(seen(45_000, 3.0, 20.0, 1.0), Pot::Unknown);
+        assert_eq!(seen(0, 3.0, 20.0, 10.0), Pot::Unknown);
+    }
+}

@@ -1,0 +1,229 @@
+//! Power control: the switching frequency that gives the asked power, from the lookup.
+//!
+//! Above resonance the power falls with frequency, so the frequency is found by bisection on the
+//! power that the lookup predicts. What the prediction misses (harmonics, an untaught lookup) is a
+//! factor, learnt from the measured power of each half-cycle. Steps per half-cycle are bounded,
+//! and inside the dead band the frequency stays, so that windows have one frequency.
+
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::lookup::RlLookup;
+
+use crate::half_cycle::Summary;
+use crate::impedance::Tank;
+
+/// Reactance kept above resonance at the crest, in percent of the coil's: 12 % of X are 6 % of f.
+pub const RESONANCE_MARGIN_PERCENT: i64 = 12;
+
+/// Crest current the prediction may ask for: 70 A, below the trip level.
+const I_CREST_MAX_MA: u64 = 70_000;
+
+/// Largest step down (towards more power) per half-cycle, in hertz.
+pub const STEP_DOWN_HZ: u32 = 2_500;
+
+/// Largest step up (towards less power) per half-cycle, in hertz.
+pub const STEP_UP_HZ: u32 = 8_000;
+
+/// Dead band of the mean power, in percent of the asked power.
+pub const DEAD_BAND_PERCENT: u32 = 2;
+
+/// Range of the learnt factor, in 1/1024: 0.4 to 2.5.
+const FACTOR_Q10: core::ops::RangeInclusive<u64> = 410..=2_560;
+
+/// sin of the four midpoints of a quarter period (11.25°, 33.75°, …), in 1/1024: the mean over
+/// them is the mean over the half-cycle.
+const ENVELOPE_Q10: [u64; 4] = [200, 569, 851, 1_004];
+
+/// Power control's memory.
+#[derive(Clone, Debug)]
+pub struct PowerControl {
+    factor_q10: u64,
+}
+
+impl Default for PowerControl {
+    fn default() -> Self {
+        Self { factor_q10: 1_024 }
+    }
+}
+
+/// Mean power of a half-cycle in milliwatt that the lookup predicts at a frequency, or `None`
+/// where the tank would come too close to resonance or the current too high.
+///
+/// At each point of the envelope the amplitude is the fixed point of I = V1/|Z(f, I)| with
+/// V1 = 2/π of the bus (a 0..V_bus square wave). R and L fall with I, so the iteration rises towards
+/// it from the last point's current; eight rounds leave less than 1 %.
+pub fn predict_mw(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<u64> {
+    let v1_peak_mv = u64::from(bus_peak_dv) * 100 * 6_366 / 10_000;
+    let mut total_mw = 0;
+    let mut i_ma = 0;
+    for sine in ENVELOPE_Q10 {
+        let v1_mv = v1_peak_mv * sine / 1_024;
+        let mut tank = tank_at(lookup, f_sw_hz, i_ma);
+        for _ in 0..8 {
+            i_ma = v1_mv * 1_000 / tank.z_mohm().max(1);
+            tank = tank_at(lookup, f_sw_hz, i_ma);
+        }
+        if i_ma > I_CREST_MAX_MA || !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+            return None;
+        }
+        // ½ I² R: mA² · mΩ = 1e-9 W.
+        total_mw += i_ma * i_ma * tank.r_mohm.max(0) as u64 / 2_000_000;
+    }
+    Some(total_mw / ENVELOPE_Q10.len() as u64)
+}
+
+fn tank_at(lookup: &RlLookup, f_sw_hz: u32, i_ma: u64) -> Tank {
+    let (r, l) = lookup.interpolate(f_sw_hz, i_ma.min(u64::from(u32::MAX)) as u32);
+    Tank::new(f_sw_hz, r, l)
+}
+
+impl PowerControl {
+    /// The frequency for the next half-cycle. `asked_mw` above zero, the inverter running.
+    pub fn next_frequency(&mut self, summary: &Summary, asked_mw: u64, lookup: &RlLookup) -> u32 {
+        let now = summary.f_sw_hz.clamp(F_SW_MIN_HZ, F_SW_MAX_HZ);
+        if let Some(predicted) = predict_mw(lookup, now, summary.bus_peak_dv).filter(|&p| p > 0) {
+            let ratio = (u64::from(summary.power_mw) << 10) / predicted;
+            // Half of the way at once: the measurement is of this frequency, the use of another.
+            self.factor_q10 = (self.factor_q10 + ratio) / 2;
+            self.factor_q10 = self
+                .factor_q10
+                .clamp(*FACTOR_Q10.start(), *FACTOR_Q10.end());
+        }
+        let measured = Tank::new(now, summary.r, summary.l);
+        if summary.i_crest_ma > 0 && !measured.is_above_resonance(RESONANCE_MARGIN_PERCENT / 2) {
+            // The load is not what the lookup says: leave resonance first.
+            return (now + STEP_UP_HZ).min(F_SW_MAX_HZ);
+        }
+        let error = u64::from(summary.power_mw).abs_diff(asked_mw);
+        if error * 100 <= asked_mw * u64::from(DEAD_BAND_PERCENT) {
+            return now;
+        }
+        self.solve(asked_mw, summary.bus_peak_dv, lookup)
+            .clamp(now.saturating_sub(STEP_DOWN_HZ), now + STEP_UP_HZ)
+            .clamp(F_SW_MIN_HZ, F_SW_MAX_HZ)
+    }
+
+    /// The lowest frequency whose predicted power is not above the asked one, to 50 Hz.
+    fn solve(&self, asked_mw: u64, bus_peak_dv: u16, lookup: &RlLookup) -> u32 {
+        let (mut low, mut high) = (F_SW_MIN_HZ, F_SW_MAX_HZ);
+        while high - low > 50 {
+            let middle = low.midpoint(high);
+            match predict_mw(lookup, middle, bus_peak_dv) {
+                Some(mw) if (mw * self.factor_q10) >> 10 <= asked_mw => high = middle,
+                _ => low = middle,
+            }
+        }
+        high
+    }
+
+    /// Forgets the learnt factor, for another load.
+    pub fn restart(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::PI;
+    use ihd_shared::lookup::prior::prior;
+
+    /// The oracle: the same physics in f64, the envelope integrated finely, R and L from the
+    /// prior's own law.
+    fn oracle_w(f_hz: f64, bus_v: f64) -> f64 {
+        let steps = 400;
+        let mut sum = 0.0;
+        for k in 0..steps {
+            let v1 = 2.0 / PI * bus_v * (PI * (f64::from(k) + 0.5) / f64::from(steps)).sin();
+            let mut i = 0.0;
+            let mut r = 0.0;
+            for _ in 0..60 {
+                let x = f_hz / 45e3;
+                r = (3.0 + 4.0 / (1.0 + i / 9.0)) * x.sqrt();
+                let l = (20.5 + 18.0 / (1.0 + i / 10.0)) * 1e-6 * x.powf(-0.3);
+                let net = 2.0 * PI * f_hz * l - 1.0 / (2.0 * PI * f_hz * 1080e-9);
+                i = 0.5 * (i + v1 / r.hypot(net));
+            }
+            sum += 0.5 * i * i * r;
+        }
+        sum / f64::from(steps)
+    }
+
+    #[test]
+    fn prediction_follows_the_f64_oracle() {
+        for f in [42_000, 50_000, 60_000, 80_000] {
+            let mw = predict_mw(&prior(), f, 3_253).unwrap() as f64;
+            let oracle = oracle_w(f64::from(f), 325.3) * 1e3;
+            assert!((mw / oracle - 1.0).abs() < 0.01, "{f}: {mw} {oracle}");
+        }
+    }
+
+    #[test]
+    fn no_power_is_predicted_near_resonance() {
+        assert_eq!(predict_mw(&prior(), 31_000, 3_253), None);
+    }
+
+    /// A plant whose power is the prediction times a factor the control does not know.
+    fn settle(asked_w: u64, plant: f64) -> (u32, f64) {
+        let lookup = prior();
+        let mut control = PowerControl::default();
+        let mut f = F_SW_MAX_HZ;
+        let mut power = 0.0;
+        for _ in 0..60 {
+            power = predict_mw(&lookup, f, 3_253).map_or(0.0, |mw| mw as f64 * plant);
+            let (r, l) = lookup.interpolate(f, 30_000);
+            let summary = Summary {
+                f_sw_hz: f,
+                power_mw: power as u32,
+                bus_peak_dv: 3_253,
+                i_crest_ma: 30_000,
+                r,
+                l,
+                ..Summary::default()
+            };
+            let next = control.next_frequency(&summary, asked_w * 1_000, &lookup);
+            assert!(
+                next + STEP_DOWN_HZ >= f && next <= f + STEP_UP_HZ,
+                "{f} -> {next}"
+            );
+            f = next;
+        }
+        (f, power / 1e3)
+    }
+
+    #[test]
+    fn reaches_the_asked_power_whatever_the_lookup_misses() {
+        for asked in [700, 1_000, 1_500, 2_000] {
+            for plant in [0.7, 1.0, 1.3] {
+                let (_, power) = settle(asked, plant);
+                let error = (power / asked as f64 - 1.0).abs();
+                assert!(error <= 0.02, "{asked} W, plant {plant}: {power}");
+            }
+        }
+    }
+
+    #[test]
+    fn more_than_the_load_can_take_stops_at_the_margin() {
+        let (f, power) = settle(2_500, 0.5);
+        assert!(power < 2_500.0);
+        assert!(
+            predict_mw(&prior(), f, 3_253).is_some(),
+            "it must stay above resonance"
+        );
+    }
+
+    #[test]
+    fn a_load_near_resonance_sends_the_frequency_up() {
+        let mut control = PowerControl::default();
+        let summary = Summary {
+            f_sw_hz: 40_000,
+            power_mw: 100_000,
+            bus_peak_dv: 3_253,
+            i_crest_ma: 20_000,
+            r: ihd_shared::units::MicroOhm(3_000_000),
+            l: ihd_shared::units::PicoHenry(15_000_000),
+            ..Summary::default()
+        };
+        let next = control.next_frequency(&summary, 2_000_000, &prior());
+        assert_eq!(next, 48_000);
+    }
+}

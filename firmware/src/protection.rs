@@ -1,0 +1,172 @@
+//! Protection: what switches off within a block, whatever the link or the lookup says.
+//!
+//! The comparator on the current and the HRTIM fault input act first, in hardware; these are the
+//! checks a block later. No limit here can be changed by the host.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::sampling::AMPERE_PER_CODE;
+use ihd_shared::units::PicoHenry;
+
+use crate::demod::BlockSums;
+use crate::ekf::Ekf;
+use crate::impedance::resonant_inductance;
+
+/// Trip level of the coil current: 76 A, below the ADC's 80 A.
+pub const TRIP_CODE: u16 = (76.0 / AMPERE_PER_CODE) as u16;
+
+/// Trip level of the bus voltage: 420 V, in decivolt.
+pub const BUS_TRIP_DV: u16 = 4_200;
+
+/// Saturated pairs in one block that mean a broken sensor and not a spike.
+pub const SATURATED_TRIP: u16 = 16;
+
+/// Blocks lost in one half-cycle that are still an interrupt that came late.
+pub const LOST_BLOCKS_ALLOWED: u32 = 2;
+
+/// Half-cycles without a zero crossing that mean the mains is gone, as time: 30 ms.
+pub const MAINS_LOST_NS: u64 = 30_000_000;
+
+/// Blocks in a row at or below resonance, or at a bound of the estimate, before the trip: 8 blocks
+/// are 0.3-0.7 ms, more than the estimator takes to settle after the current has come back.
+const BLOCKS_IN_A_ROW: u8 = 8;
+
+/// Checks that need memory.
+#[derive(Clone, Debug, Default)]
+pub struct Protection {
+    lost_blocks: u32,
+    since_zero_crossing_ns: u64,
+    below_resonance: u8,
+    at_bound: u8,
+    /// Below this inductance the inverter runs below resonance.
+    l_min: PicoHenry,
+}
+
+impl Protection {
+    /// Checks raw samples and timing of one block; `lost` blocks are missing before it.
+    pub fn check_block(
+        &mut self,
+        sums: &BlockSums,
+        bus_dv: u16,
+        lost: u32,
+        block_ns: u32,
+        zero_crossing: bool,
+    ) -> Option<Fault> {
+        self.lost_blocks = self.lost_blocks.saturating_add(lost);
+        let late = self.lost_blocks > LOST_BLOCKS_ALLOWED;
+        if zero_crossing {
+            self.since_zero_crossing_ns = 0;
+            self.lost_blocks = 0;
+        } else {
+            self.since_zero_crossing_ns += u64::from(block_ns);
+        }
+        if sums.saturated >= SATURATED_TRIP {
+            Some(Fault::SensorSaturated)
+        } else if sums.i_peak >= TRIP_CODE {
+            Some(Fault::OverCurrent)
+        } else if bus_dv >= BUS_TRIP_DV {
+            Some(Fault::BusOverVoltage)
+        } else if late {
+            Some(Fault::SamplesLost)
+        } else if self.since_zero_crossing_ns > MAINS_LOST_NS {
+            Some(Fault::MainsLost)
+        } else {
+            None
+        }
+    }
+
+    /// Resonance moves with the switching frequency; the divisions it takes happen only here.
+    pub fn set_frequency(&mut self, f_sw_hz: u32) {
+        self.l_min = resonant_inductance(f_sw_hz);
+        self.below_resonance = 0;
+        self.at_bound = 0;
+    }
+
+    /// Checks the estimate after a block that was not held.
+    pub fn check_estimate(&mut self, ekf: &Ekf) -> Option<Fault> {
+        let count = |counter: &mut u8, bad: bool| {
+            *counter = if bad { counter.saturating_add(1) } else { 0 };
+            *counter >= BLOCKS_IN_A_ROW
+        };
+        if count(&mut self.at_bound, ekf.is_at_bound()) {
+            Some(Fault::EstimatorDiverged)
+        } else if count(&mut self.below_resonance, ekf.l() < self.l_min) {
+            Some(Fault::BelowResonance)
+        } else {
+            None
+        }
+    }
+
+    /// Forgets what led to a trip.
+    pub fn reset(&mut self) {
+        *self = Self {
+            l_min: self.l_min,
+            ..Self::default()
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ekf::Noise;
+    use ihd_shared::units::MicroOhm;
+
+    fn quiet() -> BlockSums {
+        BlockSums::default()
+    }
+
+    #[test]
+    fn each_limit_trips_with_its_number() {
+        let check = |sums: BlockSums, bus, lost| {
+            Protection::default().check_block(&sums, bus, lost, 60_000, false)
+        };
+        let current = BlockSums {
+            i_peak: TRIP_CODE,
+            ..quiet()
+        };
+        let saturated = BlockSums {
+            saturated: SATURATED_TRIP,
+            ..current
+        };
+        assert_eq!(check(quiet(), 3_300, 0), None);
+        assert_eq!(check(current, 0, 0), Some(Fault::OverCurrent));
+        assert_eq!(check(saturated, 0, 0), Some(Fault::SensorSaturated));
+        assert_eq!(check(quiet(), BUS_TRIP_DV, 0), Some(Fault::BusOverVoltage));
+        assert_eq!(check(quiet(), 0, 2), None);
+        assert_eq!(check(quiet(), 0, 3), Some(Fault::SamplesLost));
+    }
+
+    #[test]
+    fn mains_must_cross_zero_within_thirty_milliseconds() {
+        let mut p = Protection::default();
+        let mut blocks = 0;
+        while p.check_block(&quiet(), 0, 0, 60_000, false).is_none() {
+            blocks += 1;
+            assert!(blocks < 1_000);
+        }
+        assert_eq!(blocks, 500);
+        assert_eq!(p.check_block(&quiet(), 0, 0, 60_000, true), None);
+    }
+
+    #[test]
+    fn below_resonance_trips_after_a_few_blocks_in_a_row() {
+        // 20 µH resonates at 34.25 kHz.
+        let ekf = Ekf::new(
+            36_000,
+            MicroOhm(3_000_000),
+            PicoHenry(20_000_000),
+            Noise::TUNED,
+        );
+        let mut p = Protection::default();
+        p.set_frequency(36_000);
+        for _ in 0..100 {
+            assert_eq!(p.check_estimate(&ekf), None);
+        }
+        p.set_frequency(33_000);
+        for _ in 0..BLOCKS_IN_A_ROW - 1 {
+            assert_eq!(p.check_estimate(&ekf), None);
+        }
+        let tripped = p.check_estimate(&ekf);
+        assert_eq!(tripped, Some(Fault::BelowResonance));
+    }
+}

@@ -1,0 +1,336 @@
+//! Window recorder: every pair of one half-cycle, and the estimator's track through it.
+//!
+//! One slot. While the link drains it, windows that are due are counted and dropped; the sampling
+//! path never waits. The track lags the pairs by the demodulator's delay, so a window is ready a
+//! few blocks after its half-cycle has ended.
+
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::window::{MAX_PAIRS, MAX_TRACK, PAIR_BYTES, TRACK_BYTES, TrackEntry};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Empty.
+    Free,
+    /// Taking pairs and track.
+    Recording,
+    /// The half-cycle is over; the last track entries are on their way.
+    Tail,
+    /// Complete; the link may read it.
+    Ready,
+}
+
+/// What describes a window beside its pairs and track.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Header {
+    /// Counts every window that was due, recorded or not.
+    pub seq: u32,
+    /// Half-cycle since boot.
+    pub half_cycle: u32,
+    /// Switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// Duration of the half-cycle, in nanoseconds.
+    pub half_cycle_ns: u32,
+    /// Time of the first pair after the zero crossing, in nanoseconds.
+    pub first_pair_ns: i32,
+    /// Time of the first track entry after the zero crossing, in nanoseconds.
+    pub first_track_ns: i32,
+    /// Pairs recorded.
+    pub pairs: u16,
+    /// Track entries recorded.
+    pub track: u16,
+    /// Pairs at the end of the ADC's range.
+    pub saturated: u16,
+}
+
+/// Counters since boot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Windows that were due.
+    pub due: u32,
+    /// Windows recorded completely.
+    pub recorded: u32,
+    /// Windows that found the slot taken, or that a frequency step cut short.
+    pub dropped: u32,
+}
+
+/// The recorder and its one slot.
+pub struct Recorder {
+    stage: Stage,
+    header: Header,
+    counters: Counters,
+    /// Time of the current block's first pair since the window's zero crossing.
+    block_start_ns: i64,
+    pairs: [Pair; MAX_PAIRS],
+    track: [TrackEntry; MAX_TRACK],
+}
+
+impl Default for Recorder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Recorder {
+    /// An empty recorder.
+    pub const fn new() -> Self {
+        const NO_ENTRY: TrackEntry = TrackEntry {
+            r: ihd_shared::units::MicroOhm(0),
+            l: ihd_shared::units::PicoHenry(0),
+        };
+        Self {
+            stage: Stage::Free,
+            header: Header {
+                seq: 0,
+                half_cycle: 0,
+                f_sw_hz: 0,
+                half_cycle_ns: 0,
+                first_pair_ns: 0,
+                first_track_ns: 0,
+                pairs: 0,
+                track: 0,
+                saturated: 0,
+            },
+            counters: Counters {
+                due: 0,
+                recorded: 0,
+                dropped: 0,
+            },
+            block_start_ns: 0,
+            pairs: [Pair { v: 0, i: 0 }; MAX_PAIRS],
+            track: [NO_ENTRY; MAX_TRACK],
+        }
+    }
+
+    /// Counters since boot.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// A window is due. The sequence number counts before the slot is claimed, so that a drop shows
+    /// as a gap. `block_start_ns` is the time of the current block's first pair (≤ 0).
+    pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
+        let seq = self.counters.due;
+        self.counters.due = seq.wrapping_add(1);
+        if self.stage != Stage::Free {
+            self.counters.dropped = self.counters.dropped.wrapping_add(1);
+            return;
+        }
+        self.stage = Stage::Recording;
+        self.block_start_ns = block_start_ns;
+        self.header = Header {
+            seq,
+            half_cycle,
+            f_sw_hz,
+            ..Header::default()
+        };
+    }
+
+    /// Adds pairs of the half-cycle, in order.
+    pub fn push(&mut self, pairs: &[Pair]) {
+        if self.stage != Stage::Recording {
+            return;
+        }
+        let at = usize::from(self.header.pairs);
+        let room = pairs.len().min(MAX_PAIRS - at.min(MAX_PAIRS));
+        for (slot, &pair) in self.pairs.iter_mut().skip(at).zip(&pairs[..room]) {
+            *slot = pair;
+            self.header.saturated += u16::from(pair.is_saturated());
+        }
+        self.header.pairs += room as u16;
+    }
+
+    /// The half-cycle is over.
+    pub fn end(&mut self, half_cycle_ns: u32) {
+        if self.stage == Stage::Recording {
+            self.stage = Stage::Tail;
+            self.header.half_cycle_ns = half_cycle_ns;
+        }
+    }
+
+    /// Adds the estimate made with the current block; it belongs `delay_blocks` earlier.
+    pub fn estimate(&mut self, entry: TrackEntry, block_ns: u32, delay_blocks: u32) {
+        if !matches!(self.stage, Stage::Recording | Stage::Tail) {
+            return;
+        }
+        let centre = self.block_start_ns + i64::from(block_ns) / 2
+            - i64::from(delay_blocks) * i64::from(block_ns);
+        if self.stage == Stage::Tail && centre >= i64::from(self.header.half_cycle_ns) {
+            self.complete();
+            return;
+        }
+        let at = usize::from(self.header.track);
+        if centre >= 0
+            && let Some(slot) = self.track.get_mut(at)
+        {
+            if at == 0 {
+                self.header.first_track_ns = centre as i32;
+            }
+            *slot = entry;
+            self.header.track += 1;
+        }
+    }
+
+    /// The block is over.
+    pub fn advance(&mut self, block_ns: u32) {
+        self.block_start_ns = self.block_start_ns.saturating_add(i64::from(block_ns));
+    }
+
+    /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete
+    /// with the track it has, one in the middle is worthless.
+    pub fn interrupt(&mut self) {
+        match self.stage {
+            Stage::Tail => self.complete(),
+            Stage::Recording => {
+                self.stage = Stage::Free;
+                self.counters.dropped = self.counters.dropped.wrapping_add(1);
+            }
+            Stage::Free | Stage::Ready => {}
+        }
+    }
+
+    fn complete(&mut self) {
+        self.stage = Stage::Ready;
+        self.counters.recorded = self.counters.recorded.wrapping_add(1);
+    }
+
+    /// The complete window, if there is one.
+    pub fn ready(&self) -> Option<&Header> {
+        (self.stage == Stage::Ready).then_some(&self.header)
+    }
+
+    /// Copies pairs from `offset` on as wire bytes; returns how many pairs fitted.
+    pub fn read_pairs(&self, offset: u16, out: &mut [u8]) -> u16 {
+        let all = &self.pairs[..usize::from(self.header.pairs).min(MAX_PAIRS)];
+        let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
+        let mut copied = 0;
+        for (pair, slot) in rest.iter().zip(out.chunks_exact_mut(PAIR_BYTES)) {
+            slot.copy_from_slice(&pair.to_le_bytes());
+            copied += 1;
+        }
+        copied
+    }
+
+    /// Copies track entries from `offset` on as wire bytes; returns how many entries fitted.
+    pub fn read_track(&self, offset: u16, out: &mut [u8]) -> u16 {
+        let all = &self.track[..usize::from(self.header.track).min(MAX_TRACK)];
+        let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
+        let mut copied = 0;
+        for (entry, slot) in rest.iter().zip(out.chunks_exact_mut(TRACK_BYTES)) {
+            slot.copy_from_slice(&entry.to_le_bytes());
+            copied += 1;
+        }
+        copied
+    }
+
+    /// Frees the slot after the window was sent, or because nobody wants it.
+    pub fn release(&mut self) {
+        if self.stage == Stage::Ready {
+            self.stage = Stage::Free;
+        }
+    }
+}
+
+const _: () = assert!(MAX_PAIRS <= u16::MAX as usize && ADC_LOCK_P <= u8::MAX as usize);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+    use std::boxed::Box;
+
+    fn recorder() -> Box<Recorder> {
+        Box::new(Recorder::new())
+    }
+
+    fn entry(k: i32) -> TrackEntry {
+        TrackEntry {
+            r: MicroOhm(k),
+            l: PicoHenry(-k),
+        }
+    }
+
+    #[test]
+    fn a_half_cycle_goes_in_and_comes_out() {
+        let mut r = recorder();
+        r.begin(5, 45_000, -10_000);
+        let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
+            v: k as i16,
+            i: 2047,
+        });
+        r.push(&pairs[9..]);
+        for k in 0..4 {
+            r.estimate(entry(k), 66_667, 2);
+            r.advance(66_667);
+            r.push(&pairs);
+        }
+        // Centres: -10000 + 33333 - 133334 < 0 for two blocks, then 23.3 µs and 90 µs.
+        r.end(200_000);
+        assert!(r.ready().is_none(), "the track's tail is missing");
+        r.estimate(entry(4), 66_667, 2);
+        r.advance(66_667);
+        r.estimate(entry(5), 66_667, 2); // 223 µs: beyond the end
+        let header = *r.ready().unwrap();
+        assert_eq!(header.pairs, 52 + 4 * 61);
+        assert_eq!(header.saturated, header.pairs);
+        assert_eq!((header.track, header.first_track_ns), (3, 23_333));
+        let mut bytes = [0; 8];
+        assert_eq!(r.read_pairs(0, &mut bytes), 2);
+        assert_eq!(bytes, [9, 0, 255, 7, 10, 0, 255, 7]);
+        assert_eq!(r.read_track(2, &mut bytes), 1);
+        assert_eq!(bytes[..4], 4i32.to_le_bytes());
+        assert_eq!(r.read_track(3, &mut bytes), 0);
+    }
+
+    #[test]
+    fn a_busy_slot_counts_and_drops() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0);
+        r.end(1);
+        r.interrupt();
+        r.begin(1, 45_000, 0);
+        r.begin(2, 45_000, 0);
+        assert_eq!(
+            r.counters(),
+            Counters {
+                due: 3,
+                recorded: 1,
+                dropped: 2
+            }
+        );
+        assert_eq!(r.ready().map(|h| h.seq), Some(0));
+        r.release();
+        r.begin(3, 45_000, 0);
+        r.end(1);
+        r.interrupt();
+        assert_eq!(
+            r.ready().map(|h| h.seq),
+            Some(3),
+            "drops must show as a gap"
+        );
+    }
+
+    #[test]
+    fn a_frequency_step_in_the_middle_drops_the_window() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0);
+        r.interrupt();
+        assert_eq!(r.counters().dropped, 1);
+        assert!(r.ready().is_none());
+    }
+
+    #[test]
+    fn an_endless_half_cycle_fills_up_and_stops() {
+        let mut r = recorder();
+        r.begin(0, 80_000, 0);
+        for _ in 0..400 {
+            r.push(&[Pair::default(); ADC_LOCK_P]);
+            r.estimate(entry(1), 37_500, 0);
+            r.advance(37_500);
+        }
+        r.end(1);
+        r.estimate(entry(1), 37_500, 0);
+        let header = r.ready().unwrap();
+        assert_eq!(usize::from(header.pairs), MAX_PAIRS);
+        assert_eq!(usize::from(header.track), MAX_TRACK);
+    }
+}
