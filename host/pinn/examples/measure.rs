@@ -1,0 +1,52 @@
+//! Prints error and time of `identify` on the exact load of the tests, for all settings that a
+//! reader may want to compare. `cargo run --release -p ihd-pinn --example measure -- KEY=VALUE ...`
+
+#[path = "../tests/truth/mod.rs"]
+mod truth;
+
+use ihd_pinn::{Config, identify};
+use truth::{Hob, mre_pct};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut json = serde_json::to_value(Config::default())?;
+    let (mut snr_db, mut seeds, mut mains) = (None::<f64>, 1_u64, 50.0);
+    for argument in std::env::args().skip(1) {
+        let (key, value) = argument.split_once('=').ok_or("arguments are KEY=VALUE")?;
+        match key {
+            "snr" => snr_db = Some(value.parse()?),
+            "seeds" => seeds = value.parse()?,
+            "mains" => mains = value.parse()?,
+            // Any field of Config, in JSON; plain words are strings.
+            _ => json[key] = serde_json::from_str(value).unwrap_or_else(|_| value.into()),
+        }
+    }
+    let mut config: Config = serde_json::from_value(json)?;
+    println!("kHz seed | whole R % L % | middle R % L % | passes steps ms stop | NMSE v i %");
+    for f_sw_khz in [45.0, 50.0, 60.0, 70.0] {
+        let hob = Hob::at(f_sw_khz * 1e3, mains);
+        for seed in 1..=seeds {
+            config.seed = seed;
+            let mut recording = hob.record();
+            if let Some(snr_db) = snr_db {
+                recording = recording.with_noise(snr_db, seed);
+            }
+            let recording = recording.quantised();
+            let found = identify(&recording.waveform(), &config, &mut |_| {})?;
+            let (whole, middle) = (mre_pct(&found, &hob, 0.0), mre_pct(&found, &hob, 0.1));
+            println!(
+                "{f_sw_khz} {seed:2} | {:.3} {:.3} | {:.3} {:.3} | {} {:3} {:4.0} {} | {:.4} {:.4}",
+                whole.0,
+                whole.1,
+                middle.0,
+                middle.1,
+                found.passes,
+                found.iterations,
+                1e3 * found.elapsed_s,
+                found.stopped_because,
+                found.nmse_v_pct,
+                found.nmse_i_pct,
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,216 @@
+//! Settings of an identification.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Backend, Parameters, PinnError, SlowEmbedding};
+
+/// What trains the RL-MLP on the physics term.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Optimiser {
+    /// Damped Gauss-Newton on all slow times at once.
+    #[default]
+    LevenbergMarquardt,
+    /// Adam on the gradient from burn's reverse mode, as in the paper: for comparison.
+    Adam,
+}
+
+impl fmt::Display for Optimiser {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::LevenbergMarquardt => "levenberg-marquardt",
+            Self::Adam => "adam",
+        })
+    }
+}
+
+impl FromStr for Optimiser {
+    type Err = PinnError;
+
+    /// Reads `levenberg-marquardt` or `adam`.
+    ///
+    /// # Errors
+    /// [`PinnError::UnknownName`] for anything else.
+    fn from_str(name: &str) -> Result<Self, PinnError> {
+        match name {
+            "levenberg-marquardt" => Ok(Self::LevenbergMarquardt),
+            "adam" => Ok(Self::Adam),
+            _ => Err(PinnError::UnknownName {
+                what: "optimiser",
+                name: name.to_owned(),
+                known: "levenberg-marquardt, adam",
+            }),
+        }
+    }
+}
+
+/// Settings of [`crate::identify`]. The default is the hybrid: harmonic VI branch solved linearly,
+/// RL-MLP of 2 x 8 by Levenberg-Marquardt, the paper's weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// burn backend of the RL-MLP.
+    pub backend: Backend,
+    /// Seed of the RL-MLP's first weights; the same seed gives the same digits.
+    pub seed: u64,
+    /// Harmonics of the switching frequency in the VI branch; must hold 1, ascending.
+    pub harmonics: Vec<u32>,
+    /// Harmonics that the physics term (4) covers; a subset of `harmonics`, ascending. A load with
+    /// eddy currents has another R and L at every harmonic, and white noise weighs more on the
+    /// higher ones, so the default is the fundamental alone; list all of them for the paper's (4).
+    pub physics_harmonics: Vec<u32>,
+    /// B-spline intervals per mains half-cycle, 4..=400.
+    pub spline_intervals: usize,
+    /// Slow collocation times in the window, 16..=4096.
+    pub slow_points: usize,
+    /// Widths of the RL-MLP's hidden layers, one to eight of 1..=256.
+    pub hidden_layers: Vec<usize>,
+    /// How time enters the RL-MLP.
+    pub embedding: SlowEmbedding,
+    /// Scale of the R output, ohm.
+    pub r_scale_ohm: f64,
+    /// Scale of the L output, H.
+    pub l_scale_h: f64,
+    /// Weight of the physics term in eq. (7).
+    pub w_f: f64,
+    /// Weight of the data terms in eq. (7).
+    pub w_i: f64,
+    /// What trains the RL-MLP.
+    pub optimiser: Optimiser,
+    /// Learning rate of Adam; Levenberg-Marquardt has none.
+    pub learning_rate: f64,
+    /// Most optimiser steps in all passes together.
+    pub max_iterations: usize,
+    /// Most alternations between the VI branch and the RL-MLP.
+    pub outer_passes: usize,
+    /// Stop when R and L move by less than this, as a mean of the relative change over a few steps.
+    pub tolerance: f64,
+    /// Wall-clock limit of the optimiser, s. Reached, the best parameters so far are the result.
+    pub time_limit_s: f64,
+    /// Parameters of an earlier result to start from.
+    pub start: Option<Parameters>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            backend: Backend::default(),
+            seed: 1,
+            harmonics: vec![1, 3, 5, 7],
+            physics_harmonics: vec![1],
+            spline_intervals: 24,
+            slow_points: 128,
+            hidden_layers: vec![8, 8],
+            embedding: SlowEmbedding::default(),
+            r_scale_ohm: 4.0,
+            l_scale_h: 20e-6,
+            w_f: 5.0,
+            w_i: 1.0,
+            optimiser: Optimiser::default(),
+            learning_rate: 1e-2,
+            max_iterations: 200,
+            outer_passes: 2,
+            tolerance: 1e-4,
+            time_limit_s: 10.0,
+            start: None,
+        }
+    }
+}
+
+impl Config {
+    /// Checks every field against its documented range.
+    ///
+    /// # Errors
+    /// [`PinnError::Config`] or [`PinnError::WarmStart`] for the first field out of range.
+    pub fn validate(&self) -> Result<(), PinnError> {
+        self.validate_harmonics()?;
+        within("spline_intervals", self.spline_intervals, 4..=400)?;
+        within("slow_points", self.slow_points, 16..=4096)?;
+        within("hidden_layers count", self.hidden_layers.len(), 1..=8)?;
+        for width in &self.hidden_layers {
+            within("hidden_layers width", *width, 1..=256)?;
+        }
+        within("outer_passes", self.outer_passes, 1..=100)?;
+        within("max_iterations", self.max_iterations, 1..=10_000_000)?;
+        for (field, value) in [
+            ("r_scale_ohm", self.r_scale_ohm),
+            ("l_scale_h", self.l_scale_h),
+            ("w_f", self.w_f),
+            ("w_i", self.w_i),
+            ("learning_rate", self.learning_rate),
+            ("tolerance", self.tolerance),
+            ("time_limit_s", self.time_limit_s),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(PinnError::Config {
+                    field,
+                    problem: format!("is {value}, but must be a positive number"),
+                });
+            }
+        }
+        self.validate_start()
+    }
+
+    fn validate_harmonics(&self) -> Result<(), PinnError> {
+        let ascending = |list: &[u32]| list.windows(2).all(|pair| pair[0] < pair[1]);
+        let wrong = |field, problem: &str| {
+            Err(PinnError::Config {
+                field,
+                problem: problem.to_owned(),
+            })
+        };
+        if self.harmonics.first() != Some(&1) || !ascending(&self.harmonics) {
+            return wrong("harmonics", "must ascend from 1, the fundamental");
+        }
+        if self.harmonics.len() > 32 {
+            return wrong("harmonics", "has more than 32 entries");
+        }
+        let known = |h| self.harmonics.contains(h);
+        if self.physics_harmonics.is_empty()
+            || !ascending(&self.physics_harmonics)
+            || !self.physics_harmonics.iter().all(known)
+        {
+            return wrong(
+                "physics_harmonics",
+                "must be a non-empty ascending selection of harmonics",
+            );
+        }
+        Ok(())
+    }
+
+    fn validate_start(&self) -> Result<(), PinnError> {
+        let Some(start) = &self.start else {
+            return Ok(());
+        };
+        let found = start.hidden_layers();
+        if found == self.hidden_layers && start.is_sound() {
+            return Ok(());
+        }
+        Err(PinnError::WarmStart {
+            found: format!("{found:?}{}", if start.is_sound() { "" } else { " (damaged)" }),
+            wanted: format!("{:?}", self.hidden_layers),
+        })
+    }
+}
+
+fn within(
+    field: &'static str,
+    value: usize,
+    range: std::ops::RangeInclusive<usize>,
+) -> Result<(), PinnError> {
+    if range.contains(&value) {
+        Ok(())
+    } else {
+        Err(PinnError::Config {
+            field,
+            problem: format!(
+                "is {value}, but must be {} to {}",
+                range.start(),
+                range.end()
+            ),
+        })
+    }
+}

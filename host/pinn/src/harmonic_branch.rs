@@ -1,0 +1,108 @@
+//! The VI branch: v_hat(t) and i_hat(t) as switching harmonics with slowly moving phasors.
+//!
+//! In place of the paper's VI-MLP on eq. (2): `i_hat(t) = sum_h Re{ I_h(t) exp(j h w t) }`, each
+//! phasor a cubic B-spline in slow time, and the same for v. The time derivative is analytic:
+//! `di_hat/dt = sum_h Re{ (I_h' + j h w I_h) exp(j h w t) }`.
+
+use nalgebra::Complex;
+
+use crate::spline::{CubicSpline, Local};
+use crate::waveform::Normalised;
+
+/// The functions of the VI branch: spline times (cos, sin) of each harmonic.
+#[derive(Debug, Clone)]
+pub(crate) struct HarmonicBasis {
+    pub spline: CubicSpline,
+    pub harmonics: Vec<u32>,
+    /// Angular switching frequency, rad/s.
+    pub omega: f64,
+}
+
+impl HarmonicBasis {
+    /// Columns that one spline function carries: a cosine and a sine per harmonic.
+    pub fn width(&self) -> usize {
+        2 * self.harmonics.len()
+    }
+
+    /// Number of unknowns per signal.
+    pub fn len(&self) -> usize {
+        self.spline.len() * self.width()
+    }
+
+    /// Writes (cos, sin) of each harmonic at `tau_s` seconds after the first pair into `trig`.
+    pub fn trigonometry(&self, tau_s: f64, trig: &mut Vec<f64>) {
+        trig.clear();
+        for &h in &self.harmonics {
+            let (sin, cos) = (f64::from(h) * self.omega * tau_s).sin_cos();
+            trig.extend([cos, sin]);
+        }
+    }
+}
+
+/// Phasors of one harmonic at one slow time, in normalised units.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Phasors {
+    pub v: Complex<f64>,
+    pub i: Complex<f64>,
+    /// Phasor of di/dt, `I' + j h w I`, 1/s.
+    pub di: Complex<f64>,
+}
+
+/// A fitted VI branch.
+#[derive(Debug, Clone)]
+pub(crate) struct HarmonicBranch {
+    pub basis: HarmonicBasis,
+    /// Coefficients, spline function by spline function, then (cos, sin) per harmonic.
+    pub v: Vec<f64>,
+    pub i: Vec<f64>,
+}
+
+impl HarmonicBranch {
+    /// The phasors of `harmonics[index]` at `tau_s` seconds after the first pair.
+    pub fn phasors(&self, tau_s: f64, index: usize) -> Phasors {
+        let local = self.basis.spline.at(tau_s);
+        // a cos + b sin = Re{(a - jb) exp(j w t)}.
+        let phasor = |coefficients: &[f64], weights: &[f64; 4]| {
+            (0..4).fold(Complex::new(0.0, 0.0), |sum, m| {
+                let at = (local.first + m) * self.basis.width() + 2 * index;
+                sum + Complex::new(coefficients[at], -coefficients[at + 1]) * weights[m]
+            })
+        };
+        let i = phasor(&self.i, &local.values);
+        let rotation = Complex::new(0.0, f64::from(self.basis.harmonics[index]) * self.basis.omega);
+        Phasors {
+            v: phasor(&self.v, &local.values),
+            i,
+            di: phasor(&self.i, &local.slopes_per_s) + rotation * i,
+        }
+    }
+
+    /// Mean squared errors of v_hat and i_hat over the samples: L_i1 and L_i2, eqs. (5) and (6).
+    pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
+        let mut trig = Vec::with_capacity(self.basis.width());
+        let (mut sum_v, mut sum_i) = (0.0, 0.0);
+        for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
+            let tau_s = n as f64 * samples.dt_s;
+            self.basis.trigonometry(tau_s, &mut trig);
+            let local = self.basis.spline.at(tau_s);
+            sum_v += (self.value(&self.v, &local, &trig) - v).powi(2);
+            sum_i += (self.value(&self.i, &local, &trig) - i).powi(2);
+        }
+        (sum_v / samples.len() as f64, sum_i / samples.len() as f64)
+    }
+
+    fn value(&self, coefficients: &[f64], local: &Local, trig: &[f64]) -> f64 {
+        let width = self.basis.width();
+        (0..4)
+            .map(|m| {
+                let at = (local.first + m) * width;
+                let carried: f64 = coefficients[at..at + width]
+                    .iter()
+                    .zip(trig)
+                    .map(|(c, t)| c * t)
+                    .sum();
+                local.values[m] * carried
+            })
+            .sum()
+    }
+}

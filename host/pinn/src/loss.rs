@@ -1,0 +1,192 @@
+//! The physics term, eq. (4), in the rotating frame.
+//!
+//! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
+//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`. R, L and the phasors hardly move within a switching
+//! period, so by Parseval the mean of r^2 over a period is `1/2 sum_h |r_h|^2`, and the mean over
+//! the window, eq. (4), is the mean of that at a few hundred slow times. Nothing is lost against
+//! the sum over all samples but terms of order (envelope slope / w)^2.
+//!
+//! `r_h` is linear in R and L, so at each slow time the rows of all harmonics condense, by a QR
+//! factorisation of two columns, into two: `e = d - C (R / r_scale, L / l_scale)`, C triangular.
+
+use burn::tensor::{Device, Tensor};
+use nalgebra::Complex;
+
+use crate::backend::Backend;
+use crate::harmonic_branch::HarmonicBranch;
+use crate::parameters::{OUTPUTS, Parameters};
+use crate::rl_mlp::{RlMlp, matrix, read};
+use crate::waveform::Normalised;
+use crate::{PinnError, SlowEmbedding};
+
+/// `w_f L_f` as a function of the RL-MLP: the sum of squares of `e`, plus a floor that the network
+/// cannot change.
+#[derive(Debug, Clone)]
+pub(crate) struct SlowPhysics {
+    /// Times after the first pair, s.
+    pub tau_s: Vec<f64>,
+    c_rr: Vec<f64>,
+    c_rl: Vec<f64>,
+    c_ll: Vec<f64>,
+    d_r: Vec<f64>,
+    d_l: Vec<f64>,
+    /// The part of `w_f L_f` that is orthogonal to R and L.
+    pub floor: f64,
+}
+
+/// Midpoints of `count` equal parts of the window: a midpoint rule for the mean in eq. (4).
+pub(crate) fn slow_times_s(duration_s: f64, count: usize) -> Vec<f64> {
+    (0..count)
+        .map(|k| (k as f64 + 0.5) / count as f64 * duration_s)
+        .collect()
+}
+
+impl SlowPhysics {
+    /// Condenses the physics term for the phasors of `branch`.
+    ///
+    /// `harmonics` are positions in the branch's basis; the scales are those of `parameters`.
+    pub fn condense(
+        branch: &HarmonicBranch,
+        samples: &Normalised,
+        parameters: &Parameters,
+        harmonics: &[usize],
+        w_f: f64,
+        tau_s: Vec<f64>,
+    ) -> Self {
+        let weight = (0.5 * w_f / tau_s.len() as f64).sqrt();
+        let to_r = parameters.r_scale_ohm * samples.impedance_scale() * weight;
+        let to_l = parameters.l_scale_h * samples.impedance_scale() * weight;
+        let mut physics = Self {
+            c_rr: Vec::with_capacity(tau_s.len()),
+            c_rl: Vec::with_capacity(tau_s.len()),
+            c_ll: Vec::with_capacity(tau_s.len()),
+            d_r: Vec::with_capacity(tau_s.len()),
+            d_l: Vec::with_capacity(tau_s.len()),
+            floor: 0.0,
+            tau_s: Vec::new(),
+        };
+        for &tau in &tau_s {
+            let mut columns = [Vec::new(), Vec::new(), Vec::new()];
+            for &index in harmonics {
+                let at = branch.phasors(tau, index);
+                let parts = |z: Complex<f64>, factor: f64| [factor * z.re, factor * z.im];
+                columns[0].extend(parts(at.i, to_r));
+                columns[1].extend(parts(at.di, to_l));
+                columns[2].extend(parts(at.v, weight));
+            }
+            physics.push(columns);
+        }
+        physics.tau_s = tau_s;
+        physics
+    }
+
+    /// Gram-Schmidt on (R column, L column), applied to the voltage column as well.
+    fn push(&mut self, [mut on_r, mut on_l, mut v]: [Vec<f64>; 3]) {
+        let c_rr = normalise(&mut on_r);
+        let c_rl = project_out(&on_r, &mut on_l);
+        let c_ll = normalise(&mut on_l);
+        self.c_rr.push(c_rr);
+        self.c_rl.push(c_rl);
+        self.c_ll.push(c_ll);
+        self.d_r.push(project_out(&on_r, &mut v));
+        self.d_l.push(project_out(&on_l, &mut v));
+        self.floor += v.iter().map(|x| x * x).sum::<f64>();
+    }
+
+    /// The constant (R / r_scale, L / l_scale) that fits best: a start for the network.
+    pub fn best_constant(&self) -> [f64; OUTPUTS] {
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        let rr = dot(&self.c_rr, &self.c_rr);
+        let rl = dot(&self.c_rr, &self.c_rl);
+        let ll = dot(&self.c_rl, &self.c_rl) + dot(&self.c_ll, &self.c_ll);
+        let r = dot(&self.c_rr, &self.d_r);
+        let l = dot(&self.c_rl, &self.d_r) + dot(&self.c_ll, &self.d_l);
+        let determinant = rr * ll - rl * rl;
+        let constant = [
+            (ll * r - rl * l) / determinant,
+            (rr * l - rl * r) / determinant,
+        ];
+        // A window that allows no sensible constant still deserves a start: the scales themselves.
+        constant.map(|y| if y.is_finite() { y.max(1e-3) } else { 1.0 })
+    }
+
+    /// The same on a burn device, with the RL-MLP's features beside it.
+    pub fn on_device(
+        &self,
+        samples: &Normalised,
+        parameters: &Parameters,
+        backend: Backend,
+        device: &Device,
+    ) -> SlowTensors {
+        let count = self.tau_s.len();
+        let features = self
+            .tau_s
+            .iter()
+            .flat_map(|tau| {
+                parameters
+                    .embedding
+                    .features(samples.t0_s + tau, samples.f_mains_hz)
+            })
+            .collect();
+        let column = |values: &[f64]| matrix(values.to_vec(), [count, 1], device);
+        SlowTensors {
+            features: matrix(features, [count, SlowEmbedding::WIDTH], device),
+            c_rr: column(&self.c_rr),
+            c_rl: column(&self.c_rl),
+            c_ll: column(&self.c_ll),
+            d_r: column(&self.d_r),
+            d_l: column(&self.d_l),
+            backend,
+            device: device.clone(),
+        }
+    }
+}
+
+/// [`SlowPhysics`] as tensors: one row per slow time.
+#[derive(Debug, Clone)]
+pub(crate) struct SlowTensors {
+    pub features: Tensor<2>,
+    pub c_rr: Tensor<2>,
+    pub c_rl: Tensor<2>,
+    pub c_ll: Tensor<2>,
+    d_r: Tensor<2>,
+    d_l: Tensor<2>,
+    pub backend: Backend,
+    pub device: Device,
+}
+
+impl SlowTensors {
+    /// The residuals e: first the R rows of all slow times, then the L rows.
+    pub fn residuals(&self, network: &RlMlp) -> Tensor<2> {
+        let y = network.forward(self.features.clone());
+        let (r, l) = (y.clone().narrow(1, 0, 1), y.narrow(1, 1, 1));
+        let on_r = self.d_r.clone() - self.c_rr.clone() * r - self.c_rl.clone() * l.clone();
+        let on_l = self.d_l.clone() - self.c_ll.clone() * l;
+        Tensor::cat(vec![on_r, on_l], 0)
+    }
+
+    /// The residuals and the network's outputs as plain numbers.
+    pub fn evaluate(&self, parameters: &Parameters) -> Result<(Vec<f64>, Vec<f64>), PinnError> {
+        let network = RlMlp::from_parameters(parameters, &self.device);
+        let outputs = read(network.forward(self.features.clone()), self.backend)?;
+        Ok((read(self.residuals(&network), self.backend)?, outputs))
+    }
+}
+
+/// Scales to unit length and returns the length; a column without signal stays as it is.
+fn normalise(column: &mut [f64]) -> f64 {
+    let length = column.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if length > 0.0 {
+        column.iter_mut().for_each(|x| *x /= length);
+    }
+    length
+}
+
+/// Removes from `column` its part along the unit vector `direction`; returns that part.
+fn project_out(direction: &[f64], column: &mut [f64]) -> f64 {
+    let part: f64 = direction.iter().zip(&*column).map(|(d, x)| d * x).sum();
+    for (x, d) in column.iter_mut().zip(direction) {
+        *x -= part * d;
+    }
+    part
+}

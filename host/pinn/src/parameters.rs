@@ -1,0 +1,169 @@
+//! The RL-MLP's weights as plain numbers: to start the next identification from, to store, and to
+//! evaluate R(t), L(t) without burn.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::SlowEmbedding;
+
+/// One fully connected layer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Layer {
+    /// Number of inputs.
+    pub inputs: usize,
+    /// Number of outputs.
+    pub outputs: usize,
+    /// Weights, `[input][output]`, row by row.
+    pub weights: Vec<f64>,
+    /// Biases, one per output.
+    pub biases: Vec<f64>,
+}
+
+/// A trained RL-MLP: everything that R(t) and L(t) depend on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Parameters {
+    /// How time enters the network.
+    pub embedding: SlowEmbedding,
+    /// Mains frequency of the window, Hz.
+    pub f_mains_hz: f64,
+    /// R is this times softplus of output 0, ohm.
+    pub r_scale_ohm: f64,
+    /// L is this times softplus of output 1, H.
+    pub l_scale_h: f64,
+    /// Hidden layers (tanh) and the output layer.
+    pub layers: Vec<Layer>,
+}
+
+/// Number of outputs: R and L.
+pub(crate) const OUTPUTS: usize = 2;
+
+impl Parameters {
+    /// R (ohm) and L (H) at `t_s` seconds after a mains zero crossing.
+    #[must_use]
+    pub fn r_l_at(&self, t_s: f64) -> (f64, f64) {
+        let mut activations = self.embedding.features(t_s, self.f_mains_hz).to_vec();
+        for (index, layer) in self.layers.iter().enumerate() {
+            let hidden = index + 1 < self.layers.len();
+            activations = (0..layer.outputs)
+                .map(|o| {
+                    let sum: f64 = activations
+                        .iter()
+                        .enumerate()
+                        .map(|(n, a)| a * layer.weights[n * layer.outputs + o])
+                        .sum();
+                    let sum = sum + layer.biases[o];
+                    if hidden { sum.tanh() } else { softplus(sum) }
+                })
+                .collect();
+        }
+        (
+            self.r_scale_ohm * activations[0],
+            self.l_scale_h * activations[1],
+        )
+    }
+
+    /// Widths of the hidden layers.
+    #[must_use]
+    pub fn hidden_layers(&self) -> Vec<usize> {
+        let hidden = self.layers.len().saturating_sub(1);
+        self.layers[..hidden].iter().map(|l| l.outputs).collect()
+    }
+
+    /// Xavier-Glorot uniform weights from `seed`, zero biases, and an output bias that starts the
+    /// network at the constant `start` = (R / r_scale, L / l_scale).
+    pub(crate) fn initial(
+        mut self,
+        hidden_layers: &[usize],
+        seed: u64,
+        start: [f64; OUTPUTS],
+    ) -> Self {
+        // Drawn here and not by burn, so that every backend starts from the same digits.
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut inputs = SlowEmbedding::WIDTH;
+        self.layers = hidden_layers
+            .iter()
+            .copied()
+            .chain([OUTPUTS])
+            .map(|outputs| {
+                let limit = (6.0 / (inputs + outputs) as f64).sqrt();
+                let layer = Layer {
+                    inputs,
+                    outputs,
+                    weights: (0..inputs * outputs)
+                        .map(|_| rng.random_range(-limit..limit))
+                        .collect(),
+                    biases: vec![0.0; outputs],
+                };
+                inputs = outputs;
+                layer
+            })
+            .collect();
+        if let Some(output) = self.layers.last_mut() {
+            output.biases = start.iter().map(|y| inverse_softplus(*y)).collect();
+        }
+        self
+    }
+
+    /// All weights and biases, layer by layer, each weights first.
+    pub(crate) fn flat(&self) -> Vec<f64> {
+        self.layers
+            .iter()
+            .flat_map(|l| l.weights.iter().chain(&l.biases))
+            .copied()
+            .collect()
+    }
+
+    /// The same network with the weights and biases of `flat`.
+    pub(crate) fn with_flat(&self, flat: &[f64]) -> Self {
+        let mut next = self.clone();
+        let mut rest = flat.iter();
+        for layer in &mut next.layers {
+            for (slot, value) in layer
+                .weights
+                .iter_mut()
+                .chain(&mut layer.biases)
+                .zip(&mut rest)
+            {
+                *slot = *value;
+            }
+        }
+        next
+    }
+
+    /// Whether the layers chain up from the features to R and L and hold finite numbers.
+    pub(crate) fn is_sound(&self) -> bool {
+        let mut inputs = SlowEmbedding::WIDTH;
+        let chained = self.layers.iter().all(|l| {
+            let fits = l.inputs == inputs
+                && l.weights.len() == l.inputs * l.outputs
+                && l.biases.len() == l.outputs;
+            inputs = l.outputs;
+            fits
+        });
+        chained && inputs == OUTPUTS && self.flat().iter().all(|x| x.is_finite())
+    }
+}
+
+/// ln(1 + e^x), without overflow.
+fn softplus(x: f64) -> f64 {
+    x.max(0.0) + (-x.abs()).exp().ln_1p()
+}
+
+/// The x with softplus(x) = y, for y > 0; held at -20 below e^-20.
+fn inverse_softplus(y: f64) -> f64 {
+    let y = y.max((-20.0_f64).exp());
+    y + (-(-y).exp_m1()).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{inverse_softplus, softplus};
+
+    #[test]
+    fn inverse_softplus_undoes_softplus() {
+        for x in [-15.0, -1.0, 0.0, 0.5413, 3.0, 40.0] {
+            assert!((inverse_softplus(softplus(x)) - x).abs() < 1e-9);
+        }
+    }
+}

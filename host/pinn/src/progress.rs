@@ -1,0 +1,168 @@
+//! What an identification says while it runs, and when it stops.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+
+use crate::Config;
+use crate::parameters::OUTPUTS;
+
+/// State after one optimiser step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// Alternation between VI branch and RL-MLP, from 1.
+    pub pass: usize,
+    /// Optimiser steps so far in all passes.
+    pub iteration: usize,
+    /// Eq. (7), with the VI branch of this pass.
+    pub loss: f64,
+    /// Eq. (4).
+    pub l_f: f64,
+    /// Mean relative change of R and L (the larger) over the last few steps; infinite at first.
+    pub change: f64,
+    /// Time since the call, s.
+    pub elapsed_s: f64,
+}
+
+/// Why the optimiser stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StoppedBecause {
+    /// R and L no longer move.
+    Settled,
+    /// No damping, however strong, gives a smaller loss: a minimum to working precision.
+    NoDescent,
+    /// The configured number of steps is spent.
+    IterationLimit,
+    /// The configured time is spent.
+    TimeLimit,
+    /// The loss became NaN or infinite; the result holds the last good parameters.
+    RolledBack,
+}
+
+impl StoppedBecause {
+    /// Whether the parameters are a minimum and not just the best so far.
+    #[must_use]
+    pub fn is_converged(self) -> bool {
+        matches!(self, Self::Settled | Self::NoDescent)
+    }
+}
+
+impl fmt::Display for StoppedBecause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Settled => "R and L settled",
+            Self::NoDescent => "no further descent",
+            Self::IterationLimit => "iteration limit",
+            Self::TimeLimit => "time limit",
+            Self::RolledBack => "loss not finite, rolled back to the last good parameters",
+        })
+    }
+}
+
+/// Budget, history and the caller's progress report, shared by the optimisers.
+pub(crate) struct Log<'a> {
+    pub history: Vec<Progress>,
+    pub iteration: usize,
+    pub pass: usize,
+    /// `w_i (L_i1 + L_i2)` of the VI branch of this pass.
+    pub data_loss: f64,
+    /// Part of `w_f L_f` that the network cannot change in this pass.
+    pub floor: f64,
+    w_f: f64,
+    max_iterations: usize,
+    started: Instant,
+    time_limit: Duration,
+    report: &'a mut dyn FnMut(&Progress),
+}
+
+impl<'a> Log<'a> {
+    pub fn start(config: &Config, report: &'a mut dyn FnMut(&Progress)) -> Self {
+        Self {
+            history: Vec::new(),
+            iteration: 0,
+            pass: 0,
+            data_loss: 0.0,
+            floor: 0.0,
+            w_f: config.w_f,
+            max_iterations: config.max_iterations,
+            started: Instant::now(),
+            time_limit: Duration::try_from_secs_f64(config.time_limit_s)
+                .unwrap_or(Duration::MAX),
+            report,
+        }
+    }
+
+    /// Time since the start, s.
+    pub fn elapsed_s(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
+    /// Counts a step and tells the caller; `squares` is the sum of squared residuals.
+    pub fn record(&mut self, squares: f64, change: f64) {
+        self.iteration += 1;
+        let physics = squares + self.floor;
+        let now = Progress {
+            pass: self.pass,
+            iteration: self.iteration,
+            loss: physics + self.data_loss,
+            l_f: physics / self.w_f,
+            change,
+            elapsed_s: self.elapsed_s(),
+        };
+        self.history.push(now);
+        (self.report)(&now);
+    }
+
+    /// The limit that is reached, if one is.
+    pub fn exhausted(&self) -> Option<StoppedBecause> {
+        if self.iteration >= self.max_iterations {
+            Some(StoppedBecause::IterationLimit)
+        } else if self.started.elapsed() >= self.time_limit {
+            Some(StoppedBecause::TimeLimit)
+        } else {
+            None
+        }
+    }
+}
+
+/// Watches R and L over the last few steps. One small step proves nothing (strong damping makes
+/// steps small), several together do.
+pub(crate) struct Settling {
+    steps: usize,
+    past: VecDeque<Vec<f64>>,
+}
+
+impl Settling {
+    pub fn over(steps: usize) -> Self {
+        Self {
+            steps,
+            past: VecDeque::with_capacity(steps + 1),
+        }
+    }
+
+    /// Mean relative change against `steps` steps ago; infinite until there were that many.
+    pub fn change(&mut self, outputs: Vec<f64>) -> f64 {
+        let change = if self.past.len() < self.steps {
+            f64::INFINITY
+        } else {
+            self.past
+                .pop_front()
+                .map_or(f64::INFINITY, |old| relative_change(&old, &outputs))
+        };
+        self.past.push_back(outputs);
+        change
+    }
+}
+
+/// Mean relative change of R or of L, the larger; outputs alternate R, L.
+pub(crate) fn relative_change(old: &[f64], new: &[f64]) -> f64 {
+    let mut sums = [0.0; OUTPUTS];
+    for (at, (a, b)) in old.iter().zip(new).enumerate() {
+        sums[at % OUTPUTS] += ((b - a) / b).abs();
+    }
+    let rows = (new.len() / OUTPUTS).max(1) as f64;
+    sums.iter().fold(0.0, |worst, s| f64::max(worst, s / rows))
+}

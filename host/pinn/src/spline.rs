@@ -1,0 +1,135 @@
+//! Clamped uniform cubic B-splines in slow time.
+//!
+//! A window lies between two mains zero crossings, and the envelope has its kinks only there: one
+//! smooth piece with clamped ends needs no inner knot of higher multiplicity.
+
+const DEGREE: usize = 3;
+
+/// Basis of cubic B-splines on `[0, duration]`.
+#[derive(Debug, Clone)]
+pub(crate) struct CubicSpline {
+    intervals: usize,
+    duration_s: f64,
+}
+
+/// The four basis functions that are non-zero at one time.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Local {
+    /// Index of the first of them.
+    pub first: usize,
+    /// Their values.
+    pub values: [f64; 4],
+    /// Their time derivatives, 1/s.
+    pub slopes_per_s: [f64; 4],
+}
+
+impl CubicSpline {
+    pub fn new(intervals: usize, duration_s: f64) -> Self {
+        Self {
+            intervals,
+            duration_s,
+        }
+    }
+
+    /// Number of basis functions.
+    pub fn len(&self) -> usize {
+        self.intervals + DEGREE
+    }
+
+    /// Knot `index` in units of intervals; the first and last four coincide (clamped ends).
+    fn knot(&self, index: usize) -> f64 {
+        index.saturating_sub(DEGREE).min(self.intervals) as f64
+    }
+
+    /// The non-zero basis functions at `tau_s`, which is moved into the basis' range if outside.
+    pub fn at(&self, tau_s: f64) -> Local {
+        let per_interval_s = self.duration_s / self.intervals as f64;
+        let u = (tau_s / per_interval_s).clamp(0.0, self.intervals as f64);
+        let first = (u as usize).min(self.intervals - 1);
+        let quadratic = self.basis::<2>(first, u);
+        let values = self.basis::<3>(first, u);
+        // B'_j = 3 (Q_j / (k_{j+3} - k_j) - Q_{j+1} / (k_{j+4} - k_{j+1})), Q the quadratics; of
+        // those only first+1..=first+3 are non-zero.
+        let weighted: [f64; 5] = std::array::from_fn(|m| match m {
+            1..=3 => {
+                let j = first + m;
+                3.0 * quadratic[m - 1] / (self.knot(j + DEGREE) - self.knot(j))
+            }
+            _ => 0.0,
+        });
+        Local {
+            first,
+            values,
+            slopes_per_s: std::array::from_fn(|m| (weighted[m] - weighted[m + 1]) / per_interval_s),
+        }
+    }
+
+    /// Cox-de Boor recursion up to degree `D` in knot span `first`; entries beyond `D` stay zero.
+    fn basis<const D: usize>(&self, first: usize, u: f64) -> [f64; 4] {
+        let span = first + DEGREE;
+        let mut basis = [0.0; 4];
+        basis[0] = 1.0;
+        for degree in 1..=D {
+            let mut saved = 0.0;
+            for r in 0..degree {
+                let right = self.knot(span + r + 1);
+                let left = self.knot(span + 1 + r - degree);
+                let part = basis[r] / (right - left);
+                basis[r] = saved + (right - u) * part;
+                saved = (u - left) * part;
+            }
+            basis[degree] = saved;
+        }
+        basis
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::CubicSpline;
+
+    fn times() -> impl Iterator<Item = f64> {
+        (0..=500).map(|n| f64::from(n) * 0.01 / 500.0)
+    }
+
+    #[test]
+    fn the_basis_sums_to_one_and_its_slopes_to_zero() {
+        let spline = CubicSpline::new(7, 0.01);
+        for tau in times() {
+            let local = spline.at(tau);
+            assert!((local.values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!(local.slopes_per_s.iter().sum::<f64>().abs() < 1e-8);
+            assert!(local.first + 4 <= spline.len());
+        }
+    }
+
+    #[test]
+    fn greville_abscissae_reproduce_a_straight_line_and_its_slope() {
+        let spline = CubicSpline::new(9, 0.01);
+        let greville = |j: usize| (1..=3).map(|m| spline.knot(j + m)).sum::<f64>() / 3.0 / 9.0;
+        for tau in times() {
+            let local = spline.at(tau);
+            let line: f64 = (0..4).map(|m| local.values[m] * greville(local.first + m)).sum();
+            let slope: f64 = (0..4)
+                .map(|m| local.slopes_per_s[m] * greville(local.first + m))
+                .sum();
+            assert!((line - tau / 0.01).abs() < 1e-12);
+            assert!((slope - 100.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn slopes_are_the_derivative_of_the_values() {
+        let (spline, step) = (CubicSpline::new(6, 0.01), 1e-8);
+        for tau in times().skip(1).step_by(7).filter(|t| *t < 0.0099) {
+            let (before, here, after) =
+                (spline.at(tau - step), spline.at(tau), spline.at(tau + step));
+            if before.first == after.first {
+                for m in 0..4 {
+                    let numeric = (after.values[m] - before.values[m]) / (2.0 * step);
+                    assert!((numeric - here.slopes_per_s[m]).abs() < 1e-3);
+                }
+            }
+        }
+    }
+}

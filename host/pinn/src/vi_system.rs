@@ -1,0 +1,161 @@
+//! Linear least squares for the VI branch: the data terms (5), (6), and with R and L given the
+//! physics term (4) as well. All three are quadratic in the coefficients.
+
+use crate::PinnError;
+use crate::banded::Banded;
+use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
+use crate::waveform::Normalised;
+
+/// R and L at one slow time, normalised by the waveform's maxima.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Impedance {
+    /// Time after the first pair, s.
+    pub tau_s: f64,
+    /// R i_max / v_max.
+    pub r: f64,
+    /// L i_max / v_max, s.
+    pub l: f64,
+}
+
+/// What the physics term adds to the normal equations of the VI branch.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PhysicsTerm<'a> {
+    /// w_f / w_i.
+    pub weight: f64,
+    /// R and L on the slow collocation grid.
+    pub impedance: &'a [Impedance],
+    /// Positions in the basis' harmonics that the term covers.
+    pub harmonics: &'a [usize],
+}
+
+/// Normal equations of the data terms. Voltage and current share the matrix: same times, same
+/// functions.
+#[derive(Debug, Clone)]
+pub(crate) struct DataSystem {
+    basis: HarmonicBasis,
+    gram: Banded,
+    v: Vec<f64>,
+    i: Vec<f64>,
+}
+
+impl DataSystem {
+    /// Sums the normal equations over all samples; each entry is a mean, like eqs. (5) and (6).
+    pub fn assemble(samples: &Normalised, basis: HarmonicBasis) -> Self {
+        let (width, share) = (basis.width(), 1.0 / samples.len() as f64);
+        let mut system = Self {
+            gram: Banded::zeros(basis.len(), 4 * width - 1),
+            v: vec![0.0; basis.len()],
+            i: vec![0.0; basis.len()],
+            basis,
+        };
+        let mut trig = Vec::with_capacity(width);
+        for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
+            let tau_s = n as f64 * samples.dt_s;
+            system.basis.trigonometry(tau_s, &mut trig);
+            let local = system.basis.spline.at(tau_s);
+            for (m, value) in local.values.iter().enumerate() {
+                let at = (local.first + m) * width;
+                for (k, t) in trig.iter().enumerate() {
+                    let carried = share * value * t;
+                    system.v[at + k] += carried * v;
+                    system.i[at + k] += carried * i;
+                    for (before, other) in local.values[..m].iter().enumerate() {
+                        let column = (local.first + before) * width;
+                        system.gram.add_run(at + k, column, carried * other, &trig);
+                    }
+                    let lower = &trig[..=k];
+                    system.gram.add_run(at + k, at, carried * value, lower);
+                }
+            }
+        }
+        system
+    }
+
+    /// Minimises the data terms alone.
+    pub fn fit(&self) -> Result<HarmonicBranch, PinnError> {
+        let mut solved = [self.v.clone(), self.i.clone()];
+        self.gram.clone().solve(&mut solved)?;
+        let [v, i] = solved;
+        Ok(HarmonicBranch {
+            basis: self.basis.clone(),
+            v,
+            i,
+        })
+    }
+
+    /// Minimises the whole loss (7) over the VI branch, with R(t) and L(t) held.
+    pub fn fit_with_physics(&self, physics: &PhysicsTerm<'_>) -> Result<HarmonicBranch, PinnError> {
+        let mut joint = self.doubled();
+        self.add_physics(&mut joint, physics);
+        let (width, functions) = (self.basis.width(), self.basis.spline.len());
+        let mut x = vec![0.0; 2 * self.basis.len()];
+        for j in 0..functions {
+            let (from, to) = (j * width, 2 * j * width);
+            x[to..to + width].copy_from_slice(&self.v[from..from + width]);
+            x[to + width..to + 2 * width].copy_from_slice(&self.i[from..from + width]);
+        }
+        let mut solved = [x];
+        joint.solve(&mut solved)?;
+        let blocks = |offset: usize| {
+            (0..functions)
+                .flat_map(|j| (0..width).map(move |k| 2 * j * width + offset + k))
+                .map(|at| solved[0][at])
+                .collect()
+        };
+        Ok(HarmonicBranch {
+            basis: self.basis.clone(),
+            v: blocks(0),
+            i: blocks(width),
+        })
+    }
+
+    /// The data terms of v and i in one matrix; per spline function first v, then i, so that the
+    /// band stays narrow.
+    fn doubled(&self) -> Banded {
+        let width = self.basis.width();
+        let mut joint = Banded::zeros(2 * self.basis.len(), 8 * width - 1);
+        for row in 0..self.basis.len() {
+            let place = |at: usize| 2 * (at / width) * width + at % width;
+            for column in row.saturating_sub(4 * width - 1)..=row {
+                let value = self.gram.get(row, column);
+                joint.add(place(row), place(column), value);
+                joint.add(place(row) + width, place(column) + width, value);
+            }
+        }
+        joint
+    }
+
+    /// Adds the squared real and imaginary parts of `V - R I - L dI/dt` at each slow time.
+    fn add_physics(&self, joint: &mut Banded, physics: &PhysicsTerm<'_>) {
+        let width = self.basis.width();
+        // Half: Parseval, see `loss`.
+        let share = 0.5 * physics.weight / physics.impedance.len() as f64;
+        for z in physics.impedance {
+            let local = self.basis.spline.at(z.tau_s);
+            for &index in physics.harmonics {
+                let reactance = z.l * f64::from(self.basis.harmonics[index]) * self.basis.omega;
+                let mut in_phase = Vec::with_capacity(12);
+                let mut quadrature = Vec::with_capacity(12);
+                for m in 0..4 {
+                    let v = 2 * (local.first + m) * width + 2 * index;
+                    let i = v + width;
+                    let b = local.values[m];
+                    let resistive = -(z.r * b + z.l * local.slopes_per_s[m]);
+                    in_phase.extend([(v, b), (i, resistive), (i + 1, -reactance * b)]);
+                    quadrature.extend([(v + 1, b), (i, reactance * b), (i + 1, resistive)]);
+                }
+                add_square(joint, share, &in_phase);
+                add_square(joint, share, &quadrature);
+            }
+        }
+    }
+}
+
+/// Adds `weight * row^T row` for a sparse row.
+fn add_square(matrix: &mut Banded, weight: f64, row: &[(usize, f64)]) {
+    for &(r, a) in row {
+        for &(c, b) in row.iter().filter(|(c, _)| *c <= r) {
+            matrix.add(r, c, weight * a * b);
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! One window of coil voltage and current, checked and normalised.
+
+use std::f64::consts::TAU;
+
+use crate::PinnError;
+
+/// A window of (v, i) sample pairs within one mains half-cycle, evenly spaced in time.
+#[derive(Debug, Clone, Copy)]
+pub struct Waveform<'a> {
+    /// Switching frequency, Hz; taken as exact (the device locks its sampling to it).
+    pub f_sw_hz: f64,
+    /// Mains frequency, Hz (50 or 60).
+    pub f_mains_hz: f64,
+    /// Time of the first pair after the mains zero crossing, s.
+    pub t0_s: f64,
+    /// Time between pairs, s.
+    pub dt_s: f64,
+    /// Coil voltage v_RL, V.
+    pub v_volt: &'a [f64],
+    /// Coil current i_L, A.
+    pub i_ampere: &'a [f64],
+}
+
+/// How far a window may reach over a zero crossing, as a part of the half-cycle. There is next to
+/// no signal there, and a mains frequency that is off by a few per mille must not stop anything.
+const OVERHANG: f64 = 0.02;
+
+/// The window divided by its maxima (the paper's normalisation), with the time scales at hand.
+#[derive(Debug, Clone)]
+pub(crate) struct Normalised {
+    pub v: Vec<f64>,
+    pub i: Vec<f64>,
+    pub v_max_volt: f64,
+    pub i_max_ampere: f64,
+    /// Angular switching frequency, rad/s.
+    pub omega: f64,
+    pub f_mains_hz: f64,
+    pub t0_s: f64,
+    pub dt_s: f64,
+}
+
+impl Waveform<'_> {
+    /// Checks the window and divides each channel by its largest magnitude.
+    pub(crate) fn normalise(&self) -> Result<Normalised, PinnError> {
+        self.check_times()?;
+        if self.v_volt.len() != self.i_ampere.len() {
+            return Err(PinnError::LengthMismatch {
+                v: self.v_volt.len(),
+                i: self.i_ampere.len(),
+            });
+        }
+        let v_max_volt = largest_magnitude(self.v_volt, "voltage")?;
+        let i_max_ampere = largest_magnitude(self.i_ampere, "current")?;
+        Ok(Normalised {
+            v: self.v_volt.iter().map(|v| v / v_max_volt).collect(),
+            i: self.i_ampere.iter().map(|i| i / i_max_ampere).collect(),
+            v_max_volt,
+            i_max_ampere,
+            omega: TAU * self.f_sw_hz,
+            f_mains_hz: self.f_mains_hz,
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+        })
+    }
+
+    fn check_times(&self) -> Result<(), PinnError> {
+        for (what, value) in [
+            ("f_sw_hz", self.f_sw_hz),
+            ("f_mains_hz", self.f_mains_hz),
+            ("dt_s", self.dt_s),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(PinnError::NotPositive { what, value });
+            }
+        }
+        let half_cycle_s = 0.5 / self.f_mains_hz;
+        let to_s = self.t0_s + self.v_volt.len().saturating_sub(1) as f64 * self.dt_s;
+        let slack_s = OVERHANG * half_cycle_s;
+        // Written so that a NaN in t0_s fails too.
+        if !(self.t0_s >= -slack_s && to_s <= half_cycle_s + slack_s) {
+            return Err(PinnError::SpansZeroCrossing {
+                from_s: self.t0_s,
+                to_s,
+                half_cycle_s,
+            });
+        }
+        Ok(())
+    }
+}
+
+impl Normalised {
+    /// Number of pairs.
+    pub fn len(&self) -> usize {
+        self.v.len()
+    }
+
+    /// Time from the first to the last pair, s.
+    pub fn duration_s(&self) -> f64 {
+        (self.len().max(1) - 1) as f64 * self.dt_s
+    }
+
+    /// Factor from ohm (henry) to normalised impedance (inductance): `i_max / v_max`.
+    pub fn impedance_scale(&self) -> f64 {
+        self.i_max_ampere / self.v_max_volt
+    }
+}
+
+fn largest_magnitude(samples: &[f64], channel: &'static str) -> Result<f64, PinnError> {
+    if let Some(index) = samples.iter().position(|x| !x.is_finite()) {
+        return Err(PinnError::NonFiniteSample {
+            channel,
+            index,
+            value: samples[index],
+        });
+    }
+    let max = samples.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
+    if max > 0.0 {
+        Ok(max)
+    } else if samples.is_empty() {
+        Err(PinnError::TooShort {
+            pairs: 0,
+            needed: 1,
+            why: "the window is empty",
+        })
+    } else {
+        Err(PinnError::NoSignal { channel })
+    }
+}
