@@ -1,1 +1,3 @@
-//! .
+//! Host side of ihd: identifies an induction hob's load and teaches its controller.
+
+pub mod sim;

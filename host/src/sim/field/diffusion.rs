@@ -1,0 +1,273 @@
+//! Time stepping of the field inside the load, all rings side by side.
+//!
+//! Under ring j: σ ∂B/∂t = ∂²H/∂z², B = B(H). Finite volumes along depth, second-order backward
+//! differences (BDF2) in time, and one Newton step per time step from the extrapolated field: the
+//! extrapolation is off by (dt²) already, so Newton's remainder is of order dt⁴ (the tests compare
+//! with iterating to the end). Rings form the innermost index, so that the compiler works on
+//! several at once.
+//!
+//! A step has two halves, because the current of the new instant is the circuit's to find:
+//! [`FieldLoad::predict`] eliminates the field down to λ = λ0 + L i, [`FieldLoad::commit`] takes
+//! the current and finishes the field.
+
+use pulp::Arch;
+
+use super::error::FieldError;
+use super::model::FieldModel;
+use super::spd;
+
+/// Flux linkage at the next instant as a function of the current then: λ = λ0 + L i.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FluxLine {
+    /// λ0 in weber.
+    pub lambda0_wb: f64,
+    /// L in henry.
+    pub l_h: f64,
+}
+
+/// The last three instants of a quantity enter a step: the two known ones.
+#[derive(Clone, Debug)]
+struct History<T> {
+    now: T,
+    before: T,
+}
+
+/// State of the load in time; `N` rings.
+#[derive(Clone, Debug)]
+pub struct FieldLoad<const N: usize> {
+    arch: Arch,
+    /// Coefficients per depth node: 1.5 σ cell/dt.
+    storage: Vec<f64>,
+    /// 1/step to the next node.
+    conductance: Vec<f64>,
+    alpha: f64,
+    saturating: f64,
+    b_sat: f64,
+    /// dt/(1.5 σ) in s·m/S.
+    dt_over_sigma: f64,
+    l0_h: f64,
+    p: [f64; N],
+    w: [f64; N],
+    s: [[f64; N]; N],
+    /// H per depth node (surface first), in A/m.
+    h: History<Vec<[f64; N]>>,
+    /// B per depth node, in tesla.
+    b: History<Vec<[f64; N]>>,
+    /// Flux that crossed the surface beyond the surface half cell, in Wb/m.
+    a_inner: History<[f64; N]>,
+    /// H_n = e H_{n−1} + f after elimination.
+    e: Vec<[f64; N]>,
+    f: Vec<[f64; N]>,
+    /// Predicted slope and offset of B at each node: B = slope·H + offset.
+    slope: Vec<[f64; N]>,
+    offset: Vec<[f64; N]>,
+    surface: Surface<N>,
+}
+
+/// Result of [`FieldLoad::predict`], kept for `commit`: A = a0 + a1 i = base + gain H.
+#[derive(Clone, Copy, Debug)]
+struct Surface<const N: usize> {
+    a0: [f64; N],
+    a1: [f64; N],
+    base: [f64; N],
+    gain: [f64; N],
+    inner_base: [f64; N],
+}
+
+impl<const N: usize> FieldLoad<N> {
+    /// An unmagnetised load, stepped with `dt_s`. The model must have `N` rings.
+    pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
+        super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
+        let rings = |v: &[f64]| -> Result<[f64; N], FieldError> {
+            v.try_into().map_err(|_| FieldError::OutOfRange {
+                field: "rings",
+                value: v.len() as f64,
+                allowed: "the ring count the time-domain model was compiled for",
+            })
+        };
+        let nodes = model.depth.nodes();
+        let sigma = model.material.sigma_s_per_m();
+        let curve = model.material.curve();
+        let zeros = || History { now: vec![[0.0; N]; nodes], before: vec![[0.0; N]; nodes] };
+        let p = rings(&model.gap.p_m)?;
+        let mut s = [[0.0; N]; N];
+        for (row, values) in s.iter_mut().zip(model.gap.s.chunks(N)) {
+            *row = rings(values)?;
+        }
+        Ok(Self {
+            arch: Arch::new(),
+            storage: model.depth.cell_m.iter().map(|c| 1.5 * sigma * c / dt_s).collect(),
+            conductance: model.depth.step_m.iter().map(|d| 1.0 / d).collect(),
+            alpha: curve.alpha_a_per_m,
+            saturating: curve.saturating,
+            b_sat: curve.b_sat_t,
+            dt_over_sigma: dt_s / (1.5 * sigma),
+            l0_h: model.gap.l0_h,
+            p,
+            w: rings(&model.gap.w_m2)?,
+            s,
+            h: zeros(),
+            b: zeros(),
+            a_inner: History { now: [0.0; N], before: [0.0; N] },
+            e: vec![[0.0; N]; nodes],
+            f: vec![[0.0; N]; nodes],
+            slope: vec![[0.0; N]; nodes],
+            offset: vec![[0.0; N]; nodes],
+            surface: Surface {
+                a0: [0.0; N],
+                a1: [0.0; N],
+                base: [0.0; N],
+                gain: [0.0; N],
+                inner_base: [0.0; N],
+            },
+        })
+    }
+
+    /// Relation between flux linkage and current at the next instant.
+    pub fn predict(&mut self) -> FluxLine {
+        let arch = self.arch;
+        arch.dispatch(
+            #[inline(always)]
+            || {
+                self.linearise();
+                self.eliminate();
+                self.couple()
+            },
+        )
+    }
+
+    /// Finishes the step with the current (ampere) that the circuit found.
+    pub fn commit(&mut self, i_a: f64) {
+        let arch = self.arch;
+        arch.dispatch(
+            #[inline(always)]
+            || self.back_substitute(i_a),
+        );
+    }
+
+    /// One more Newton step for the same instant: the tangent at the field that `trial`, a copy
+    /// of this load, reached when it was committed.
+    #[cfg(test)]
+    pub(crate) fn predict_again(&mut self, trial: &Self) -> FluxLine {
+        for n in 0..trial.h.now.len() {
+            self.tangent(n, &trial.h.now[n]);
+        }
+        self.eliminate();
+        self.couple()
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self) {
+        for n in 0..self.h.now.len() {
+            let (now, before) = (self.h.now[n], self.h.before[n]);
+            let mut trial = [0.0; N];
+            for j in 0..N {
+                trial[j] = 2.0 * now[j] - before[j];
+            }
+            self.tangent(n, &trial);
+        }
+    }
+
+    /// Tangent of B(H) at the trial field of depth node `n`.
+    #[inline(always)]
+    fn tangent(&mut self, n: usize, trial: &[f64; N]) {
+        let mut slope = [0.0; N];
+        let mut offset = [0.0; N];
+        for j in 0..N {
+            let q = 1.0 / (self.alpha + self.saturating * trial[j].abs());
+            let chord = self.b_sat * q;
+            slope[j] = chord * self.alpha * q;
+            offset[j] = (chord - slope[j]) * trial[j];
+        }
+        self.slope[n] = slope;
+        self.offset[n] = offset;
+    }
+
+    /// From the deepest node up: each node's H as a linear function of the one above.
+    #[inline(always)]
+    fn eliminate(&mut self) {
+        let nodes = self.h.now.len();
+        let (mut e, mut f) = ([0.0; N], [0.0; N]);
+        for n in (1..nodes).rev() {
+            let (up, down) = (self.conductance[n - 1], self.conductance[n]);
+            let store = self.storage[n];
+            let (slope, offset) = (&self.slope[n], &self.offset[n]);
+            let (now, before) = (&self.b.now[n], &self.b.before[n]);
+            for j in 0..N {
+                let diagonal = store * slope[j] + up + down - down * e[j];
+                let known = store * ((4.0 * now[j] - before[j]) * (1.0 / 3.0) - offset[j]) + down * f[j];
+                let inverse = 1.0 / diagonal;
+                e[j] = up * inverse;
+                f[j] = known * inverse;
+            }
+            self.e[n] = e;
+            self.f[n] = f;
+        }
+    }
+
+    /// Rings, gap and coil: solves for A = a0 + a1 i.
+    #[inline(always)]
+    fn couple(&mut self) -> FluxLine {
+        let cell = self.storage[0] * self.dt_over_sigma;
+        let drive = self.dt_over_sigma * self.conductance[0];
+        let mut m = self.s;
+        let mut out = self.surface;
+        for j in 0..N {
+            let (now, before) = (self.a_inner.now[j], self.a_inner.before[j]);
+            out.inner_base[j] = (4.0 * now - before) * (1.0 / 3.0) - drive * self.f[1][j];
+            out.base[j] = out.inner_base[j] + cell * self.offset[0][j];
+            out.gain[j] = drive * (1.0 - self.e[1][j]) + cell * self.slope[0][j];
+            let stiffness = self.w[j] / out.gain[j];
+            m[j][j] += stiffness;
+            out.a0[j] = stiffness * out.base[j];
+            out.a1[j] = self.p[j];
+        }
+        spd::solve_two(&mut m, &mut out.a0, &mut out.a1);
+        self.surface = out;
+        let (mut lambda0, mut l) = (0.0, self.l0_h);
+        for j in 0..N {
+            lambda0 += self.p[j] * out.a0[j];
+            l += self.p[j] * out.a1[j];
+        }
+        FluxLine { lambda0_wb: lambda0, l_h: l }
+    }
+
+    /// From the surface down with the current known; shifts the history.
+    #[inline(always)]
+    fn back_substitute(&mut self, i_a: f64) {
+        let drive = self.dt_over_sigma * self.conductance[0];
+        let nodes = self.h.now.len();
+        let mut h = [0.0; N];
+        let mut inner = [0.0; N];
+        for j in 0..N {
+            let s = &self.surface;
+            h[j] = (s.a0[j] + s.a1[j] * i_a - s.base[j]) / s.gain[j];
+            inner[j] = s.inner_base[j] + drive * (1.0 - self.e[1][j]) * h[j];
+        }
+        self.a_inner.before = self.a_inner.now;
+        self.a_inner.now = inner;
+        // The older instant's arrays take the new one.
+        std::mem::swap(&mut self.h.now, &mut self.h.before);
+        std::mem::swap(&mut self.b.now, &mut self.b.before);
+        for n in 0..nodes {
+            if n > 0 {
+                let (e, f) = (&self.e[n], &self.f[n]);
+                for j in 0..N {
+                    h[j] = e[j] * h[j] + f[j];
+                }
+            }
+            let (slope, offset) = (&self.slope[n], &self.offset[n]);
+            let mut b = [0.0; N];
+            for j in 0..N {
+                b[j] = slope[j] * h[j] + offset[j];
+            }
+            self.h.now[n] = h;
+            self.b.now[n] = b;
+        }
+    }
+
+    /// Surface field of each ring at the last instant, in A/m.
+    pub fn surface_h_a_per_m(&self) -> &[f64; N] {
+        &self.h.now[0]
+    }
+}

@@ -1,0 +1,119 @@
+//! Dimensions of coil, ferrite, shield and load.
+
+use super::error::{FieldError, in_range};
+
+/// Axisymmetric arrangement, bottom to top: aluminium shield (perfect conductor), gap, ferrite
+/// plate, gap, coil, gap, load disc. All lengths in metre.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry {
+    /// Turns of the coil, spread evenly over its cross-section.
+    pub turns: f64,
+    /// Inner radius of the coil.
+    pub coil_inner_m: f64,
+    /// Outer radius of the coil.
+    pub coil_outer_m: f64,
+    /// Thickness of the coil.
+    pub coil_thickness_m: f64,
+    /// Coil to load.
+    pub load_gap_m: f64,
+    /// Radius of the load's base; larger than the modelled space means an infinite plate.
+    pub load_radius_m: f64,
+    /// Height of the load's side wall over which its surface flux returns to the air.
+    pub load_rim_m: f64,
+    /// Ferrite to coil.
+    pub ferrite_gap_m: f64,
+    /// Thickness of the ferrite plate.
+    pub ferrite_thickness_m: f64,
+    /// Radius of the ferrite plate.
+    pub ferrite_radius_m: f64,
+    /// Relative permeability of the ferrite, linear.
+    pub ferrite_mu_r: f64,
+    /// Shield to ferrite.
+    pub shield_gap_m: f64,
+    /// Factor on the flux that links the coil without entering the load: the one calibration
+    /// constant. 1 is pure geometry.
+    pub gap_calibration: f64,
+}
+
+impl Geometry {
+    /// Section IV of the paper. The paper does not give the ferrite's thickness, radius and
+    /// permeability, nor the load's radius: 5 mm, the coil's radius, 2000 and 105 mm are ours.
+    pub fn paper() -> Self {
+        Self {
+            turns: 23.0,
+            coil_inner_m: 12.5e-3,
+            coil_outer_m: 105e-3,
+            coil_thickness_m: 3e-3,
+            load_gap_m: 5.5e-3,
+            load_radius_m: 105e-3,
+            load_rim_m: 5e-3,
+            ferrite_gap_m: 1e-3,
+            ferrite_thickness_m: 5e-3,
+            ferrite_radius_m: 105e-3,
+            ferrite_mu_r: 2000.0,
+            shield_gap_m: 0.5e-3,
+            gap_calibration: 1.0,
+        }
+    }
+
+    /// Checks every dimension and their order.
+    pub fn check(&self) -> Result<(), FieldError> {
+        in_range("turns", self.turns, 1.0, 1e4, "1 to 10000")?;
+        let mm = "0.1 mm to 1 m";
+        for (field, value) in [
+            ("coil_outer_m", self.coil_outer_m),
+            ("coil_thickness_m", self.coil_thickness_m),
+            ("load_gap_m", self.load_gap_m),
+            ("load_radius_m", self.load_radius_m),
+            ("load_rim_m", self.load_rim_m),
+            ("ferrite_gap_m", self.ferrite_gap_m),
+            ("ferrite_thickness_m", self.ferrite_thickness_m),
+            ("ferrite_radius_m", self.ferrite_radius_m),
+            ("shield_gap_m", self.shield_gap_m),
+        ] {
+            in_range(field, value, 1e-4, 1.0, mm)?;
+        }
+        in_range("coil_inner_m", self.coil_inner_m, 0.0, 1.0, "0 to 1 m")?;
+        in_range("ferrite_mu_r", self.ferrite_mu_r, 1.0, 1e5, "1 to 100000")?;
+        in_range("gap_calibration", self.gap_calibration, 0.1, 2.0, "0.1 to 2")?;
+        if self.coil_inner_m >= self.coil_outer_m {
+            return Err(FieldError::Order {
+                smaller: "coil_inner_m",
+                smaller_m: self.coil_inner_m,
+                larger: "coil_outer_m",
+                larger_m: self.coil_outer_m,
+            });
+        }
+        Ok(())
+    }
+
+    /// Height of the ferrite's lower face above the shield.
+    pub fn ferrite_bottom_m(&self) -> f64 {
+        self.shield_gap_m
+    }
+
+    /// Height of the ferrite's upper face above the shield.
+    pub fn ferrite_top_m(&self) -> f64 {
+        self.shield_gap_m + self.ferrite_thickness_m
+    }
+
+    /// Height of the coil's lower face above the shield.
+    pub fn coil_bottom_m(&self) -> f64 {
+        self.ferrite_top_m() + self.ferrite_gap_m
+    }
+
+    /// Height of the coil's upper face above the shield.
+    pub fn coil_top_m(&self) -> f64 {
+        self.coil_bottom_m() + self.coil_thickness_m
+    }
+
+    /// Height of the load's surface above the shield.
+    pub fn load_surface_m(&self) -> f64 {
+        self.coil_top_m() + self.load_gap_m
+    }
+
+    /// Turns per square metre of the coil's cross-section.
+    pub fn turn_density_per_m2(&self) -> f64 {
+        self.turns / (self.coil_thickness_m * (self.coil_outer_m - self.coil_inner_m))
+    }
+}

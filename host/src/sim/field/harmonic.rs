@@ -1,0 +1,138 @@
+//! Frequency domain: R and L of the fundamental at a current, by describing function.
+//!
+//! H and B are reduced to their fundamentals; at every node µ is the describing function of the
+//! material at that node's amplitude. The same grids and gap as in the time domain, solved by
+//! repeated substitution. At zero amplitude this is the small-signal linear impedance.
+
+use nalgebra::{Complex, DMatrix, DVector};
+
+use super::error::{FieldError, in_range};
+use super::model::FieldModel;
+
+/// Iterations before giving up.
+const MAX_ITERATIONS: usize = 200;
+
+/// Relative change of the impedance at which the iteration ends.
+const SETTLED: f64 = 1e-10;
+
+/// Fundamental impedance at one operating point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Impedance {
+    /// R in ohm.
+    pub r_ohm: f64,
+    /// L in henry.
+    pub l_h: f64,
+}
+
+/// Impedance at `f_hz` (1 kHz to 1 MHz) and current amplitude `i_a` (0 to 1000 A; 0 is small
+/// signal).
+pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, FieldError> {
+    in_range("f_hz", f_hz, 1e3, 1e6, "1 kHz to 1 MHz")?;
+    in_range("i_a", i_a, 0.0, 1e3, "0 to 1000 A")?;
+    let omega = 2.0 * core::f64::consts::PI * f_hz;
+    let (rings, nodes) = (model.gap.rings(), model.depth.nodes());
+    let curve = model.material.curve();
+    let mut mu = DMatrix::from_element(nodes, rings, curve.describing_h_per_m(0.0));
+    let mut last = Complex::new(0.0, 0.0);
+    let mut change = f64::INFINITY;
+    for _ in 0..MAX_ITERATIONS {
+        let columns: Vec<Column> = (0..rings).map(|j| Column::solve(model, omega, mu.column(j).as_slice())).collect();
+        let a = surface_flux(model, &columns)?;
+        let lambda = model.gap.l0_h + (0..rings).map(|j| a[j] * model.gap.p_m[j]).sum::<Complex<f64>>();
+        let z = Complex::new(model.winding_r_ohm, 0.0) + Complex::i() * omega * lambda;
+        change = (z - last).norm() / z.norm();
+        if change < SETTLED {
+            return Ok(Impedance { r_ohm: z.re, l_h: z.im / omega });
+        }
+        last = z;
+        for (j, column) in columns.iter().enumerate() {
+            let mut h = a[j] / column.flux_per_h * i_a;
+            for n in 0..nodes {
+                if n > 0 {
+                    h *= column.down[n];
+                }
+                mu[(n, j)] = curve.describing_h_per_m(h.norm());
+            }
+        }
+    }
+    Err(FieldError::NotSettled { f_hz, i_a, change, iterations: MAX_ITERATIONS })
+}
+
+/// Linear diffusion under one ring.
+struct Column {
+    /// H of node n over H of node n−1.
+    down: Vec<Complex<f64>>,
+    /// A at the surface over H there, in Wb/A.
+    flux_per_h: Complex<f64>,
+}
+
+impl Column {
+    fn solve(model: &FieldModel, omega: f64, mu: &[f64]) -> Self {
+        let (cell, step) = (&model.depth.cell_m, &model.depth.step_m);
+        let j_omega_sigma = Complex::i() * omega * model.material.sigma_s_per_m();
+        let nodes = cell.len();
+        let mut down = vec![Complex::new(0.0, 0.0); nodes + 1];
+        for n in (1..nodes).rev() {
+            let (up_g, down_g) = (1.0 / step[n - 1], 1.0 / step[n]);
+            let diagonal = j_omega_sigma * cell[n] * mu[n] + up_g + down_g - down[n + 1] * down_g;
+            down[n] = Complex::new(up_g, 0.0) / diagonal;
+        }
+        let entering = (Complex::new(1.0, 0.0) - down[1]) / step[0];
+        Self { flux_per_h: entering / j_omega_sigma + cell[0] * mu[0], down }
+    }
+}
+
+/// A of each ring at one ampere: (W/ζ + S) A = P.
+fn surface_flux(model: &FieldModel, columns: &[Column]) -> Result<DVector<Complex<f64>>, FieldError> {
+    let rings = columns.len();
+    let mut m = DMatrix::from_fn(rings, rings, |i, j| Complex::new(model.gap.s[i * rings + j], 0.0));
+    for (j, c) in columns.iter().enumerate() {
+        m[(j, j)] += Complex::new(model.gap.w_m2[j], 0.0) / c.flux_per_h;
+    }
+    let p = DVector::from_fn(rings, |j, _| Complex::new(model.gap.p_m[j], 0.0));
+    m.lu().solve(&p).ok_or(FieldError::Singular { nodes: rings })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::geometry::Geometry;
+    use super::super::layered::{self, Shield};
+    use super::super::material::Material;
+    use super::super::model::Settings;
+    use super::super::tank::ImpressedCurrent;
+    use super::*;
+
+    #[test]
+    fn explore() {
+        let mut s = Settings::paper();
+        s.geometry.load_radius_m = 0.25;
+        s.geometry.ferrite_radius_m = 0.45;
+        s.rings = 48;
+        let wide = FieldModel::new(&s).unwrap();
+        for m in [Material::PAPER, Material::STAINLESS_304, Material::ALUMINIUM] {
+            s.material = m;
+            s.load_thickness_m = 10e-3;
+            let wide = FieldModel::new(&s).unwrap();
+            let a = impedance(&wide, 45e3, 0.0).unwrap();
+            let b = layered::impedance(&s.geometry, &m, Shield::Perfect, 45e3).unwrap();
+            let c = layered::impedance(&s.geometry, &m, Shield::Conductor(3.5e7), 45e3).unwrap();
+            println!("wide {a:?}\n exact {b:?}\n shield {c:?}");
+        }
+        println!("wide L0 {}", wide.gap.l0_h * 1e6);
+        let t = std::time::Instant::now();
+        let m = FieldModel::new(&Settings::paper()).unwrap();
+        println!("model {:?}, L0 {}", t.elapsed(), m.gap.l0_h * 1e6);
+        println!("bare {}", super::super::gap::GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap() * 1e6);
+        for i in [0.0, 0.5, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0] {
+            let t = std::time::Instant::now();
+            let z = impedance(&m, 45e3, i).unwrap();
+            let f = 1.0 / (2.0 * core::f64::consts::PI * (z.l_h * 1080e-9).sqrt());
+            println!("{i} A: R {:.3} L {:.3} f_res {:.2} kHz  {:?}", z.r_ohm, z.l_h * 1e6, f / 1e3, t.elapsed());
+        }
+        for i in [0.5, 10.0, 40.0] {
+            let t = std::time::Instant::now();
+            let (r, l) = ImpressedCurrent::<16>::fundamental(&m, 45e3, i, 1111, 4).unwrap();
+            println!("time {i} A: R {r:.3} L {:.3}  {:?}", l * 1e6, t.elapsed());
+        }
+    }
+}
