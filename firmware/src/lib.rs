@@ -17,16 +17,16 @@
 #[cfg(test)]
 extern crate std;
 
-//MOD pub mod control;
+pub mod control;
 pub mod demod;
 pub mod ekf;
 pub mod fixed;
 pub mod half_cycle;
-//MOD pub mod housekeeping;
+pub mod housekeeping;
 pub mod impedance;
 pub mod pot;
 pub mod power;
 pub mod protection;
 pub mod realtime;
 pub mod recorder;
-//MOD pub mod session;
+pub mod session;

@@ -35,10 +35,8 @@ impl Ekf {
         p.ii[2 * k] = shrunk(own).max(1);
         p.ii[1] = shrunk(cross);
         p.ii[2 * other] = lost(p.ii[2 * other], to_other, cross).max(1);
-        for theta in 0..2 {
-            p.it[other][theta] = lost(p.it[other][theta], to_other, row[theta]);
-            p.it[k][theta] = shrunk(row[theta]);
-        }
+        p.it[other] = [0, 1].map(|theta| lost(p.it[other][theta], to_other, row[theta]));
+        p.it[k] = row.map(shrunk);
         p.tt[0] = lost(p.tt[0], to_theta[0], row[0]).max(VARIANCE_FLOOR);
         p.tt[1] = lost(p.tt[1], to_theta[0], row[1]);
         p.tt[2] = lost(p.tt[2], to_theta[1], row[1]).max(VARIANCE_FLOOR);

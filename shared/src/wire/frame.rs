@@ -23,10 +23,13 @@ pub const MAX_PAYLOAD: usize = MAX_BODY - HEADER - TRAILER;
 /// Longest frame on the wire: stuffing adds a byte per 254, and the two zeros.
 pub const MAX_ENCODED: usize = MAX_BODY + MAX_BODY.div_ceil(254) + 2;
 
-/// CRC-32 of frames, windows and lookups. Sixteen-entry tables, because the firmware's flash is
-/// worth more than the few instructions per byte that a full one saves.
-pub const CRC32: crc::Crc<u32, crc::Table<1>> =
-    crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_ISO_HDLC);
+/// The CRC-32 of frames, windows and lookups, with one table of 1 KiB.
+pub static CRC32: crc::Crc<u32, Table> = crc::Crc::<u32, Table>::new(&crc::CRC_32_ISO_HDLC);
+
+/// A CRC-32 under way.
+pub type Digest = crc::Digest<'static, u32, Table>;
+
+type Table = crc::Table<1>;
 
 /// Why a message could not be framed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

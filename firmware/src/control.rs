@@ -1,0 +1,256 @@
+//! The controller's state machine: idle, probing, heating, faulted.
+//!
+//! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
+//! effect at the next zero crossing but one, so the summary in between still shows the old one.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::{F_SW_MAX_HZ, RATED_POWER_W};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::messages::{Pot, State};
+
+use crate::half_cycle::Summary;
+use crate::pot::classify;
+use crate::power::PowerControl;
+use crate::realtime::Drive;
+
+/// Half-cycles with the bridge on before the pot is judged; the first one only builds the current
+/// up, the second lets the estimator settle.
+const PROBE_HALF_CYCLES: u8 = 3;
+
+/// Half-cycles in a row that must say the same before heating stops because of the pot.
+const POT_GONE_HALF_CYCLES: u8 = 2;
+
+/// What the half-cycle asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Nothing changes.
+    Keep,
+    /// Drive the bridge so.
+    Drive(Drive),
+    /// Enter the safe state.
+    Fault(Fault),
+}
+
+/// State, pot and power request.
+#[derive(Clone, Debug, Default)]
+pub struct Control {
+    state: State,
+    pot: Pot,
+    asked_w: u16,
+    half_cycles_in_state: u8,
+    doubt: u8,
+    power: PowerControl,
+}
+
+impl Control {
+    /// What the controller is doing.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// What stands on the coil.
+    pub fn pot(&self) -> Pot {
+        self.pot
+    }
+
+    /// Power asked for, in watt.
+    pub fn asked_w(&self) -> u16 {
+        self.asked_w
+    }
+
+    /// Asks for power, 0 to switch off. At most [`RATED_POWER_W`]; the caller has checked.
+    pub fn set_power(&mut self, power_w: u16) -> Action {
+        self.asked_w = power_w;
+        match (power_w, self.state) {
+            (_, State::Faulted) => Action::Keep,
+            (0, _) => {
+                self.enter(State::Idle);
+                self.pot = Pot::Unknown;
+                Action::Drive(Drive::OFF)
+            }
+            (_, State::Idle) => {
+                self.enter(State::Probing);
+                self.pot = Pot::Unknown;
+                self.power.restart();
+                Action::Drive(Drive {
+                    f_sw_hz: F_SW_MAX_HZ,
+                    on: true,
+                })
+            }
+            (_, State::Probing | State::Heating) => Action::Keep,
+        }
+    }
+
+    /// A fault was cleared: idle until power is asked for again.
+    pub fn clear_fault(&mut self) {
+        self.enter(State::Idle);
+        self.asked_w = 0;
+        self.pot = Pot::Unknown;
+    }
+
+    /// A fault tripped somewhere.
+    pub fn faulted(&mut self) {
+        self.enter(State::Faulted);
+        self.asked_w = 0;
+    }
+
+    fn enter(&mut self, state: State) {
+        self.state = state;
+        self.half_cycles_in_state = 0;
+        self.doubt = 0;
+    }
+
+    /// Takes a half-cycle's summary.
+    pub fn on_half_cycle(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
+        match self.state {
+            State::Idle | State::Faulted => Action::Keep,
+            // The drive has not taken effect yet.
+            _ if summary.f_sw_hz == 0 => Action::Keep,
+            State::Probing => self.probe(summary, lookup),
+            State::Heating => self.heat(summary, lookup),
+        }
+    }
+
+    fn probe(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
+        self.half_cycles_in_state += 1;
+        if self.half_cycles_in_state < PROBE_HALF_CYCLES {
+            return Action::Keep;
+        }
+        self.pot = classify(summary, lookup);
+        match self.pot {
+            Pot::Ferromagnetic | Pot::Small => {
+                self.enter(State::Heating);
+                self.heat(summary, lookup)
+            }
+            Pot::Unsuitable => Action::Fault(Fault::UnsuitablePot),
+            // A coil through which no current flows heats nothing either.
+            Pot::Absent | Pot::Unknown => Action::Fault(Fault::NoPot),
+        }
+    }
+
+    fn heat(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
+        let seen = classify(summary, lookup);
+        if matches!(seen, Pot::Ferromagnetic | Pot::Small) {
+            self.doubt = 0;
+            self.pot = seen;
+        } else {
+            self.doubt += 1;
+            if self.doubt >= POT_GONE_HALF_CYCLES {
+                self.pot = seen;
+                return Action::Fault(if seen == Pot::Unsuitable {
+                    Fault::UnsuitablePot
+                } else {
+                    Fault::PotRemoved
+                });
+            }
+            return Action::Keep;
+        }
+        // A small pot takes the whole flux on a small base: half of the rating.
+        let limit_w = if self.pot == Pot::Small {
+            RATED_POWER_W / 2
+        } else {
+            RATED_POWER_W
+        };
+        let asked_mw = u64::from(self.asked_w.min(limit_w)) * 1_000;
+        let f_sw_hz = self.power.next_frequency(summary, asked_mw, lookup);
+        if f_sw_hz == summary.f_sw_hz {
+            return Action::Keep;
+        }
+        Action::Drive(Drive { f_sw_hz, on: true })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::lookup::prior::prior;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+
+    fn summary(r_ohm: f64, l_uh: f64, i_a: f64) -> Summary {
+        Summary {
+            f_sw_hz: F_SW_MAX_HZ,
+            r: MicroOhm((r_ohm * 1e6) as i32),
+            l: PicoHenry((l_uh * 1e6) as i32),
+            i_crest_ma: (i_a * 1e3) as u32,
+            power_mw: 400_000,
+            bus_peak_dv: 3_253,
+            ..Summary::default()
+        }
+    }
+
+    /// Loads at 80 kHz: R carries √(80/45) = 1.33.
+    const POT: (f64, f64, f64) = (5.9, 22.0, 16.0);
+    const AIR: (f64, f64, f64) = (0.13, 70.0, 6.0);
+    const ALUMINIUM: (f64, f64, f64) = (0.3, 17.0, 30.0);
+
+    fn run(control: &mut Control, load: (f64, f64, f64), half_cycles: usize) -> Action {
+        let mut action = Action::Keep;
+        for _ in 0..half_cycles {
+            action = control.on_half_cycle(&summary(load.0, load.1, load.2), &prior());
+        }
+        action
+    }
+
+    fn probing() -> Control {
+        let mut c = Control::default();
+        let on = Drive {
+            f_sw_hz: F_SW_MAX_HZ,
+            on: true,
+        };
+        assert_eq!(c.set_power(1_500), Action::Drive(on));
+        c
+    }
+
+    #[test]
+    fn a_pot_is_probed_then_heated() {
+        let mut c = probing();
+        assert_eq!(run(&mut c, POT, 2), Action::Keep);
+        let action = run(&mut c, POT, 1);
+        assert_eq!((c.state(), c.pot()), (State::Heating, Pot::Ferromagnetic));
+        assert!(matches!(action, Action::Drive(d) if d.on && d.f_sw_hz < F_SW_MAX_HZ));
+    }
+
+    #[test]
+    fn what_cannot_be_heated_is_a_numbered_fault() {
+        assert_eq!(run(&mut probing(), AIR, 3), Action::Fault(Fault::NoPot));
+        let aluminium = run(&mut probing(), ALUMINIUM, 3);
+        assert_eq!(aluminium, Action::Fault(Fault::UnsuitablePot));
+        assert_eq!(
+            run(&mut probing(), (5.0, 22.0, 0.1), 3),
+            Action::Fault(Fault::NoPot)
+        );
+    }
+
+    #[test]
+    fn a_pot_taken_away_stops_the_heating() {
+        let mut c = probing();
+        run(&mut c, POT, 5);
+        assert_eq!(run(&mut c, AIR, 1), Action::Keep, "one half-cycle may err");
+        assert_eq!(run(&mut c, AIR, 1), Action::Fault(Fault::PotRemoved));
+        let mut c = probing();
+        run(&mut c, POT, 5);
+        assert_eq!(
+            run(&mut c, ALUMINIUM, 2),
+            Action::Fault(Fault::UnsuitablePot)
+        );
+    }
+
+    #[test]
+    fn switched_off_means_off() {
+        let mut c = probing();
+        run(&mut c, POT, 5);
+        assert_eq!(c.set_power(0), Action::Drive(Drive::OFF));
+        assert_eq!(c.state(), State::Idle);
+        assert_eq!(run(&mut c, POT, 3), Action::Keep);
+    }
+
+    #[test]
+    fn a_fault_stays_until_cleared() {
+        let mut c = probing();
+        c.faulted();
+        assert_eq!(c.set_power(1_000), Action::Keep);
+        assert_eq!(run(&mut c, POT, 3), Action::Keep);
+        c.clear_fault();
+        assert!(matches!(c.set_power(1_000), Action::Drive(_)));
+    }
+}

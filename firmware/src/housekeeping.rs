@@ -1,0 +1,272 @@
+//! What runs below the sampling path: commands from the link, power control, the active lookup.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::MAX_ENCODED;
+use ihd_shared::wire::hello::check;
+use ihd_shared::wire::messages::{
+    AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, Reply, SetPower,
+    State, Status, Stream, Telemetry,
+};
+
+use crate::control::{Action, Control};
+use crate::half_cycle::Summary;
+use crate::impedance::Tank;
+use crate::realtime::RealTime;
+use crate::session::{Answer, Session};
+
+/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
+/// section; every closure here is short (the longest copies one 960-byte chunk).
+pub trait Access {
+    /// Runs `f` on the sampling path.
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R;
+}
+
+impl Access for RealTime {
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
+        f(self)
+    }
+}
+
+/// The link's incoming side, control and lookup.
+pub struct Housekeeping {
+    deframer: Deframer,
+    session: Session,
+    control: Control,
+    paired: bool,
+    telemetry_every: u8,
+    active: RlLookup,
+    pending: Option<RlLookup>,
+    reported_fault: Fault,
+    last: Summary,
+}
+
+impl Housekeeping {
+    /// With the built-in prior as lookup; `hello` is what the device says of itself.
+    pub fn new(hello: Hello) -> Self {
+        Self {
+            deframer: Deframer::new(),
+            session: Session::new(hello),
+            control: Control::default(),
+            paired: false,
+            telemetry_every: 0,
+            active: prior(),
+            pending: None,
+            reported_fault: Fault::None,
+            last: Summary::default(),
+        }
+    }
+
+    /// The lookup in use.
+    pub fn lookup(&self) -> &RlLookup {
+        &self.active
+    }
+
+    /// The state machine.
+    pub fn control(&self) -> &Control {
+        &self.control
+    }
+
+    /// Takes bytes from the link; returns how many. Fewer than given means that answers wait for
+    /// the link: offer the rest again later.
+    pub fn receive(&mut self, access: &mut impl Access, bytes: &[u8]) -> usize {
+        for (taken, &byte) in bytes.iter().enumerate() {
+            if self.session.is_full() {
+                return taken;
+            }
+            let Some(Ok(frame)) = self.deframer.push(byte) else {
+                continue;
+            };
+            let id = frame.id;
+            match AnyMessage::decode(id, frame.payload) {
+                Ok(AnyMessage::PushLookup(push)) if self.paired => {
+                    let offered = RlLookup::from_bytes(push.blob.0);
+                    let (outcome, detail) = match offered {
+                        Ok(lookup) => self.accept(lookup),
+                        Err(why) => why.outcome(),
+                    };
+                    self.reply(PushLookup::ID, outcome, detail);
+                }
+                Ok(AnyMessage::Hello(theirs)) => self.pair(access, &theirs),
+                _ if !self.paired => self.reply(id, Outcome::NotPaired, 0),
+                Ok(AnyMessage::SetPower(m)) => self.set_power(access, &m),
+                Ok(AnyMessage::Stream(m)) => self.stream(access, &m),
+                Ok(AnyMessage::GetStatus(_)) => {
+                    let status = self.status(access);
+                    self.session.answer(Answer::Status(status));
+                }
+                Ok(AnyMessage::ReadLookup(_)) => self.session.answer(Answer::Lookup),
+                Ok(AnyMessage::ClearFault(_)) => {
+                    access.with(RealTime::clear_fault);
+                    self.control.clear_fault();
+                    self.reply(id, Outcome::Ok, 0);
+                }
+                Ok(_) | Err(DecodeError::UnknownId { .. }) => {
+                    self.reply(id, Outcome::UnknownMessage, 0);
+                }
+                Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
+                    self.reply(id, Outcome::Malformed, 0);
+                }
+            }
+        }
+        bytes.len()
+    }
+
+    fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
+        self.session.answer(Answer::Reply(Reply {
+            to,
+            outcome,
+            detail,
+        }));
+    }
+
+    /// A host says hello: it starts from a silent device, whoever talked before.
+    fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
+        self.session.restart(access);
+        self.telemetry_every = 0;
+        access.with(|rt| rt.set_windows_every(0));
+        self.paired = check(self.session.hello(), theirs).is_ok();
+        self.session.answer(Answer::Hello);
+        if !self.paired {
+            self.reply(Hello::ID, Outcome::NotPaired, 0);
+        }
+    }
+
+    fn set_power(&mut self, access: &mut impl Access, m: &SetPower) {
+        let fault = access.with(|rt| rt.fault());
+        if m.power_w > RATED_POWER_W {
+            return self.reply(
+                SetPower::ID,
+                Outcome::PowerOutOfRange,
+                u32::from(RATED_POWER_W),
+            );
+        }
+        if fault != Fault::None && m.power_w > 0 {
+            return self.reply(
+                SetPower::ID,
+                Outcome::FaultActive,
+                u32::from(fault.number()),
+            );
+        }
+        let action = self.control.set_power(m.power_w);
+        self.act(access, action);
+        self.reply(SetPower::ID, Outcome::Ok, 0);
+    }
+
+    fn stream(&mut self, access: &mut impl Access, m: &Stream) {
+        self.telemetry_every = m.telemetry_every;
+        access.with(|rt| rt.set_windows_every(m.windows_every));
+        self.reply(Stream::ID, Outcome::Ok, 0);
+    }
+
+    /// A lookup that passed every check of its content: it must still be newer than what we have.
+    /// It waits for the half-cycle boundary, so that one half-cycle sees one lookup.
+    fn accept(&mut self, lookup: RlLookup) -> (Outcome, u32) {
+        if self.pending.is_some() {
+            return (Outcome::Busy, 0);
+        }
+        if lookup.version <= self.active.version {
+            return (Outcome::LookupStale, self.active.version);
+        }
+        self.pending = Some(lookup);
+        (Outcome::Ok, 0)
+    }
+
+    /// To be called at least once per half-cycle: control, telemetry, faults.
+    pub fn poll(&mut self, access: &mut impl Access) {
+        let (summary, fault) = access.with(|rt| (rt.take_summary(), rt.fault()));
+        if let Some(summary) = summary {
+            if let Some(lookup) = self.pending.take() {
+                self.active = lookup;
+            }
+            self.last = summary;
+            let action = self.control.on_half_cycle(&summary, &self.active);
+            self.act(access, action);
+            self.send_telemetry(access, &summary);
+        }
+        if fault != Fault::None && self.control.state() != State::Faulted {
+            self.control.faulted();
+        }
+        let fault = access.with(|rt| rt.fault());
+        if fault != self.reported_fault && self.paired && !self.session.is_full() {
+            self.reported_fault = fault;
+            let half_cycle = self.last.half_cycle;
+            self.session
+                .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
+        }
+    }
+
+    fn act(&mut self, access: &mut impl Access, action: Action) {
+        match action {
+            Action::Keep => {}
+            Action::Drive(drive) => access.with(|rt| rt.request(drive)),
+            Action::Fault(fault) => {
+                access.with(|rt| rt.raise(fault));
+                self.control.faulted();
+            }
+        }
+    }
+
+    fn send_telemetry(&mut self, access: &mut impl Access, s: &Summary) {
+        let every = u32::from(self.telemetry_every);
+        if !self.paired || every == 0 || !s.half_cycle.is_multiple_of(every) {
+            return;
+        }
+        let fault = access.with(|rt| rt.fault());
+        let (state, pot) = (self.control.state(), self.control.pot());
+        let lookup_version = self.active.version;
+        let phase_mrad = if s.f_sw_hz > 0 && s.i_crest_ma > 0 {
+            Tank::new(s.f_sw_hz, s.r, s.l).phase_mrad()
+        } else {
+            0
+        };
+        self.session.telemetry(|seq, dropped| Telemetry {
+            seq,
+            dropped,
+            half_cycle: s.half_cycle,
+            state,
+            fault,
+            pot,
+            f_sw_hz: s.f_sw_hz,
+            r: s.r,
+            l: s.l,
+            i_crest_ma: s.i_crest_ma,
+            power_mw: s.power_mw,
+            phase_mrad,
+            lookup_version,
+        });
+    }
+
+    fn status(&mut self, access: &mut impl Access) -> Status {
+        let counters = self.deframer.counters();
+        let telemetry_dropped = self.session.telemetry_dropped();
+        let (control, active, last) = (&self.control, &self.active, &self.last);
+        access.with(|rt| {
+            let windows = rt.recorder().counters();
+            Status {
+                state: control.state(),
+                fault: rt.fault(),
+                pot: control.pot(),
+                asked_w: control.asked_w(),
+                delivered_mw: last.power_mw,
+                f_sw_hz: if rt.drive().on { rt.drive().f_sw_hz } else { 0 },
+                lookup_version: active.version,
+                half_cycles: rt.half_cycles(),
+                windows_recorded: windows.recorded,
+                windows_dropped: windows.dropped,
+                telemetry_dropped,
+                frames_bad: counters.bad,
+                frames_lost: counters.lost,
+                saturated_pairs: rt.saturated_pairs(),
+            }
+        })
+    }
+
+    /// Writes the next frame for the link, if there is one; returns its length, 0 for none.
+    pub fn transmit(&mut self, access: &mut impl Access, out: &mut [u8; MAX_ENCODED]) -> usize {
+        self.session.transmit(access, &self.active, out)
+    }
+}

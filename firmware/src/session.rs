@@ -1,0 +1,249 @@
+//! The link's outgoing side: what is queued, in which order it leaves, and what is counted.
+//!
+//! Nothing waits for the link. Answers go first, then faults, telemetry and windows. Telemetry and
+//! windows take their sequence number before they look for room, so that what is dropped shows as
+//! a gap at the host.
+
+use heapless::Deque;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
+use ihd_shared::wire::messages::{
+    FaultEvent, Hello, LookupBlob, Message, Raw, Reply, Status, Telemetry, TrackChunk, WindowChunk,
+    WindowEnd, WindowStart,
+};
+
+use crate::housekeeping::Access;
+use crate::recorder::Header;
+
+/// Answers that may wait for the link. When they are all taken, no more bytes are accepted.
+const ANSWERS: usize = 8;
+
+/// Telemetry messages that may wait.
+const TELEMETRY: usize = 4;
+
+/// An answer that waits.
+pub enum Answer {
+    /// The device's hello.
+    Hello,
+    /// Outcome of a command.
+    Reply(Reply),
+    /// The status of the moment it was asked for.
+    Status(Status),
+    /// The lookup that is active when the answer leaves.
+    Lookup,
+    /// A fault tripped or was cleared.
+    Fault(FaultEvent),
+}
+
+/// How far a window has been sent.
+struct Cursor {
+    header: Header,
+    lookup_version: u32,
+    stage: Stage,
+    digest: Digest,
+}
+
+#[derive(Clone, Copy)]
+enum Stage {
+    Start,
+    Pairs(u16),
+    Track(u16),
+    End,
+}
+
+/// Queues and counters of the outgoing side.
+pub struct Session {
+    hello: Hello,
+    frame_seq: u16,
+    answers: Deque<Answer, ANSWERS>,
+    telemetry: Deque<Telemetry, TELEMETRY>,
+    telemetry_due: u32,
+    telemetry_dropped: u32,
+    cursor: Option<Cursor>,
+}
+
+impl Session {
+    /// Nothing queued.
+    pub fn new(hello: Hello) -> Self {
+        Self {
+            hello,
+            frame_seq: 0,
+            answers: Deque::new(),
+            telemetry: Deque::new(),
+            telemetry_due: 0,
+            telemetry_dropped: 0,
+            cursor: None,
+        }
+    }
+
+    /// Our hello.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Whether another answer would find no room.
+    pub fn is_full(&self) -> bool {
+        // A hello may be followed by a refusal.
+        self.answers.len() + 2 > ANSWERS
+    }
+
+    /// Queues an answer; callers keep [`Session::is_full`] false first.
+    pub fn answer(&mut self, answer: Answer) {
+        // A fault event on top of a full queue is lost here, not in Status, which still tells it.
+        let _ = self.answers.push_back(answer);
+    }
+
+    /// Telemetry is due: takes a number, then looks for room. `fill` gets number and drop count.
+    pub fn telemetry(&mut self, fill: impl FnOnce(u32, u32) -> Telemetry) {
+        let seq = self.telemetry_due;
+        self.telemetry_due = seq.wrapping_add(1);
+        if self.telemetry.is_full() {
+            self.telemetry_dropped = self.telemetry_dropped.wrapping_add(1);
+            return;
+        }
+        let _ = self.telemetry.push_back(fill(seq, self.telemetry_dropped));
+    }
+
+    /// Telemetry messages that found their queue full.
+    pub fn telemetry_dropped(&self) -> u32 {
+        self.telemetry_dropped
+    }
+
+    /// Forgets everything queued for a host that is gone.
+    pub fn restart(&mut self, access: &mut impl Access) {
+        self.answers.clear();
+        self.telemetry.clear();
+        self.cursor = None;
+        access.with(|rt| rt.recorder().release());
+    }
+
+    /// Writes the next frame, if there is one; returns its length, 0 for none.
+    pub fn transmit(
+        &mut self,
+        access: &mut impl Access,
+        lookup: &RlLookup,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> usize {
+        if let Some(answer) = self.answers.pop_front() {
+            return match answer {
+                Answer::Hello => {
+                    let hello = self.hello.clone();
+                    self.frame(&hello, out)
+                }
+                Answer::Reply(m) => self.frame(&m, out),
+                Answer::Status(m) => self.frame(&m, out),
+                Answer::Lookup => {
+                    let blob = lookup.to_bytes();
+                    self.frame(&LookupBlob { blob: Raw(&blob) }, out)
+                }
+                Answer::Fault(m) => self.frame(&m, out),
+            };
+        }
+        if let Some(telemetry) = self.telemetry.pop_front() {
+            return self.frame(&telemetry, out);
+        }
+        if self.cursor.is_none() {
+            let header = access.with(|rt| rt.recorder().ready().copied());
+            self.cursor = header.map(|header| Cursor {
+                header,
+                lookup_version: lookup.version,
+                stage: Stage::Start,
+                digest: CRC32.digest(),
+            });
+        }
+        match self.cursor.take() {
+            Some(cursor) => self.window_frame(cursor, access, out),
+            None => 0,
+        }
+    }
+
+    fn window_frame(
+        &mut self,
+        mut cursor: Cursor,
+        access: &mut impl Access,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> usize {
+        let h = cursor.header;
+        let mut raw = [0; CHUNK_BYTES];
+        let (length, next) = match cursor.stage {
+            Stage::Start => {
+                let dropped = access.with(|rt| rt.recorder().counters().dropped);
+                let start = WindowStart {
+                    seq: h.seq,
+                    dropped,
+                    half_cycle: h.half_cycle,
+                    f_sw_hz: h.f_sw_hz,
+                    half_cycle_ns: h.half_cycle_ns,
+                    first_pair_ns: h.first_pair_ns,
+                    first_track_ns: h.first_track_ns,
+                    pairs: h.pairs,
+                    track: h.track,
+                    saturated: h.saturated,
+                    lookup_version: cursor.lookup_version,
+                };
+                (self.frame(&start, out), Stage::Pairs(0))
+            }
+            Stage::Pairs(offset) if offset < h.pairs => {
+                let n = access.with(|rt| rt.recorder().read_pairs(offset, &mut raw));
+                let data = &raw[..usize::from(n) * ihd_shared::window::PAIR_BYTES];
+                cursor.digest.update(data);
+                let chunk = WindowChunk {
+                    seq: h.seq,
+                    offset,
+                    data: Raw(data),
+                };
+                (self.frame(&chunk, out), Stage::Pairs(offset + n.max(1)))
+            }
+            Stage::Pairs(_) => return self.track_frame(cursor, 0, access, out),
+            Stage::Track(offset) => return self.track_frame(cursor, offset, access, out),
+            Stage::End => {
+                let end = WindowEnd {
+                    seq: h.seq,
+                    crc32: cursor.digest.finalize(),
+                };
+                access.with(|rt| rt.recorder().release());
+                return self.frame(&end, out);
+            }
+        };
+        cursor.stage = next;
+        self.cursor = Some(cursor);
+        length
+    }
+
+    fn track_frame(
+        &mut self,
+        mut cursor: Cursor,
+        offset: u16,
+        access: &mut impl Access,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> usize {
+        let h = cursor.header;
+        if offset >= h.track {
+            cursor.stage = Stage::End;
+            return self.window_frame(cursor, access, out);
+        }
+        let mut raw = [0; CHUNK_BYTES];
+        let n = access.with(|rt| rt.recorder().read_track(offset, &mut raw));
+        let data = &raw[..usize::from(n) * ihd_shared::window::TRACK_BYTES];
+        cursor.digest.update(data);
+        let length = self.frame(
+            &TrackChunk {
+                seq: h.seq,
+                offset,
+                data: Raw(data),
+            },
+            out,
+        );
+        cursor.stage = Stage::Track(offset + n.max(1));
+        self.cursor = Some(cursor);
+        length
+    }
+
+    fn frame<M: Message>(&mut self, message: &M, out: &mut [u8; MAX_ENCODED]) -> usize {
+        let seq = self.frame_seq;
+        self.frame_seq = seq.wrapping_add(1);
+        // Every message of the table fits; a test in `tests/` encodes the longest of each.
+        encode(message, seq, out).unwrap_or(0)
+    }
+}
