@@ -43,7 +43,7 @@ pub fn impedance(geometry: &Geometry, material: &Material, shield: Shield, f_hz:
         let moment = radial_moment(k, geometry.coil_inner_m, geometry.coil_outer_m);
         sum += stack.axial(k) * (weight * moment * moment * k);
     }
-    let density = geometry.turn_density_per_m2();
+    let density = geometry.turn_density_per_m2() * geometry.turns_calibration;
     let l = sum * (2.0 * core::f64::consts::PI * density * density * dk / 3.0);
     let z = Complex::i() * omega * l;
     Ok(Impedance { r_ohm: z.re, l_h: z.im / omega })
