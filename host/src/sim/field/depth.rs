@@ -26,7 +26,13 @@ pub struct DepthGrid {
 impl DepthGrid {
     /// Grid of `nodes` for a plate of `thickness_m`.
     pub fn new(material: &Material, thickness_m: f64, nodes: usize) -> Result<Self, FieldError> {
-        in_range("load_thickness_m", thickness_m, 1e-4, 0.1, "0.1 mm to 100 mm")?;
+        in_range(
+            "load_thickness_m",
+            thickness_m,
+            1e-4,
+            0.1,
+            "0.1 mm to 100 mm",
+        )?;
         in_range("depth_nodes", nodes as f64, 8.0, 1000.0, "8 to 1000")?;
         let depth_m = thickness_m.min(SKIN_DEPTHS * material.skin_depth_m(F_MIN_HZ));
         let growth = libm::pow(GRADING, 1.0 / (nodes as f64 - 1.0));

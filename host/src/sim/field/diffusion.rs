@@ -10,7 +10,7 @@
 //! [`FieldLoad::predict`] eliminates the field down to λ = λ0 + L i, [`FieldLoad::commit`] takes
 //! the current and finishes the field.
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::error::FieldError;
 use super::model::FieldModel;
@@ -74,6 +74,33 @@ struct Surface<const N: usize> {
     inner_base: [f64; N],
 }
 
+/// The first half of a step, compiled for each instruction set that `pulp` detects. Only the
+/// number of lanes differs, never the operations: results are the same on all of them.
+struct Predict<'a, const N: usize>(&'a mut FieldLoad<N>);
+
+impl<const N: usize> WithSimd for Predict<'_, N> {
+    type Output = FluxLine;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> FluxLine {
+        self.0.linearise();
+        self.0.eliminate();
+        self.0.couple()
+    }
+}
+
+/// The second half of a step.
+struct Commit<'a, const N: usize>(&'a mut FieldLoad<N>, f64);
+
+impl<const N: usize> WithSimd for Commit<'_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.0.back_substitute(self.1);
+    }
+}
+
 impl<const N: usize> FieldLoad<N> {
     /// An unmagnetised load, stepped with `dt_s`. The model must have `N` rings.
     pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
@@ -88,7 +115,10 @@ impl<const N: usize> FieldLoad<N> {
         let nodes = model.depth.nodes();
         let sigma = model.material.sigma_s_per_m();
         let curve = model.material.curve();
-        let zeros = || History { now: vec![[0.0; N]; nodes], before: vec![[0.0; N]; nodes] };
+        let zeros = || History {
+            now: vec![[0.0; N]; nodes],
+            before: vec![[0.0; N]; nodes],
+        };
         let p = rings(&model.gap.p_m)?;
         let mut s = [[0.0; N]; N];
         for (row, values) in s.iter_mut().zip(model.gap.s.chunks(N)) {
@@ -96,7 +126,12 @@ impl<const N: usize> FieldLoad<N> {
         }
         Ok(Self {
             arch: Arch::new(),
-            storage: model.depth.cell_m.iter().map(|c| 1.5 * sigma * c / dt_s).collect(),
+            storage: model
+                .depth
+                .cell_m
+                .iter()
+                .map(|c| 1.5 * sigma * c / dt_s)
+                .collect(),
             conductance: model.depth.step_m.iter().map(|d| 1.0 / d).collect(),
             alpha: curve.alpha_a_per_m,
             saturating: curve.saturating,
@@ -108,7 +143,10 @@ impl<const N: usize> FieldLoad<N> {
             s,
             h: zeros(),
             b: zeros(),
-            a_inner: History { now: [0.0; N], before: [0.0; N] },
+            a_inner: History {
+                now: [0.0; N],
+                before: [0.0; N],
+            },
             e: vec![[0.0; N]; nodes],
             f: vec![[0.0; N]; nodes],
             slope: vec![[0.0; N]; nodes],
@@ -125,24 +163,12 @@ impl<const N: usize> FieldLoad<N> {
 
     /// Relation between flux linkage and current at the next instant.
     pub fn predict(&mut self) -> FluxLine {
-        let arch = self.arch;
-        arch.dispatch(
-            #[inline(always)]
-            || {
-                self.linearise();
-                self.eliminate();
-                self.couple()
-            },
-        )
+        self.arch.dispatch(Predict(self))
     }
 
     /// Finishes the step with the current (ampere) that the circuit found.
     pub fn commit(&mut self, i_a: f64) {
-        let arch = self.arch;
-        arch.dispatch(
-            #[inline(always)]
-            || self.back_substitute(i_a),
-        );
+        self.arch.dispatch(Commit(self, i_a));
     }
 
     /// One more Newton step for the same instant: the tangent at the field that `trial`, a copy
@@ -195,7 +221,8 @@ impl<const N: usize> FieldLoad<N> {
             let (now, before) = (&self.b.now[n], &self.b.before[n]);
             for j in 0..N {
                 let diagonal = store * slope[j] + up + down - down * e[j];
-                let known = store * ((4.0 * now[j] - before[j]) * (1.0 / 3.0) - offset[j]) + down * f[j];
+                let known =
+                    store * ((4.0 * now[j] - before[j]) * (1.0 / 3.0) - offset[j]) + down * f[j];
                 let inverse = 1.0 / diagonal;
                 e[j] = up * inverse;
                 f[j] = known * inverse;
@@ -229,7 +256,10 @@ impl<const N: usize> FieldLoad<N> {
             lambda0 += self.p[j] * out.a0[j];
             l += self.p[j] * out.a1[j];
         }
-        FluxLine { lambda0_wb: lambda0, l_h: l }
+        FluxLine {
+            lambda0_wb: lambda0,
+            l_h: l,
+        }
     }
 
     /// From the surface down with the current known; shifts the history.

@@ -16,7 +16,9 @@ pub enum FieldError {
         allowed: &'static str,
     },
     /// Two lengths contradict each other.
-    #[error("impossible geometry: {smaller} ({smaller_m} m) must be less than {larger} ({larger_m} m)")]
+    #[error(
+        "impossible geometry: {smaller} ({smaller_m} m) must be less than {larger} ({larger_m} m)"
+    )]
     Order {
         /// Name of the length that must be smaller.
         smaller: &'static str,
@@ -60,6 +62,10 @@ pub(crate) fn in_range(
     if value.is_finite() && (min..=max).contains(&value) {
         Ok(())
     } else {
-        Err(FieldError::OutOfRange { field, value, allowed })
+        Err(FieldError::OutOfRange {
+            field,
+            value,
+            allowed,
+        })
     }
 }

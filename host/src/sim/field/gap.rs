@@ -63,7 +63,11 @@ impl GapOperator {
 
     /// Surface field per ampere if no flux entered the load, in 1/m: the thin-gap profile.
     pub fn profile_per_m(&self) -> Vec<f64> {
-        self.p_m.iter().zip(&self.w_m2).map(|(p, w)| p / w).collect()
+        self.p_m
+            .iter()
+            .zip(&self.w_m2)
+            .map(|(p, w)| p / w)
+            .collect()
     }
 }
 
@@ -81,7 +85,14 @@ struct Assembly<'a> {
 impl<'a> Assembly<'a> {
     fn new(geometry: &'a Geometry, refinement: f64, with_load: bool) -> Self {
         let grid = Grid::new(geometry, refinement);
-        let mut a = Self { geometry, grid, nodes: Vec::new(), surface: Vec::new(), free: 0, with_load };
+        let mut a = Self {
+            geometry,
+            grid,
+            nodes: Vec::new(),
+            surface: Vec::new(),
+            free: 0,
+            with_load,
+        };
         let (nr, nz) = (a.grid.r_m.len(), a.grid.z_m.len());
         for i in 0..nr {
             for j in 0..nz {
@@ -104,7 +115,11 @@ impl<'a> Assembly<'a> {
                 Node::Free(self.free - 1)
             }
             4 => Node::Zero,
-            _ if self.grid.z_m[j] > self.geometry.load_surface_m() + self.geometry.load_rim_m - 1e-9 => Node::Zero,
+            _ if self.grid.z_m[j]
+                > self.geometry.load_surface_m() + self.geometry.load_rim_m - 1e-9 =>
+            {
+                Node::Zero
+            }
             _ => {
                 let (r, z) = (self.grid.r_m[i], self.grid.z_m[j]);
                 let bottom = (z - self.geometry.load_surface_m()).abs() < 1e-9;
@@ -154,7 +169,9 @@ impl<'a> Assembly<'a> {
         let mut turns = 0.0;
         for (ci, cj) in [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)] {
             let (r, z) = self.middle(ci, cj);
-            if (g.coil_inner_m..g.coil_outer_m).contains(&r) && (g.coil_bottom_m()..g.coil_top_m()).contains(&z) {
+            if (g.coil_inner_m..g.coil_outer_m).contains(&r)
+                && (g.coil_bottom_m()..g.coil_top_m()).contains(&z)
+            {
                 let dr = self.grid.r_m[ci + 1] - self.grid.r_m[ci];
                 let dz = self.grid.z_m[cj + 1] - self.grid.z_m[cj];
                 turns += g.turn_density_per_m2() * dr * dz / 4.0;
@@ -172,16 +189,22 @@ impl<'a> Assembly<'a> {
             for j in 1..nz - 1 {
                 // Radial: H_z along the two half cells above and below.
                 let (below, above) = (z[j] - z[j - 1], z[j + 1] - z[j]);
-                let nu = self.reluctivity(i, j - 1) * below / 2.0 + self.reluctivity(i, j) * above / 2.0;
+                let nu =
+                    self.reluctivity(i, j - 1) * below / 2.0 + self.reluctivity(i, j) * above / 2.0;
                 let middle = (r[i] + r[i + 1]) / 2.0;
-                edges.push((i * nz + j, (i + 1) * nz + j, nu / (middle * (r[i + 1] - r[i]))));
+                edges.push((
+                    i * nz + j,
+                    (i + 1) * nz + j,
+                    nu / (middle * (r[i + 1] - r[i])),
+                ));
             }
         }
         for i in 1..nr - 1 {
             for j in 0..nz - 1 {
                 // Axial: H_r along the two half cells inside and outside.
                 let (inner, outer) = (r[i] - r[i - 1], r[i + 1] - r[i]);
-                let nu = self.reluctivity(i - 1, j) * inner / 2.0 + self.reluctivity(i, j) * outer / 2.0;
+                let nu =
+                    self.reluctivity(i - 1, j) * inner / 2.0 + self.reluctivity(i, j) * outer / 2.0;
                 edges.push((i * nz + j, i * nz + j + 1, nu / (r[i] * (z[j + 1] - z[j]))));
             }
         }
@@ -286,7 +309,9 @@ impl<'a> Assembly<'a> {
         let turns = self.geometry.turns_calibration;
         GapOperator {
             l0_h: two_pi * energy[(0, 0)] * turns * turns,
-            p_m: (0..rings).map(|ring| two_pi * energy[(1 + ring, 0)] * turns).collect(),
+            p_m: (0..rings)
+                .map(|ring| two_pi * energy[(1 + ring, 0)] * turns)
+                .collect(),
             s,
             w_m2,
         }
@@ -320,10 +345,18 @@ mod tests {
         let g = Geometry::paper();
         let a = GapOperator::new(&g, 16, 1.0).unwrap();
         let b = GapOperator::new(&g, 16, 2.0).unwrap();
-        assert!((a.l0_h / b.l0_h - 1.0).abs() < 5e-3, "{} {}", a.l0_h, b.l0_h);
+        assert!(
+            (a.l0_h / b.l0_h - 1.0).abs() < 5e-3,
+            "{} {}",
+            a.l0_h,
+            b.l0_h
+        );
         for ring in 0..16 {
             let scale = b.p_m.iter().fold(0.0, |m: f64, p| m.max(*p));
-            assert!((a.p_m[ring] - b.p_m[ring]).abs() < 1e-2 * scale, "ring {ring}");
+            assert!(
+                (a.p_m[ring] - b.p_m[ring]).abs() < 1e-2 * scale,
+                "ring {ring}"
+            );
         }
     }
 
@@ -341,7 +374,11 @@ mod tests {
         let g = Geometry::paper();
         let bare = GapOperator::bare_coil_h(&g, 1.0).unwrap();
         let loaded = GapOperator::new(&g, 16, 1.0).unwrap().l0_h;
-        println!("bare {:.1} µH, conductor {:.1} µH", bare * 1e6, loaded * 1e6);
+        println!(
+            "bare {:.1} µH, conductor {:.1} µH",
+            bare * 1e6,
+            loaded * 1e6
+        );
         assert!(bare > 3.0 * loaded);
     }
 }

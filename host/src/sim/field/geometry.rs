@@ -86,7 +86,13 @@ impl Geometry {
         }
         in_range("coil_inner_m", self.coil_inner_m, 0.0, 1.0, "0 to 1 m")?;
         in_range("ferrite_mu_r", self.ferrite_mu_r, 1.0, 1e5, "1 to 100000")?;
-        in_range("turns_calibration", self.turns_calibration, 0.1, 2.0, "0.1 to 2")?;
+        in_range(
+            "turns_calibration",
+            self.turns_calibration,
+            0.1,
+            2.0,
+            "0.1 to 2",
+        )?;
         if self.coil_inner_m >= self.coil_outer_m {
             return Err(FieldError::Order {
                 smaller: "coil_inner_m",

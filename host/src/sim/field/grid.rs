@@ -73,7 +73,11 @@ fn lines(mut marks: Vec<f64>, cell_m: f64, refinement: f64) -> Vec<f64> {
     let mut at = out[out.len() - 1];
     while at < FAR_M - SAME_M {
         cell *= growth;
-        at = if at + 1.5 * cell > FAR_M { FAR_M } else { at + cell };
+        at = if at + 1.5 * cell > FAR_M {
+            FAR_M
+        } else {
+            at + cell
+        };
         out.push(at);
     }
     out
@@ -87,7 +91,12 @@ mod tests {
     fn every_boundary_is_a_line() {
         let g = Geometry::paper();
         let grid = Grid::new(&g, 1.0);
-        for z in [g.ferrite_top_m(), g.coil_bottom_m(), g.coil_top_m(), g.load_surface_m()] {
+        for z in [
+            g.ferrite_top_m(),
+            g.coil_bottom_m(),
+            g.coil_top_m(),
+            g.load_surface_m(),
+        ] {
             assert!(grid.z_m.iter().any(|l| (l - z).abs() < 1e-9), "z = {z}");
         }
         for r in [g.coil_inner_m, g.coil_outer_m, g.load_radius_m] {

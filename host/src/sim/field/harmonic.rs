@@ -36,13 +36,21 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
     let mut last = Complex::new(0.0, 0.0);
     let mut change = f64::INFINITY;
     for _ in 0..MAX_ITERATIONS {
-        let columns: Vec<Column> = (0..rings).map(|j| Column::solve(model, omega, mu.column(j).as_slice())).collect();
+        let columns: Vec<Column> = (0..rings)
+            .map(|j| Column::solve(model, omega, mu.column(j).as_slice()))
+            .collect();
         let a = surface_flux(model, &columns)?;
-        let lambda = model.gap.l0_h + (0..rings).map(|j| a[j] * model.gap.p_m[j]).sum::<Complex<f64>>();
+        let lambda = model.gap.l0_h
+            + (0..rings)
+                .map(|j| a[j] * model.gap.p_m[j])
+                .sum::<Complex<f64>>();
         let z = Complex::new(model.winding_r_ohm, 0.0) + Complex::i() * omega * lambda;
         change = (z - last).norm() / z.norm();
         if change < SETTLED {
-            return Ok(Impedance { r_ohm: z.re, l_h: z.im / omega });
+            return Ok(Impedance {
+                r_ohm: z.re,
+                l_h: z.im / omega,
+            });
         }
         last = z;
         for (j, column) in columns.iter().enumerate() {
@@ -55,7 +63,12 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
             }
         }
     }
-    Err(FieldError::NotSettled { f_hz, i_a, change, iterations: MAX_ITERATIONS })
+    Err(FieldError::NotSettled {
+        f_hz,
+        i_a,
+        change,
+        iterations: MAX_ITERATIONS,
+    })
 }
 
 /// Linear diffusion under one ring.
@@ -78,19 +91,29 @@ impl Column {
             down[n] = Complex::new(up_g, 0.0) / diagonal;
         }
         let entering = (Complex::new(1.0, 0.0) - down[1]) / step[0];
-        Self { flux_per_h: entering / j_omega_sigma + cell[0] * mu[0], down }
+        Self {
+            flux_per_h: entering / j_omega_sigma + cell[0] * mu[0],
+            down,
+        }
     }
 }
 
 /// A of each ring at one ampere: (W/ζ + S) A = P.
-fn surface_flux(model: &FieldModel, columns: &[Column]) -> Result<DVector<Complex<f64>>, FieldError> {
+fn surface_flux(
+    model: &FieldModel,
+    columns: &[Column],
+) -> Result<DVector<Complex<f64>>, FieldError> {
     let rings = columns.len();
-    let mut m = DMatrix::from_fn(rings, rings, |i, j| Complex::new(model.gap.s[i * rings + j], 0.0));
+    let mut m = DMatrix::from_fn(rings, rings, |i, j| {
+        Complex::new(model.gap.s[i * rings + j], 0.0)
+    });
     for (j, c) in columns.iter().enumerate() {
         m[(j, j)] += Complex::new(model.gap.w_m2[j], 0.0) / c.flux_per_h;
     }
     let p = DVector::from_fn(rings, |j, _| Complex::new(model.gap.p_m[j], 0.0));
-    m.lu().solve(&p).ok_or(FieldError::Singular { nodes: rings })
+    m.lu()
+        .solve(&p)
+        .ok_or(FieldError::Singular { nodes: rings })
 }
 
 #[cfg(test)]
@@ -109,7 +132,11 @@ mod tests {
         s.geometry.ferrite_radius_m = 0.45;
         s.rings = 48;
         let wide = FieldModel::new(&s).unwrap();
-        for m in [Material::PAPER, Material::STAINLESS_304, Material::ALUMINIUM] {
+        for m in [
+            Material::PAPER,
+            Material::STAINLESS_304,
+            Material::ALUMINIUM,
+        ] {
             s.material = m;
             s.load_thickness_m = 10e-3;
             let wide = FieldModel::new(&s).unwrap();
@@ -122,12 +149,21 @@ mod tests {
         let t = std::time::Instant::now();
         let m = FieldModel::new(&Settings::paper()).unwrap();
         println!("model {:?}, L0 {}", t.elapsed(), m.gap.l0_h * 1e6);
-        println!("bare {}", super::super::gap::GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap() * 1e6);
+        println!(
+            "bare {}",
+            super::super::gap::GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap() * 1e6
+        );
         for i in [0.0, 0.5, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0] {
             let t = std::time::Instant::now();
             let z = impedance(&m, 45e3, i).unwrap();
             let f = 1.0 / (2.0 * core::f64::consts::PI * (z.l_h * 1080e-9).sqrt());
-            println!("{i} A: R {:.3} L {:.3} f_res {:.2} kHz  {:?}", z.r_ohm, z.l_h * 1e6, f / 1e3, t.elapsed());
+            println!(
+                "{i} A: R {:.3} L {:.3} f_res {:.2} kHz  {:?}",
+                z.r_ohm,
+                z.l_h * 1e6,
+                f / 1e3,
+                t.elapsed()
+            );
         }
         for i in [0.5, 10.0, 40.0] {
             let t = std::time::Instant::now();

@@ -28,25 +28,44 @@ pub enum Shield {
 }
 
 /// Impedance at `f_hz` for the material's permeability at zero field.
-pub fn impedance(geometry: &Geometry, material: &Material, shield: Shield, f_hz: f64) -> Result<Impedance, FieldError> {
+pub fn impedance(
+    geometry: &Geometry,
+    material: &Material,
+    shield: Shield,
+    f_hz: f64,
+) -> Result<Impedance, FieldError> {
     geometry.check()?;
     material.check()?;
     in_range("f_hz", f_hz, 1e3, 1e6, "1 kHz to 1 MHz")?;
     let omega = 2.0 * core::f64::consts::PI * f_hz;
-    let stack = Stack { geometry, material, shield, omega };
+    let stack = Stack {
+        geometry,
+        material,
+        shield,
+        omega,
+    };
     let dk = K_MAX_PER_M / K_INTERVALS as f64;
     // Simpson's rule; the integrand vanishes at k = 0.
     let mut sum = Complex::new(0.0, 0.0);
     for n in 1..=K_INTERVALS {
         let k = n as f64 * dk;
-        let weight = if n == K_INTERVALS { 1.0 } else if n % 2 == 1 { 4.0 } else { 2.0 };
+        let weight = if n == K_INTERVALS {
+            1.0
+        } else if n % 2 == 1 {
+            4.0
+        } else {
+            2.0
+        };
         let moment = radial_moment(k, geometry.coil_inner_m, geometry.coil_outer_m);
         sum += stack.axial(k) * (weight * moment * moment * k);
     }
     let density = geometry.turn_density_per_m2() * geometry.turns_calibration;
     let l = sum * (2.0 * core::f64::consts::PI * density * density * dk / 3.0);
     let z = Complex::i() * omega * l;
-    Ok(Impedance { r_ohm: z.re, l_h: z.im / omega })
+    Ok(Impedance {
+        r_ohm: z.re,
+        l_h: z.im / omega,
+    })
 }
 
 /// ∫ r J1(kr) dr from `inner` to `outer`, by Simpson with 24 points a wavelength.
@@ -57,7 +76,13 @@ fn radial_moment(k: f64, inner: f64, outer: f64) -> f64 {
     let mut sum = 0.0;
     for m in 0..=n {
         let r = inner + m as f64 * dr;
-        let weight = if m == 0 || m == n { 1.0 } else if m % 2 == 1 { 4.0 } else { 2.0 };
+        let weight = if m == 0 || m == n {
+            1.0
+        } else if m % 2 == 1 {
+            4.0
+        } else {
+            2.0
+        };
         sum += weight * r * libm::j1(k * r);
     }
     sum * dr / 3.0

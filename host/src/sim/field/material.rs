@@ -38,16 +38,32 @@ impl Material {
     };
 
     /// Austenitic stainless steel 304 at room temperature.
-    pub const STAINLESS_304: Self = Self::Linear { mu_r: 1.02, sigma_s_per_m: 1.39e6 };
+    pub const STAINLESS_304: Self = Self::Linear {
+        mu_r: 1.02,
+        sigma_s_per_m: 1.39e6,
+    };
 
     /// Aluminium.
-    pub const ALUMINIUM: Self = Self::Linear { mu_r: 1.0, sigma_s_per_m: 3.5e7 };
+    pub const ALUMINIUM: Self = Self::Linear {
+        mu_r: 1.0,
+        sigma_s_per_m: 3.5e7,
+    };
 
     /// Refuses NaN and values no metal has.
     pub fn check(&self) -> Result<(), FieldError> {
-        in_range("sigma_s_per_m", self.sigma_s_per_m(), 1e4, 1e8, "1e4 to 1e8 S/m")?;
+        in_range(
+            "sigma_s_per_m",
+            self.sigma_s_per_m(),
+            1e4,
+            1e8,
+            "1e4 to 1e8 S/m",
+        )?;
         match *self {
-            Self::Froehlich { alpha_a_per_m, b_per_t, .. } => {
+            Self::Froehlich {
+                alpha_a_per_m,
+                b_per_t,
+                ..
+            } => {
                 in_range("alpha_a_per_m", alpha_a_per_m, 1.0, 1e6, "1 to 1e6 A/m")?;
                 in_range("b_per_t", b_per_t, 0.1, 100.0, "0.1 to 100 1/T")
             }
@@ -58,7 +74,9 @@ impl Material {
     /// Conductivity in S/m.
     pub fn sigma_s_per_m(&self) -> f64 {
         match *self {
-            Self::Froehlich { sigma_s_per_m, .. } | Self::Linear { sigma_s_per_m, .. } => sigma_s_per_m,
+            Self::Froehlich { sigma_s_per_m, .. } | Self::Linear { sigma_s_per_m, .. } => {
+                sigma_s_per_m
+            }
         }
     }
 
@@ -66,7 +84,11 @@ impl Material {
     /// [`BhCurve`].
     pub fn curve(&self) -> BhCurve {
         match *self {
-            Self::Froehlich { alpha_a_per_m, b_per_t, .. } => BhCurve {
+            Self::Froehlich {
+                alpha_a_per_m,
+                b_per_t,
+                ..
+            } => BhCurve {
                 alpha_a_per_m,
                 saturating: 1.0,
                 b_sat_t: 1.0 / b_per_t,
@@ -157,7 +179,9 @@ mod tests {
     #[test]
     fn describing_function_equals_its_integral() {
         let c = Material::PAPER.curve();
-        for h in [0.01, 1.0, 1.6, 100.0, 1499.9, 1500.0, 1500.1, 1501.0, 9e3, 1e6] {
+        for h in [
+            0.01, 1.0, 1.6, 100.0, 1499.9, 1500.0, 1500.1, 1501.0, 9e3, 1e6,
+        ] {
             // The integrand is even and periodic; midpoint rule.
             let n = 200_000;
             let mut sum = 0.0;
@@ -180,7 +204,10 @@ mod tests {
 
     #[test]
     fn refuses_nan_by_name() {
-        let m = Material::Linear { mu_r: f64::NAN, sigma_s_per_m: 1e6 };
+        let m = Material::Linear {
+            mu_r: f64::NAN,
+            sigma_s_per_m: 1e6,
+        };
         assert!(m.check().unwrap_err().to_string().contains("mu_r"));
     }
 }

@@ -63,12 +63,28 @@ impl FieldModel {
     /// Checks the settings and solves the gap (some 50 ms).
     pub fn new(settings: &Settings) -> Result<Self, FieldError> {
         in_range("rings", settings.rings as f64, 4.0, 64.0, "4 to 64")?;
-        in_range("gap_refinement", settings.gap_refinement, 1.0, 4.0, "1 to 4")?;
-        in_range("winding_r_ohm", settings.winding_r_ohm, 0.0, 10.0, "0 to 10 ohm")?;
+        in_range(
+            "gap_refinement",
+            settings.gap_refinement,
+            1.0,
+            4.0,
+            "1 to 4",
+        )?;
+        in_range(
+            "winding_r_ohm",
+            settings.winding_r_ohm,
+            0.0,
+            10.0,
+            "0 to 10 ohm",
+        )?;
         settings.material.check()?;
         Ok(Self {
             gap: GapOperator::new(&settings.geometry, settings.rings, settings.gap_refinement)?,
-            depth: DepthGrid::new(&settings.material, settings.load_thickness_m, settings.depth_nodes)?,
+            depth: DepthGrid::new(
+                &settings.material,
+                settings.load_thickness_m,
+                settings.depth_nodes,
+            )?,
             material: settings.material,
             winding_r_ohm: settings.winding_r_ohm,
         })

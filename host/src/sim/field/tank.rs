@@ -91,7 +91,13 @@ impl<const N: usize> ImpressedCurrent<N> {
 
     /// Fundamental impedance in the last of `periods` periods of i = Î sin ωt: (R in ohm, L in
     /// henry). `steps` time steps a period.
-    pub fn fundamental(model: &FieldModel, f_hz: f64, i_a: f64, steps: usize, periods: usize) -> Result<(f64, f64), FieldError> {
+    pub fn fundamental(
+        model: &FieldModel,
+        f_hz: f64,
+        i_a: f64,
+        steps: usize,
+        periods: usize,
+    ) -> Result<(f64, f64), FieldError> {
         let dt_s = 1.0 / (f_hz * steps as f64);
         let mut load = Self::new(model, dt_s)?;
         let (mut in_phase, mut quadrature) = (0.0, 0.0);
