@@ -78,6 +78,9 @@ pub struct Config {
     pub w_f: f64,
     /// Weight of the data terms in eq. (7).
     pub w_i: f64,
+    /// Standard deviation expected of the RL-MLP's weights: with noise in the samples, a prior of
+    /// that width keeps R and L from following it. 0 for eq. (7) alone. Levenberg-Marquardt only.
+    pub weight_width: f64,
     /// What trains the RL-MLP.
     pub optimiser: Optimiser,
     /// Learning rate of Adam; Levenberg-Marquardt has none.
@@ -109,6 +112,7 @@ impl Default for Config {
             l_scale_h: 20e-6,
             w_f: 5.0,
             w_i: 1.0,
+            weight_width: 1.0,
             optimiser: Optimiser::default(),
             learning_rate: 1e-2,
             max_iterations: 200,
@@ -151,6 +155,12 @@ impl Config {
                 });
             }
         }
+        if !(self.weight_width.is_finite() && self.weight_width >= 0.0) {
+            return Err(PinnError::Config {
+                field: "weight_width",
+                problem: format!("is {}, but must be zero or positive", self.weight_width),
+            });
+        }
         self.validate_start()
     }
 
@@ -190,7 +200,10 @@ impl Config {
             return Ok(());
         }
         Err(PinnError::WarmStart {
-            found: format!("{found:?}{}", if start.is_sound() { "" } else { " (damaged)" }),
+            found: format!(
+                "{found:?}{}",
+                if start.is_sound() { "" } else { " (damaged)" }
+            ),
             wanted: format!("{:?}", self.hidden_layers),
         })
     }

@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 pub enum SlowEmbedding {
     /// `|sin(2 pi f_mains t)|, cos(2 pi f_mains t)`: tells the rising from the falling half of the
     /// envelope, so R(t) and L(t) may be asymmetric.
+    #[default]
     MainsPhase,
     /// `|sin(2 pi f_mains t)|, cos(2 pi 2 f_mains t)`: both even about the crest, so R(t) and L(t)
-    /// are symmetric, which halves the noise where that is true of the load.
-    #[default]
+    /// are symmetric: a little less noise, where that is true of the load.
     Symmetric,
 }
 

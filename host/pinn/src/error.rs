@@ -48,7 +48,9 @@ pub enum PinnError {
         value: f64,
     },
     /// A channel holds zeros only.
-    #[error("waveform: the {channel} is zero throughout; is the inverter running and the probe on?")]
+    #[error(
+        "waveform: the {channel} is zero throughout; is the inverter running and the probe on?"
+    )]
     NoSignal {
         /// `voltage` or `current`.
         channel: &'static str,

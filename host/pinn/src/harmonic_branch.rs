@@ -69,7 +69,10 @@ impl HarmonicBranch {
             })
         };
         let i = phasor(&self.i, &local.values);
-        let rotation = Complex::new(0.0, f64::from(self.basis.harmonics[index]) * self.basis.omega);
+        let rotation = Complex::new(
+            0.0,
+            f64::from(self.basis.harmonics[index]) * self.basis.omega,
+        );
         Phasors {
             v: phasor(&self.v, &local.values),
             i,

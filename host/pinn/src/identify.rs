@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
-use crate::levenberg_marquardt::Descent;
-use crate::loss::{SlowPhysics, slow_times_s};
+use crate::levenberg_marquardt::{Descent, Prior};
+use crate::loss::{SlowPhysics, noise_variance, slow_times_s};
 use crate::parameters::Parameters;
 use crate::progress::{Log, relative_change};
 use crate::spline::CubicSpline;
@@ -48,16 +48,27 @@ pub fn identify(
             config.w_f,
             slow_times_s(samples.duration_s(), config.slow_points),
         );
+        let constant = physics.best_constant();
         if !warm {
-            let start = physics.best_constant();
-            parameters = parameters.initial(&config.hidden_layers, config.seed, start);
+            parameters = parameters.initial(&config.hidden_layers, config.seed, constant);
             warm = true;
         }
         let (l_i1, l_i2) = branch.data_losses(&samples);
+        let noise = noise_variance(&samples, &branch, (l_i1, l_i2), config.w_f, {
+            let [r, l] = constant;
+            [r * parameters.r_scale_ohm, l * parameters.l_scale_h]
+        });
         log.data_loss = config.w_i * (l_i1 + l_i2);
         log.floor = physics.floor;
         let before = outputs(&parameters, &samples, &physics.tau_s);
-        let descent = train(&physics, &samples, parameters, config, &mut log)?;
+        let prior = Prior {
+            strength: match config.weight_width {
+                0.0 => 0.0,
+                width => noise / (width * width),
+            },
+            centre: parameters.constant(constant).flat(),
+        };
+        let descent = train(&physics, &samples, parameters, &prior, config, &mut log)?;
         let after = outputs(&descent.parameters, &samples, &physics.tau_s);
         let rests = log.pass > 1 && relative_change(&before, &after) < config.tolerance;
         if rests || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
@@ -138,6 +149,7 @@ fn train(
     physics: &SlowPhysics,
     samples: &Normalised,
     parameters: Parameters,
+    prior: &Prior,
     config: &Config,
     log: &mut Log<'_>,
 ) -> Result<Descent, PinnError> {
@@ -149,7 +161,7 @@ fn train(
     let physics = physics.on_device(samples, &parameters, config.backend, &device);
     match config.optimiser {
         Optimiser::LevenbergMarquardt => {
-            levenberg_marquardt::descend(&physics, parameters, config.tolerance, log)
+            levenberg_marquardt::descend(&physics, parameters, prior, config.tolerance, log)
         }
         Optimiser::Adam => adam::descend(
             &physics,
@@ -203,9 +215,8 @@ fn assemble(
         .iter()
         .map(|tau| descent.parameters.r_l_at(samples.t0_s + tau))
         .unzip();
-    let nmse_pct = |l_i: f64, x: &[f64]| {
-        100.0 * l_i * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
-    };
+    let nmse_pct =
+        |l_i: f64, x: &[f64]| 100.0 * l_i * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>();
     Identified {
         // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
         i_amplitude_a: tau_s

@@ -5,7 +5,6 @@
 //! residuals in one batch: `d e / d W = a^T x delta` per row.
 
 use burn::tensor::Tensor;
-use burn::tensor::activation::sigmoid;
 
 use crate::PinnError;
 use crate::loss::SlowTensors;
@@ -22,8 +21,7 @@ pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<Vec<f64
         let input = Tensor::cat(vec![input.clone(), input], 0);
         let [rows, fan_in] = input.dims();
         let [_, fan_out] = delta.dims();
-        let outer =
-            input.clone().unsqueeze_dim::<3>(2) * delta.clone().unsqueeze_dim::<3>(1);
+        let outer = input.clone().unsqueeze_dim::<3>(2) * delta.clone().unsqueeze_dim::<3>(1);
         blocks.push(delta.clone());
         blocks.push(outer.reshape([rows, fan_in * fan_out]));
         if index > 0 {
@@ -38,13 +36,78 @@ pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<Vec<f64
 
 /// de/d(outputs before the softplus): `-C * diag(sigmoid)`, R rows above L rows.
 fn output_delta(physics: &SlowTensors, outputs: Tensor<2>) -> Tensor<2> {
-    let slope = -sigmoid(outputs);
+    // softplus' = 1 / (1 + e^-x); burn's own `sigmoid` is single precision on ndarray.
+    let slope = -((-outputs).exp() + 1.0).recip();
     let (r, l) = (slope.clone().narrow(1, 0, 1), slope.narrow(1, 1, 1));
     let r_rows = Tensor::cat(
-        vec![physics.c_rr.clone() * r.clone(), physics.c_rl.clone() * l.clone()],
+        vec![
+            physics.c_rr.clone() * r.clone(),
+            physics.c_rl.clone() * l.clone(),
+        ],
         1,
     );
     // L's residual does not depend on R: C is triangular.
     let l_rows = Tensor::cat(vec![r * 0.0, physics.c_ll.clone() * l], 1);
     Tensor::cat(vec![r_rows, l_rows], 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::jacobian;
+    use crate::Backend;
+    use crate::loss::{SlowPhysics, slow_times_s};
+    use crate::rl_mlp::{RlMlp, read};
+    use crate::trial;
+    use crate::vi_system::DataSystem;
+
+    /// d(sum e^2)/dtheta = 2 J^T e must be what burn's reverse mode finds.
+    #[test]
+    fn the_gradient_from_the_jacobian_is_that_of_burns_autodiff() {
+        let (samples, network) = (trial::samples(), trial::network());
+        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
+            .fit()
+            .expect("separable");
+        let times = slow_times_s(samples.duration_s(), 32);
+        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0, 1], 5.0, times);
+        for backend in Backend::ALL {
+            let plain = physics.on_device(&samples, &network, backend, &backend.device());
+            let module = RlMlp::from_parameters(&network, &plain.device);
+            let rows = jacobian(&plain, &module).expect("readable");
+            let (e, _) = plain.evaluate(&network).expect("readable");
+            let count = rows.len() / e.len();
+            let by_hand: Vec<f64> = (0..count)
+                .map(|p| {
+                    2.0 * (0..e.len())
+                        .map(|k| rows[k * count + p] * e[k])
+                        .sum::<f64>()
+                })
+                .collect();
+
+            let device = backend.device().autodiff();
+            let tracked = physics.on_device(&samples, &network, backend, &device);
+            let module = RlMlp::from_parameters(&network, &device);
+            let residuals = tracked.residuals(&module);
+            let gradients = (residuals.clone() * residuals).sum().backward();
+            let mut by_burn = Vec::new();
+            for layer in &module.layers {
+                let weight = layer.weight.val().grad(&gradients).expect("tracked");
+                by_burn.extend(read(weight, backend).expect("readable"));
+                let bias = layer.bias.as_ref().expect("has one").val();
+                let bias = bias.grad(&gradients).expect("tracked");
+                by_burn.extend(read(bias, backend).expect("readable"));
+            }
+            let largest = by_burn.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
+            assert!(
+                largest > 1e-3,
+                "the trial network is off, so there is a gradient"
+            );
+            assert_eq!(by_hand.len(), by_burn.len());
+            for (a, b) in by_hand.iter().zip(&by_burn) {
+                assert!(
+                    (a - b).abs() < 1e-10 * largest,
+                    "{backend}: {a} against {b}"
+                );
+            }
+        }
+    }
 }

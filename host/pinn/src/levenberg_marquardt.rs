@@ -24,75 +24,138 @@ pub(crate) struct Descent {
     pub stopped: StoppedBecause,
 }
 
-/// Minimises the residuals of `physics` from `parameters` on.
+/// What is expected of the weights before any sample is seen: `strength * |theta - centre|^2` is
+/// added to the squared residuals.
 ///
-/// Damping follows Nielsen's rule: the gain ratio of actual to predicted descent sets it, so that
-/// it moves smoothly instead of by factors of ten.
+/// With a strength of (variance of a residual) / (variance of a weight) the minimum is the most
+/// probable network for normal noise and normal weights. Without noise the strength vanishes and
+/// eq. (7) alone decides; with noise it keeps R and L from following it where the current is small.
+pub(crate) struct Prior {
+    pub strength: f64,
+    pub centre: Vec<f64>,
+}
+
+impl Prior {
+    /// theta - centre.
+    fn distance(&self, parameters: &Parameters) -> DVector<f64> {
+        let flat = parameters.flat();
+        DVector::from_iterator(
+            flat.len(),
+            flat.iter().zip(&self.centre).map(|(x, c)| x - c),
+        )
+    }
+}
+
+/// One set of parameters and what it gives.
+struct Trial {
+    parameters: Parameters,
+    residuals: Vec<f64>,
+    /// R / r_scale and L / l_scale, alternating.
+    outputs: Vec<f64>,
+    /// Squared residuals and prior: what is minimised.
+    cost: f64,
+}
+
+impl Trial {
+    fn of(physics: &SlowTensors, prior: &Prior, parameters: Parameters) -> Result<Self, PinnError> {
+        let (residuals, outputs) = physics.evaluate(&parameters)?;
+        let pull = prior.strength * prior.distance(&parameters).norm_squared();
+        Ok(Self {
+            cost: squared(&residuals) + pull,
+            parameters,
+            residuals,
+            outputs,
+        })
+    }
+
+    fn ends(self, stopped: StoppedBecause) -> Descent {
+        Descent {
+            squares: squared(&self.residuals),
+            parameters: self.parameters,
+            stopped,
+        }
+    }
+}
+
+/// Minimises the residuals of `physics` and the `prior` from `parameters` on.
 pub(crate) fn descend(
     physics: &SlowTensors,
     parameters: Parameters,
+    prior: &Prior,
     tolerance: f64,
     log: &mut Log<'_>,
 ) -> Result<Descent, PinnError> {
-    let (mut residuals, outputs) = physics.evaluate(&parameters)?;
-    let mut at = Descent {
-        parameters,
-        squares: squared(&residuals),
-        stopped: StoppedBecause::RolledBack,
-    };
-    if !at.squares.is_finite() {
-        return Ok(at);
+    let mut at = Trial::of(physics, prior, parameters)?;
+    if !at.cost.is_finite() {
+        // Only a warm start can be that far off: the constant network is the last good one.
+        let constant = at.parameters.with_flat(&prior.centre);
+        let constant = Trial::of(physics, prior, constant)?;
+        return Ok(constant.ends(StoppedBecause::RolledBack));
     }
     let mut settling = Settling::over(SETTLING_STEPS);
-    settling.change(outputs);
-    let (mut damping, mut growth) = (None, 2.0);
+    settling.change(at.outputs.clone());
+    let mut damping = Damping::default();
     loop {
         if let Some(limit) = log.exhausted() {
-            at.stopped = limit;
-            return Ok(at);
+            return Ok(at.ends(limit));
         }
         let network = RlMlp::from_parameters(&at.parameters, &physics.device);
-        let model = Linearised::new(jacobian(physics, &network)?, &residuals);
-        let mut mu: f64 = *damping.get_or_insert(FIRST_DAMPING * model.scale);
-        let accepted = loop {
-            let Some(step) = model.step(mu) else {
-                // J^T J + mu I lost its definiteness to rounding: damp more.
-                mu *= growth;
-                growth *= 2.0;
-                if mu > LAST_DAMPING * model.scale {
-                    break None;
-                }
-                continue;
-            };
-            let next = moved(&at.parameters, &step);
-            let (e, y) = physics.evaluate(&next)?;
-            let gain = (at.squares - squared(&e)) / model.predicted_descent(&step, mu);
-            // A NaN or infinite loss fails this too, and so is never accepted.
-            if gain > 0.0 && squared(&e) < at.squares {
-                mu *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0);
-                growth = 2.0;
-                break Some((next, e, y));
-            }
-            mu *= growth;
-            growth *= 2.0;
-            if !(mu < LAST_DAMPING * model.scale) {
-                break None;
-            }
+        let rows = jacobian(physics, &network)?;
+        let model = Linearised::new(rows, &at, prior);
+        let Some(next) = damping.search(physics, prior, &at, &model)? else {
+            return Ok(at.ends(StoppedBecause::NoDescent));
         };
-        damping = Some(mu);
-        let Some((next, e, y)) = accepted else {
-            at.stopped = StoppedBecause::NoDescent;
-            return Ok(at);
-        };
-        at.parameters = next;
-        at.squares = squared(&e);
-        residuals = e;
-        let change = settling.change(y);
-        log.record(at.squares, change);
+        at = next;
+        let change = settling.change(at.outputs.clone());
+        log.record(squared(&at.residuals), change);
         if change < tolerance {
-            at.stopped = StoppedBecause::Settled;
-            return Ok(at);
+            return Ok(at.ends(StoppedBecause::Settled));
         }
+    }
+}
+
+/// Damping after Nielsen's rule: the ratio of actual to predicted descent sets it, so that it
+/// moves smoothly instead of by factors of ten.
+struct Damping {
+    mu: Option<f64>,
+    growth: f64,
+}
+
+impl Default for Damping {
+    fn default() -> Self {
+        Self {
+            mu: None,
+            growth: 2.0,
+        }
+    }
+}
+
+impl Damping {
+    /// Damps more and more until a step descends; nothing if none does.
+    fn search(
+        &mut self,
+        physics: &SlowTensors,
+        prior: &Prior,
+        at: &Trial,
+        model: &Linearised,
+    ) -> Result<Option<Trial>, PinnError> {
+        let mut mu = self.mu.unwrap_or(FIRST_DAMPING * model.scale);
+        while mu < LAST_DAMPING * model.scale {
+            // No step: J^T J + mu I lost its definiteness to rounding.
+            if let Some(step) = model.step(mu) {
+                let next = Trial::of(physics, prior, moved(&at.parameters, &step))?;
+                let gain = (at.cost - next.cost) / model.predicted_descent(&step, mu);
+                // A NaN or infinite cost fails this too, and so is never accepted.
+                if gain > 0.0 && next.cost < at.cost {
+                    self.mu = Some(mu * (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0));
+                    self.growth = 2.0;
+                    return Ok(Some(next));
+                }
+            }
+            mu *= self.growth;
+            self.growth *= 2.0;
+        }
+        Ok(None)
     }
 }
 
@@ -110,28 +173,28 @@ fn moved(parameters: &Parameters, step: &DVector<f64>) -> Parameters {
     parameters.with_flat(&flat)
 }
 
-/// The residuals around one point: `e + J d`.
+/// The residuals around one point, `e + J d`, and the prior's pull.
 struct Linearised {
     /// J^T, one column per residual.
     transposed: DMatrix<f64>,
-    residuals: DVector<f64>,
-    /// J^T e.
+    /// Half the gradient of the cost: `J^T e + strength (theta - centre)`.
     gradient: DVector<f64>,
     /// J^T J, or J J^T where there are more parameters than residuals.
     product: DMatrix<f64>,
     wide: bool,
+    strength: f64,
     /// Largest diagonal entry of the product: the scale of the damping.
     scale: f64,
 }
 
 impl Linearised {
     /// `rows` is J, row by row.
-    fn new(rows: Vec<f64>, residuals: &[f64]) -> Self {
-        let parameters = rows.len() / residuals.len();
-        let transposed = DMatrix::from_vec(parameters, residuals.len(), rows);
-        let residuals = DVector::from_column_slice(residuals);
-        let gradient = &transposed * &residuals;
-        let wide = parameters > residuals.len();
+    fn new(rows: Vec<f64>, at: &Trial, prior: &Prior) -> Self {
+        let pull = prior.distance(&at.parameters) * prior.strength;
+        let (parameters, residuals) = (pull.len(), at.residuals.len());
+        let transposed = DMatrix::from_vec(parameters, residuals, rows);
+        let gradient = &transposed * DVector::from_column_slice(&at.residuals) + pull;
+        let wide = parameters > residuals;
         let across = transposed.transpose();
         let product = if wide {
             &across * &transposed
@@ -141,30 +204,31 @@ impl Linearised {
         let scale = product.diagonal().max().max(f64::MIN_POSITIVE);
         Self {
             transposed,
-            residuals,
             gradient,
             product,
             wide,
+            strength: prior.strength,
             scale,
         }
     }
 
-    /// The minimiser of `|e + J d|^2 + mu |d|^2`, or nothing if rounding forbids it.
+    /// The minimiser of the linearised cost plus `mu |d|^2`, or nothing if rounding forbids it.
     fn step(&self, mu: f64) -> Option<DVector<f64>> {
+        let ridge = self.strength + mu;
         let mut damped = self.product.clone();
         for k in 0..damped.nrows() {
-            damped[(k, k)] += mu;
+            damped[(k, k)] += ridge;
         }
         let factor = damped.cholesky()?;
-        // (J^T J + mu I)^-1 J^T = J^T (J J^T + mu I)^-1: the smaller system of the two.
-        Some(if self.wide {
-            -(&self.transposed * factor.solve(&self.residuals))
-        } else {
-            -factor.solve(&self.gradient)
-        })
+        if !self.wide {
+            return Some(-factor.solve(&self.gradient));
+        }
+        // (J^T J + a I)^-1 = (I - J^T (J J^T + a I)^-1 J) / a: the smaller system of the two.
+        let seen = factor.solve(&self.transposed.tr_mul(&self.gradient));
+        Some((&self.transposed * seen - &self.gradient) / ridge)
     }
 
-    /// `|e|^2 - |e + J d|^2`, which for this d equals `d^T (mu d - J^T e)`.
+    /// Descent of the linearised cost along `step`: for this step `d^T (mu d - gradient)`.
     fn predicted_descent(&self, step: &DVector<f64>, mu: f64) -> f64 {
         step.dot(&(step * mu - &self.gradient))
     }

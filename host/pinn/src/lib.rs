@@ -50,6 +50,8 @@ mod progress;
 mod result;
 mod rl_mlp;
 mod spline;
+#[cfg(test)]
+mod trial;
 mod vi_system;
 mod waveform;
 

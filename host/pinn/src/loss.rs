@@ -173,6 +173,27 @@ impl SlowTensors {
     }
 }
 
+/// Variance that white noise of the samples gives one residual e, `losses` being L_i1, L_i2
+/// and `r_l` a typical (R in ohm, L in H).
+///
+/// Noise of variance s^2 per sample reaches the mean in eq. (4) as that of a phasor known from
+/// N / K samples per slow time, 2 s^2 K / N; e carries sqrt(w_f / 2K), and current noise comes
+/// in times |Z|.
+pub(crate) fn noise_variance(
+    samples: &Normalised,
+    branch: &HarmonicBranch,
+    losses: (f64, f64),
+    w_f: f64,
+    r_l: [f64; OUTPUTS],
+) -> f64 {
+    let [r, l] = r_l.map(|s| s * samples.impedance_scale());
+    let z_squared = r * r + (samples.omega * l).powi(2);
+    let count = samples.len() as f64;
+    // The fit has taken this share of the noise into its coefficients.
+    let free = (1.0 - branch.basis.len() as f64 / count).max(0.1);
+    w_f / count * (losses.0 + z_squared * losses.1) / free
+}
+
 /// Scales to unit length and returns the length; a column without signal stays as it is.
 fn normalise(column: &mut [f64]) -> f64 {
     let length = column.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -189,4 +210,82 @@ fn project_out(direction: &[f64], column: &mut [f64]) -> f64 {
         *x -= part * d;
     }
     part
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl_mlp::RlMlp;
+    use crate::trial;
+    use crate::vi_system::DataSystem;
+
+    /// Eq. (4) as the paper writes it: the squared residual at every sample time.
+    fn direct_l_f(branch: &HarmonicBranch, samples: &Normalised, network: &Parameters) -> f64 {
+        let sum: f64 = (0..samples.len())
+            .map(|n| {
+                let tau_s = n as f64 * samples.dt_s;
+                let (r, l) = network.r_l_at(tau_s);
+                let mut residual = 0.0;
+                for (index, h) in branch.basis.harmonics.iter().enumerate() {
+                    let at = branch.phasors(tau_s, index);
+                    let r_h = at.v - (at.i * r + at.di * l) * samples.impedance_scale();
+                    let turn = Complex::from_polar(1.0, f64::from(*h) * samples.omega * tau_s);
+                    residual += (r_h * turn).re;
+                }
+                residual * residual
+            })
+            .sum();
+        sum / samples.len() as f64
+    }
+
+    #[test]
+    fn parseval_at_slow_times_equals_the_sum_over_all_samples() {
+        let (samples, network) = (trial::samples(), trial::network());
+        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
+            .fit()
+            .expect("separable");
+        let w_f = 5.0;
+        let times = slow_times_s(samples.duration_s(), 128);
+        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0, 1], w_f, times);
+        let backend = Backend::Flex;
+        let tensors = physics.on_device(&samples, &network, backend, &backend.device());
+        let (e, _) = tensors.evaluate(&network).expect("readable");
+        let slow = (e.iter().map(|e| e * e).sum::<f64>() + physics.floor) / w_f;
+        let direct = direct_l_f(&branch, &samples, &network);
+        assert!(
+            direct > 1e-4,
+            "the trial network is off, so there is a residual"
+        );
+        assert!(
+            (slow / direct - 1.0).abs() < 1e-3,
+            "{slow} against {direct}"
+        );
+    }
+
+    #[test]
+    fn the_constant_of_a_constant_load_is_that_load() {
+        let (samples, network) = (trial::samples(), trial::network());
+        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
+            .fit()
+            .expect("separable");
+        let times = slow_times_s(samples.duration_s(), 64);
+        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0], 5.0, times);
+        let [r, l] = physics.best_constant();
+        assert!((r * 4.0 / 4.0 - 1.0).abs() < 1e-4 && (l * 20.0 / 20.0 - 1.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_burn_module_and_the_plain_parameters_are_one_function() {
+        let (samples, network) = (trial::samples(), trial::network());
+        for backend in Backend::ALL {
+            let device = backend.device();
+            let module = RlMlp::from_parameters(&network, &device);
+            let features = network.embedding.features(3e-3, samples.f_mains_hz);
+            let row = matrix(features.to_vec(), [1, SlowEmbedding::WIDTH], &device);
+            let y = read(module.forward(row), backend).expect("readable");
+            let (r, l) = network.r_l_at(3e-3);
+            assert!((y[0] * network.r_scale_ohm - r).abs() < 1e-12);
+            assert!((y[1] * network.l_scale_h - l).abs() < 1e-17);
+        }
+    }
 }

@@ -99,10 +99,21 @@ impl Parameters {
                 layer
             })
             .collect();
-        if let Some(output) = self.layers.last_mut() {
-            output.biases = start.iter().map(|y| inverse_softplus(*y)).collect();
-        }
+        self.set_output_biases(start);
         self
+    }
+
+    /// The network of this shape whose outputs are the constant (R / r_scale, L / l_scale).
+    pub(crate) fn constant(&self, outputs: [f64; OUTPUTS]) -> Self {
+        let mut constant = self.with_flat(&vec![0.0; self.flat().len()]);
+        constant.set_output_biases(outputs);
+        constant
+    }
+
+    fn set_output_biases(&mut self, outputs: [f64; OUTPUTS]) {
+        if let Some(last) = self.layers.last_mut() {
+            last.biases = outputs.iter().map(|y| inverse_softplus(*y)).collect();
+        }
     }
 
     /// All weights and biases, layer by layer, each weights first.

@@ -89,8 +89,7 @@ impl<'a> Log<'a> {
             w_f: config.w_f,
             max_iterations: config.max_iterations,
             started: Instant::now(),
-            time_limit: Duration::try_from_secs_f64(config.time_limit_s)
-                .unwrap_or(Duration::MAX),
+            time_limit: Duration::try_from_secs_f64(config.time_limit_s).unwrap_or(Duration::MAX),
             report,
         }
     }

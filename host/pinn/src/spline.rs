@@ -71,11 +71,11 @@ impl CubicSpline {
         basis[0] = 1.0;
         for degree in 1..=D {
             let mut saved = 0.0;
-            for r in 0..degree {
+            for (r, value) in basis.iter_mut().enumerate().take(degree) {
                 let right = self.knot(span + r + 1);
                 let left = self.knot(span + 1 + r - degree);
-                let part = basis[r] / (right - left);
-                basis[r] = saved + (right - u) * part;
+                let part = *value / (right - left);
+                *value = saved + (right - u) * part;
                 saved = (u - left) * part;
             }
             basis[degree] = saved;
@@ -109,7 +109,9 @@ mod tests {
         let greville = |j: usize| (1..=3).map(|m| spline.knot(j + m)).sum::<f64>() / 3.0 / 9.0;
         for tau in times() {
             let local = spline.at(tau);
-            let line: f64 = (0..4).map(|m| local.values[m] * greville(local.first + m)).sum();
+            let line: f64 = (0..4)
+                .map(|m| local.values[m] * greville(local.first + m))
+                .sum();
             let slope: f64 = (0..4)
                 .map(|m| local.slopes_per_s[m] * greville(local.first + m))
                 .sum();

@@ -159,3 +159,66 @@ fn add_square(matrix: &mut Banded, weight: f64, row: &[(usize, f64)]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::loss::slow_times_s;
+    use crate::trial;
+
+    /// L_f by Parseval, eq. (4), for a constant normalised impedance.
+    fn l_f(branch: &HarmonicBranch, impedance: &[Impedance]) -> f64 {
+        let sum: f64 = impedance
+            .iter()
+            .flat_map(|z| (0..2).map(move |index| (z, branch.phasors(z.tau_s, index))))
+            .map(|(z, at)| 0.5 * (at.v - at.i * z.r - at.di * z.l).norm_sqr())
+            .sum();
+        sum / impedance.len() as f64
+    }
+
+    #[test]
+    fn a_smooth_window_is_reproduced_to_the_last_code() {
+        let samples = trial::samples();
+        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
+            .fit()
+            .expect("separable");
+        let (l_i1, l_i2) = branch.data_losses(&samples);
+        assert!(l_i1 < 1e-9 && l_i2 < 1e-9, "{l_i1} {l_i2}");
+    }
+
+    #[test]
+    fn the_joint_fit_is_a_minimum_of_the_whole_loss() {
+        let samples = trial::samples();
+        let system = DataSystem::assemble(&samples, trial::basis(&samples));
+        // A wrong load: physics and data pull apart, so neither term alone is at its minimum.
+        let scale = samples.impedance_scale();
+        let impedance: Vec<Impedance> = slow_times_s(samples.duration_s(), 64)
+            .into_iter()
+            .map(|tau_s| Impedance {
+                tau_s,
+                r: 4.4 * scale,
+                l: 21e-6 * scale,
+            })
+            .collect();
+        let weight = 5.0;
+        let total = |branch: &HarmonicBranch| {
+            let (l_i1, l_i2) = branch.data_losses(&samples);
+            weight * l_f(branch, &impedance) + l_i1 + l_i2
+        };
+        let joint = system
+            .fit_with_physics(&PhysicsTerm {
+                weight,
+                impedance: &impedance,
+                harmonics: &[0, 1],
+            })
+            .expect("positive definite");
+        let lowest = total(&joint);
+        assert!(lowest < 0.9 * total(&system.fit().expect("separable")));
+        for (at, step) in [(0, 1e-3), (17, -1e-3), (30, 1e-3), (41, -1e-3)] {
+            let (mut on_v, mut on_i) = (joint.clone(), joint.clone());
+            on_v.v[at] += step;
+            on_i.i[at] += step;
+            assert!(total(&on_v) > lowest && total(&on_i) > lowest);
+        }
+    }
+}

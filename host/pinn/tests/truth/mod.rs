@@ -16,10 +16,14 @@ pub struct Hob {
     pub crest_a: f64,
 }
 
-/// (order, amplitude relative to the fundamental, phase in rad): about 1/h^2, what a square wave
-/// drives through an inductance.
-const HARMONICS: [(f64, f64, f64); 4] =
-    [(1.0, 1.0, -1.1), (3.0, 0.1, 0.4), (5.0, 0.04, 0.9), (7.0, 0.02, 2.0)];
+/// (order, amplitude relative to the fundamental, phase in rad): about what a half-bridge drives
+/// through an inductance, with phases that keep the voltage within the ADC's 400 V.
+const HARMONICS: [(f64, f64, f64); 4] = [
+    (1.0, 1.0, -1.1),
+    (3.0, 0.07, -3.0),
+    (5.0, 0.025, 0.9),
+    (7.0, 0.012, 2.0),
+];
 
 impl Hob {
     /// 54 A at 45 kHz; a hob's current falls as the frequency moves away from resonance.
@@ -52,7 +56,10 @@ impl Hob {
     /// Voltage (V) and current (A) at `t_s` within the half-cycle, exactly.
     pub fn v_i(&self, t_s: f64) -> (f64, f64) {
         let mains = TAU * self.f_mains_hz;
-        let (a, slope) = (self.envelope_a(t_s), self.crest_a * mains * (mains * t_s).cos());
+        let (a, slope) = (
+            self.envelope_a(t_s),
+            self.crest_a * mains * (mains * t_s).cos(),
+        );
         let (mut i, mut di) = (0.0, 0.0);
         for (order, share, phase) in HARMONICS {
             let omega = TAU * self.f_sw_hz * order;

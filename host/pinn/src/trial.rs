@@ -1,0 +1,60 @@
+//! A small exact window and its parts, for the unit tests.
+
+use std::f64::consts::TAU;
+
+use crate::harmonic_branch::HarmonicBasis;
+use crate::parameters::Parameters;
+use crate::spline::CubicSpline;
+use crate::waveform::Normalised;
+use crate::{SlowEmbedding, Waveform};
+
+/// A half-cycle of a constant 4 ohm, 20 uH at 45 kHz, with a third harmonic.
+pub(crate) fn samples() -> Normalised {
+    let (f_sw_hz, f_mains_hz) = (45e3, 50.0);
+    let dt_s = 3.0 / (61.0 * f_sw_hz);
+    let mains = TAU * f_mains_hz;
+    let (mut v_volt, mut i_ampere) = (Vec::new(), Vec::new());
+    for n in 0..9150 {
+        let t = f64::from(n) * dt_s;
+        let (a, slope) = (40.0 * (mains * t).sin(), 40.0 * mains * (mains * t).cos());
+        let (mut i, mut di) = (0.0, 0.0);
+        for (h, share) in [(1.0, 1.0), (3.0, 0.08)] {
+            let omega = TAU * f_sw_hz * h;
+            let (sin, cos) = (omega * t + h).sin_cos();
+            i += share * a * cos;
+            di += share * (slope * cos - a * omega * sin);
+        }
+        v_volt.push(4.0 * i + 20e-6 * di);
+        i_ampere.push(i);
+    }
+    Waveform {
+        f_sw_hz,
+        f_mains_hz,
+        t0_s: 0.0,
+        dt_s,
+        v_volt: &v_volt,
+        i_ampere: &i_ampere,
+    }
+    .normalise()
+    .expect("a sound window")
+}
+
+pub(crate) fn basis(samples: &Normalised) -> HarmonicBasis {
+    HarmonicBasis {
+        spline: CubicSpline::new(16, samples.duration_s()),
+        harmonics: vec![1, 3],
+        omega: samples.omega,
+    }
+}
+
+/// An untrained network near 5 ohm, 25 uH: away from the truth, so that no residual vanishes.
+pub(crate) fn network() -> Parameters {
+    Parameters {
+        embedding: SlowEmbedding::MainsPhase,
+        f_mains_hz: 50.0,
+        r_scale_ohm: 4.0,
+        l_scale_h: 20e-6,
+        layers: Vec::new(),
+    }
+    .initial(&[5, 3], 11, [1.25, 1.25])
+}
