@@ -40,6 +40,7 @@ pub struct FieldLoad<const N: usize> {
     storage: Vec<f64>,
     /// 1/step to the next node.
     conductance: Vec<f64>,
+    sigma: f64,
     alpha: f64,
     saturating: f64,
     b_sat: f64,
@@ -133,6 +134,7 @@ impl<const N: usize> FieldLoad<N> {
                 .map(|c| 1.5 * sigma * c / dt_s)
                 .collect(),
             conductance: model.depth.step_m.iter().map(|d| 1.0 / d).collect(),
+            sigma,
             alpha: curve.alpha_a_per_m,
             saturating: curve.saturating,
             b_sat: curve.b_sat_t,
@@ -299,5 +301,92 @@ impl<const N: usize> FieldLoad<N> {
     /// Surface field of each ring at the last instant, in A/m.
     pub fn surface_h_a_per_m(&self) -> &[f64; N] {
         &self.h.now[0]
+    }
+
+    /// Heat developed in the load at the last instant, in watt: ∫ J²/σ.
+    pub fn loss_w(&self) -> f64 {
+        let nodes = self.h.now.len();
+        let mut sum = 0.0;
+        for j in 0..N {
+            let mut ring = 0.0;
+            for n in 0..nodes {
+                let below = if n + 1 < nodes {
+                    self.h.now[n + 1][j]
+                } else {
+                    0.0
+                };
+                let step = self.h.now[n][j] - below;
+                ring += step * step * self.conductance[n];
+            }
+            sum += self.w[j] * ring;
+        }
+        sum / self.sigma
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::Settings;
+    use super::*;
+
+    fn model() -> FieldModel {
+        FieldModel::new(&Settings::paper()).unwrap()
+    }
+
+    /// Current of 30 A amplitude at 45 kHz with a third harmonic, as a bridge gives.
+    fn current_a(k: usize) -> f64 {
+        let angle = 2.0 * core::f64::consts::PI * 45e3 * 20e-9 * k as f64;
+        30.0 * libm::sin(angle) + 4.0 * libm::sin(3.0 * angle)
+    }
+
+    #[test]
+    fn one_newton_step_is_enough() {
+        let mut once = FieldLoad::<16>::new(&model(), 20e-9).unwrap();
+        let mut twice = once.clone();
+        let (mut worst, mut peak) = (0.0f64, 0.0f64);
+        for k in 1..3000 {
+            let i = current_a(k);
+            let a = once.predict();
+            once.commit(i);
+            twice.predict();
+            let mut trial = twice.clone();
+            trial.commit(i);
+            let b = twice.predict_again(&trial);
+            twice.commit(i);
+            let (a, b) = (a.lambda0_wb + a.l_h * i, b.lambda0_wb + b.l_h * i);
+            worst = worst.max((a - b).abs());
+            peak = peak.max(b.abs());
+        }
+        println!("Newton remainder {:e} of the peak flux", worst / peak);
+        assert!(worst < 1e-5 * peak, "{:e}", worst / peak);
+    }
+
+    #[test]
+    fn heat_in_the_load_is_the_electric_power() {
+        // The second 10 000 steps of 20 ns: nine periods.
+        let mut load = FieldLoad::<16>::new(&model(), 20e-9).unwrap();
+        let (mut lambda, mut before) = (0.0, 0.0);
+        let (mut electric, mut heat) = (0.0, 0.0);
+        for k in 1..=20_000 {
+            let i = current_a(k);
+            let line = load.predict();
+            load.commit(i);
+            let new = line.lambda0_wb + line.l_h * i;
+            if k > 10_000 {
+                electric += i * (1.5 * new - 2.0 * lambda + 0.5 * before) / 20e-9;
+                heat += load.loss_w();
+            }
+            (before, lambda) = (lambda, new);
+        }
+        println!("electric {electric}, heat {heat}");
+        assert!((electric / heat - 1.0).abs() < 2e-3, "{electric} {heat}");
+    }
+
+    #[test]
+    fn a_model_with_another_ring_count_is_refused() {
+        let mut s = Settings::paper();
+        s.rings = 20;
+        let e = FieldLoad::<16>::new(&FieldModel::new(&s).unwrap(), 20e-9).unwrap_err();
+        assert!(e.to_string().contains("rings"));
     }
 }

@@ -134,3 +134,18 @@ impl Geometry {
         self.turns / (self.coil_thickness_m * (self.coil_outer_m - self.coil_inner_m))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn impossible_dimensions_are_refused_by_name() {
+        let mut g = Geometry::paper();
+        g.coil_inner_m = 0.2;
+        assert!(g.check().unwrap_err().to_string().contains("coil_inner_m"));
+        let mut g = Geometry::paper();
+        g.load_gap_m = f64::NAN;
+        assert!(g.check().unwrap_err().to_string().contains("load_gap_m"));
+    }
+}

@@ -118,57 +118,37 @@ fn surface_flux(
 
 #[cfg(test)]
 mod tests {
-    use super::super::geometry::Geometry;
-    use super::super::layered::{self, Shield};
     use super::super::material::Material;
     use super::super::model::Settings;
-    use super::super::tank::ImpressedCurrent;
     use super::*;
 
     #[test]
-    fn explore() {
-        let mut s = Settings::paper();
-        s.geometry.load_radius_m = 0.25;
-        s.geometry.ferrite_radius_m = 0.45;
-        s.rings = 48;
-        let wide = FieldModel::new(&s).unwrap();
-        for m in [
-            Material::PAPER,
-            Material::STAINLESS_304,
-            Material::ALUMINIUM,
-        ] {
-            s.material = m;
-            s.load_thickness_m = 10e-3;
-            let wide = FieldModel::new(&s).unwrap();
-            let a = impedance(&wide, 45e3, 0.0).unwrap();
-            let b = layered::impedance(&s.geometry, &m, Shield::Perfect, 45e3).unwrap();
-            let c = layered::impedance(&s.geometry, &m, Shield::Conductor(3.5e7), 45e3).unwrap();
-            println!("wide {a:?}\n exact {b:?}\n shield {c:?}");
-        }
-        println!("wide L0 {}", wide.gap.l0_h * 1e6);
-        let t = std::time::Instant::now();
-        let m = FieldModel::new(&Settings::paper()).unwrap();
-        println!("model {:?}, L0 {}", t.elapsed(), m.gap.l0_h * 1e6);
-        println!(
-            "bare {}",
-            super::super::gap::GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap() * 1e6
+    fn a_thick_linear_plate_has_the_skin_effects_surface_impedance() {
+        // ζ = A/H = µ δ (1 − j)/2.
+        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let (f_hz, mu) = (45e3, Material::PAPER.mu_initial_h_per_m());
+        let omega = 2.0 * core::f64::consts::PI * f_hz;
+        let column = Column::solve(&model, omega, &vec![mu; model.depth.nodes()]);
+        let expected = Complex::new(1.0, -1.0) * (mu * Material::PAPER.skin_depth_m(f_hz) / 2.0);
+        let error = (column.flux_per_h - expected).norm() / expected.norm();
+        assert!(error < 3e-3, "{error:e}");
+    }
+
+    #[test]
+    fn saturation_lowers_both_r_and_l() {
+        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let at = |i| impedance(&model, 45e3, i).unwrap();
+        let z: Vec<_> = [0.0, 1.0, 10.0, 40.0].map(at).into();
+        assert!(
+            z.windows(2)
+                .all(|p| p[1].r_ohm < p[0].r_ohm && p[1].l_h < p[0].l_h)
         );
-        for i in [0.0, 0.5, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0] {
-            let t = std::time::Instant::now();
-            let z = impedance(&m, 45e3, i).unwrap();
-            let f = 1.0 / (2.0 * core::f64::consts::PI * (z.l_h * 1080e-9).sqrt());
-            println!(
-                "{i} A: R {:.3} L {:.3} f_res {:.2} kHz  {:?}",
-                z.r_ohm,
-                z.l_h * 1e6,
-                f / 1e3,
-                t.elapsed()
-            );
-        }
-        for i in [0.5, 10.0, 40.0] {
-            let t = std::time::Instant::now();
-            let (r, l) = ImpressedCurrent::<16>::fundamental(&m, 45e3, i, 1111, 4).unwrap();
-            println!("time {i} A: R {r:.3} L {:.3}  {:?}", l * 1e6, t.elapsed());
-        }
+    }
+
+    #[test]
+    fn refuses_what_is_not_a_number() {
+        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let e = impedance(&model, f64::NAN, 1.0).unwrap_err();
+        assert!(e.to_string().contains("f_hz"), "{e}");
     }
 }

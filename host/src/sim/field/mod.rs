@@ -17,6 +17,7 @@
 //! Transcendental functions come from `libm`, sums run in a fixed order on one thread: results
 //! are the same to the last digit on every machine.
 
+pub mod approximation;
 pub mod depth;
 pub mod diffusion;
 pub mod error;
