@@ -1,3 +1,5 @@
 //! Host side of ihd: identifies an induction hob's load and teaches its controller.
 
+pub mod capture;
+pub mod link;
 pub mod sim;

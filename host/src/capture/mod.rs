@@ -1,0 +1,3 @@
+//! Recordings of what a device sent.
+
+pub mod frames;

@@ -1,0 +1,332 @@
+//! The host's end of the link: handshake, commands, events.
+
+use std::io;
+use std::time::Duration;
+
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
+use ihd_shared::wire::messages::{
+    ClearFault, GetStatus, Hello, Message, Outcome, PushLookup, Raw, ReadLookup, Reply, SetPower,
+    Status, Stream,
+};
+
+use super::incoming::{Answer, Event, Incoming};
+use super::{Counters, FrameSink, LinkError, Transport};
+
+/// How long a command waits for its answer unless told otherwise.
+pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How long the next command holds back after an answer stayed away, so that a late one is not
+/// taken for its own.
+const LATE: Duration = Duration::from_millis(50);
+
+/// Events that may wait for [`Client::next_event`] while commands are answered; a window takes
+/// 70 kB.
+const MAX_EVENTS: usize = 256;
+
+/// A device, connected and compatible.
+pub struct Client {
+    transport: Box<dyn Transport>,
+    incoming: Incoming,
+    hello: Hello,
+    frame_seq: u16,
+    timeout: Duration,
+    /// An answer stayed away and may still come.
+    owed: bool,
+    recording: Option<Recording>,
+    recording_failed: Option<io::Error>,
+    mid_frame: bool,
+    answers_stray: u32,
+    events_dropped: u32,
+}
+
+struct Recording {
+    sink: Box<dyn FrameSink>,
+    /// The rest of a frame whose beginning was not recorded is not recorded either.
+    in_step: bool,
+}
+
+impl Client {
+    /// Shakes hands with the device behind `transport`.
+    ///
+    /// # Errors
+    /// [`LinkError::Mismatch`] when the two do not fit, [`LinkError::NoAnswer`] when nothing says
+    /// hello, and what the transport says.
+    pub fn connect(transport: Box<dyn Transport>) -> Result<Self, LinkError> {
+        let build = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
+        let ours = ours(ROLE_HOST, 0, std::process::id(), build, "host");
+        let mut client = Self {
+            transport,
+            incoming: Incoming::default(),
+            hello: ours.clone(),
+            frame_seq: 0,
+            timeout: DEFAULT_TIMEOUT,
+            owed: false,
+            recording: None,
+            recording_failed: None,
+            mid_frame: false,
+            answers_stray: 0,
+            events_dropped: 0,
+        };
+        let theirs = client.ask(&ours, "Hello", |answer| match answer {
+            Answer::Hello(hello) => Some(hello),
+            _ => None,
+        })?;
+        check(&ours, &theirs).map_err(|why| LinkError::Mismatch {
+            device: format!("{} ({})", client.transport.describe(), theirs.build),
+            why,
+        })?;
+        // What came before the hello was for somebody else.
+        client.incoming.events.clear();
+        client.hello = theirs;
+        Ok(client)
+    }
+
+    /// What the device says of itself.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// The device in words.
+    pub fn describe(&self) -> String {
+        self.transport.describe()
+    }
+
+    /// Everything seen and missed so far.
+    pub fn counters(&self) -> Counters {
+        Counters {
+            answers_stray: self.answers_stray,
+            events_dropped: self.events_dropped,
+            ..self.incoming.counters()
+        }
+    }
+
+    /// How long a command waits for its answer, on the transport's clock.
+    pub fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+    }
+
+    /// Copies every frame from now on to `sink`.
+    pub fn record_to(&mut self, sink: impl FrameSink + 'static) {
+        self.recording = Some(Recording {
+            sink: Box::new(sink),
+            in_step: !self.mid_frame,
+        });
+    }
+
+    /// Asks for a mean power in watt; 0 switches off.
+    ///
+    /// # Errors
+    /// [`LinkError::Refused`] above the rating or while a fault is active, else as every command:
+    /// [`LinkError::NoAnswer`] or what the transport says.
+    pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
+        self.order(&SetPower { power_w }, "SetPower")
+    }
+
+    /// Chooses a telemetry and a window every so many half-cycles; 0 for none.
+    ///
+    /// # Errors
+    /// As every command.
+    pub fn stream(&mut self, telemetry_every: u8, windows_every: u8) -> Result<(), LinkError> {
+        let stream = Stream {
+            telemetry_every,
+            windows_every,
+        };
+        self.order(&stream, "Stream")
+    }
+
+    /// The controller now.
+    ///
+    /// # Errors
+    /// As every command.
+    pub fn status(&mut self) -> Result<Status, LinkError> {
+        self.ask(&GetStatus {}, "GetStatus", |answer| match answer {
+            Answer::Status(status) => Some(status),
+            _ => None,
+        })
+    }
+
+    /// Offers a lookup. Taken, it becomes active at the next half-cycle boundary, which
+    /// [`Client::status`] shows; refused, the device keeps the one it has.
+    ///
+    /// # Errors
+    /// [`LinkError::Refused`] with the device's reason, else as every command.
+    pub fn push_lookup(&mut self, lookup: &RlLookup) -> Result<(), LinkError> {
+        self.push_lookup_bytes(&lookup.to_bytes())
+    }
+
+    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges.
+    ///
+    /// # Errors
+    /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
+    pub fn push_lookup_bytes(&mut self, blob: &[u8]) -> Result<(), LinkError> {
+        self.order(&PushLookup { blob: Raw(blob) }, "PushLookup")
+    }
+
+    /// The active lookup.
+    ///
+    /// # Errors
+    /// [`LinkError::DamagedLookup`] when it fails the checks, else as every command.
+    pub fn read_lookup(&mut self) -> Result<RlLookup, LinkError> {
+        let blob = self.ask(&ReadLookup {}, "ReadLookup", |answer| match answer {
+            Answer::Lookup(blob) => Some(blob),
+            _ => None,
+        })?;
+        RlLookup::from_bytes(&blob).map_err(|source| LinkError::DamagedLookup {
+            device: self.describe(),
+            source,
+        })
+    }
+
+    /// Leaves the safe state after a fault; power must be asked for again.
+    ///
+    /// # Errors
+    /// As every command.
+    pub fn clear_fault(&mut self) -> Result<(), LinkError> {
+        self.order(&ClearFault {}, "ClearFault")
+    }
+
+    /// The next event, in the order the device sent them; `None` when `timeout` has passed on the
+    /// transport's clock. A zero `timeout` takes what is there.
+    ///
+    /// # Errors
+    /// [`LinkError::Recording`] once when the recording fails, and what the transport says.
+    pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
+        let deadline = self.transport.clock() + timeout;
+        loop {
+            if let Some(error) = self.recording_failed.take() {
+                return Err(LinkError::Recording(error));
+            }
+            if let Some(event) = self.incoming.events.pop_front() {
+                return Ok(Some(event));
+            }
+            let left = deadline.saturating_sub(self.transport.clock());
+            let received = self.receive(left)?;
+            if received == 0 && self.transport.clock() >= deadline {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// A command that is answered by a [`Reply`].
+    fn order<M: Message>(&mut self, message: &M, command: &'static str) -> Result<(), LinkError> {
+        self.ask(message, command, |answer| match answer {
+            Answer::Reply(Reply { to, .. }) if to == M::ID => Some(()),
+            _ => None,
+        })
+    }
+
+    fn ask<M: Message, T>(
+        &mut self,
+        message: &M,
+        command: &'static str,
+        wanted: impl Fn(Answer) -> Option<T>,
+    ) -> Result<T, LinkError> {
+        self.forget_answers()?;
+        let mut frame = [0; MAX_ENCODED];
+        let length = encode(message, self.frame_seq, &mut frame)
+            .map_err(|source| LinkError::Unsendable { command, source })?;
+        self.frame_seq = self.frame_seq.wrapping_add(1);
+        self.transport.send(&frame[..length])?;
+        let start = self.transport.clock();
+        // What was seen so far tells nothing about this command.
+        let before = self.incoming.counters();
+        loop {
+            while let Some(answer) = self.incoming.answers.pop_front() {
+                if let Answer::Reply(reply) = &answer
+                    && reply.to == M::ID
+                    && reply.outcome != Outcome::Ok
+                    // A device that refuses our hello says its own first, which tells why.
+                    && M::ID != Hello::ID
+                {
+                    return Err(LinkError::Refused {
+                        command,
+                        outcome: reply.outcome,
+                        detail: reply.detail,
+                    });
+                }
+                match wanted(answer) {
+                    Some(answer) => return Ok(answer),
+                    None => self.answers_stray = self.answers_stray.wrapping_add(1),
+                }
+            }
+            let waited = self.transport.clock().saturating_sub(start);
+            if waited >= self.timeout {
+                self.owed = true;
+                return Err(self.no_answer(command, &before));
+            }
+            self.receive(self.timeout - waited)?;
+        }
+    }
+
+    fn no_answer(&self, command: &'static str, before: &Counters) -> LinkError {
+        let now = self.incoming.counters();
+        let seen = match (
+            now.frames_good.wrapping_sub(before.frames_good),
+            now.bytes - before.bytes,
+        ) {
+            (0, 0) => "nothing came at all: is it powered and running?".into(),
+            (0, bytes) => format!("{bytes} bytes came, but no frame: is it an ihd device?"),
+            (frames, _) => format!("{frames} other frames came"),
+        };
+        LinkError::NoAnswer {
+            device: self.describe(),
+            command,
+            after: self.timeout,
+            seen,
+        }
+    }
+
+    /// Answers that come without a command, or after it was given up, are not the next one's.
+    fn forget_answers(&mut self) -> Result<(), LinkError> {
+        if self.owed {
+            self.owed = false;
+            let deadline = self.transport.clock() + LATE;
+            while self.transport.clock() < deadline {
+                self.receive(deadline.saturating_sub(self.transport.clock()))?;
+            }
+        }
+        let stray = self.incoming.answers.len() as u32;
+        self.answers_stray = self.answers_stray.wrapping_add(stray);
+        self.incoming.answers.clear();
+        Ok(())
+    }
+
+    /// Takes what comes within `timeout`; returns how many bytes it was.
+    fn receive(&mut self, timeout: Duration) -> Result<usize, LinkError> {
+        let mut buf = [0; 16 * 1024];
+        let length = self.transport.receive(&mut buf, timeout)?;
+        let bytes = &buf[..length];
+        for &byte in bytes {
+            // Bad frames are in the counters.
+            let _ = self.incoming.push(byte);
+        }
+        while self.incoming.events.len() > MAX_EVENTS {
+            self.incoming.events.pop_front();
+            self.events_dropped = self.events_dropped.wrapping_add(1);
+        }
+        self.record(bytes);
+        self.mid_frame = bytes.last().map_or(self.mid_frame, |&b| b != 0);
+        Ok(length)
+    }
+
+    fn record(&mut self, bytes: &[u8]) {
+        let Some(recording) = &mut self.recording else {
+            return;
+        };
+        let mut bytes = bytes;
+        if !recording.in_step {
+            let Some(end) = bytes.iter().position(|&b| b == 0) else {
+                return;
+            };
+            recording.in_step = true;
+            bytes = &bytes[end + 1..];
+        }
+        // A full disk must not cost the link: the next event tells it.
+        if let Err(error) = recording.sink.append(bytes) {
+            self.recording = None;
+            self.recording_failed = Some(error);
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! What goes wrong on the link, in words that say what to do.
+
+use std::io;
+use std::time::Duration;
+
+use ihd_shared::lookup::blob::BlobError;
+use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
+use ihd_shared::wire::frame::EncodeError;
+use ihd_shared::wire::hello::Mismatch;
+use ihd_shared::wire::messages::Outcome;
+
+/// Why a link could not be made or used.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// No connection.
+    #[error("cannot connect to {device}: {source}{hint}")]
+    Connect {
+        /// The device asked for.
+        device: String,
+        /// What to do about it; begins with "; " or is empty.
+        hint: String,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// A kind of device that this build cannot talk to yet.
+    #[error("{device}: {why}")]
+    Unavailable {
+        /// The device asked for.
+        device: String,
+        /// Why, and what to use instead.
+        why: &'static str,
+    },
+    /// The device ended the link.
+    #[error("{device} closed the link; connect again once it runs")]
+    Closed {
+        /// The device.
+        device: String,
+    },
+    /// The operating system refused to send or receive.
+    #[error("{device}: cannot {doing}: {source}")]
+    Io {
+        /// The device.
+        device: String,
+        /// "send" or "receive".
+        doing: &'static str,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// Device and host speak different protocols.
+    #[error("{device} does not fit this host: {why}")]
+    Mismatch {
+        /// The device, with its build where it told one.
+        device: String,
+        /// What differs.
+        why: Mismatch,
+    },
+    /// A command got no answer.
+    #[error("{device} did not answer {command} within {after:?}; {seen}")]
+    NoAnswer {
+        /// The device.
+        device: String,
+        /// Name of the command.
+        command: &'static str,
+        /// Time waited, on the transport's clock.
+        after: Duration,
+        /// What came instead.
+        seen: String,
+    },
+    /// The device answered no.
+    #[error("the device refused {command}: {}", outcome_text(*.outcome, *.detail))]
+    Refused {
+        /// Name of the command.
+        command: &'static str,
+        /// The device's answer.
+        outcome: Outcome,
+        /// See the outcome.
+        detail: u32,
+    },
+    /// The device's own lookup does not pass the checks it makes of others.
+    #[error("the lookup read from {device} is damaged: {source}")]
+    DamagedLookup {
+        /// The device.
+        device: String,
+        /// What is wrong with it.
+        source: BlobError,
+    },
+    /// A command does not fit a frame.
+    #[error("{command} cannot be sent: {source}")]
+    Unsendable {
+        /// Name of the command.
+        command: &'static str,
+        /// Why.
+        source: EncodeError,
+    },
+    /// The recording failed and was ended; the link itself goes on.
+    #[error("recording stopped, the link goes on: {0}")]
+    Recording(io::Error),
+}
+
+/// A device's answer in words. `detail` is the answer's detail, its meaning depends on the outcome.
+pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
+    match outcome {
+        Outcome::Ok => "done".into(),
+        Outcome::Malformed => "it could not decode the message".into(),
+        Outcome::UnknownMessage => "it does not know this message (older firmware?)".into(),
+        Outcome::NotPaired => {
+            "it has not accepted our hello: protocol versions differ, or it was reset; \
+             connect again"
+                .into()
+        }
+        Outcome::PowerOutOfRange => format!("more than its rating of {detail} W"),
+        Outcome::FaultActive => format!("fault {detail} is active; clear it first"),
+        Outcome::LookupLength => format!("a lookup has {detail} bytes"),
+        Outcome::LookupFormat => format!("it reads lookups of format {detail} only"),
+        Outcome::LookupCrc => "the lookup's CRC-32 does not match".into(),
+        Outcome::LookupStale => {
+            format!("not newer than version {detail}, which it keeps; raise the version")
+        }
+        Outcome::LookupRange => {
+            format!("{} is outside 0.02-15.9 ohm or 2-63.9 µH", cell(detail))
+        }
+        Outcome::LookupSlope => {
+            format!(
+                "{} differs from a neighbour by more than a factor 1.6",
+                cell(detail)
+            )
+        }
+        Outcome::LookupNotMonotone => format!(
+            "{} runs the wrong way with frequency or current by more than 4 %",
+            cell(detail)
+        ),
+        Outcome::Busy => "a lookup is already waiting for its half-cycle; try again".into(),
+    }
+}
+
+fn cell(index: u32) -> String {
+    let index = index as usize;
+    format!(
+        "lookup cell {index} ({:.1} kHz, {:.1} A)",
+        frequency_hz(index / CURRENTS) / 1e3,
+        current_a(index % CURRENTS)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_outcome_has_its_own_words() {
+        let texts: std::collections::BTreeSet<String> =
+            Outcome::ALL.iter().map(|&o| outcome_text(o, 7)).collect();
+        assert_eq!(texts.len(), Outcome::ALL.len());
+    }
+
+    #[test]
+    fn a_cell_is_told_by_its_frequency_and_current() {
+        let text = outcome_text(Outcome::LookupRange, 7 * 17 + 16);
+        assert!(text.contains("80.0 kHz, 80.0 A"), "{text}");
+    }
+}

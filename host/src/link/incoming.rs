@@ -1,0 +1,150 @@
+//! From bytes to answers and events: deframer, decoding, window assembler and their counts.
+
+use std::collections::VecDeque;
+
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::FrameError;
+use ihd_shared::wire::messages::{
+    AnyMessage, DecodeError, FaultEvent, Hello, Reply, Status, Telemetry,
+};
+
+use super::Counters;
+use super::window::{Assembler, Rejected, Window, WindowDefect};
+
+/// What a device says of its own accord.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// One half-cycle in numbers.
+    Telemetry(Telemetry),
+    /// A window, complete and checked.
+    Window(Box<Window>),
+    /// A fault tripped or was cleared.
+    Fault(FaultEvent),
+    /// A window arrived with a defect and was not used.
+    WindowRejected {
+        /// Its number.
+        seq: u32,
+        /// Why.
+        reason: WindowDefect,
+    },
+}
+
+/// What a device says to a command.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answer {
+    /// The device's hello.
+    Hello(Hello),
+    /// Outcome of a command.
+    Reply(Reply),
+    /// The controller now.
+    Status(Status),
+    /// The active lookup's bytes.
+    Lookup(Vec<u8>),
+}
+
+/// The receiving end of a link, or of a recording of one.
+#[derive(Default)]
+pub struct Incoming {
+    deframer: Deframer,
+    assembler: Assembler,
+    counters: Counters,
+    /// Events in the order of their last byte.
+    pub events: VecDeque<Event>,
+    /// Answers in the order of their last byte.
+    pub answers: VecDeque<Answer>,
+}
+
+impl Incoming {
+    /// What has been seen so far.
+    pub fn counters(&self) -> Counters {
+        let frames = self.deframer.counters();
+        Counters {
+            frames_good: frames.good,
+            frames_bad: frames.bad,
+            frames_lost: frames.lost,
+            window_messages_stray: self.assembler.stray(),
+            ..self.counters.clone()
+        }
+    }
+
+    /// Takes one byte; what it completes is found in `events` and `answers`.
+    ///
+    /// # Errors
+    /// [`FrameError`] when the byte ends a run that is no frame; it is counted, and the next frame
+    /// is found all the same.
+    pub fn push(&mut self, byte: u8) -> Result<(), FrameError> {
+        self.counters.bytes += 1;
+        let Some(frame) = self.deframer.push(byte) else {
+            return Ok(());
+        };
+        let frame = frame?;
+        let counters = &mut self.counters;
+        match AnyMessage::decode(frame.id, frame.payload) {
+            Ok(AnyMessage::Hello(m)) => self.answers.push_back(Answer::Hello(m)),
+            Ok(AnyMessage::Reply(m)) => self.answers.push_back(Answer::Reply(m)),
+            Ok(AnyMessage::Status(m)) => self.answers.push_back(Answer::Status(m)),
+            Ok(AnyMessage::LookupBlob(m)) => {
+                self.answers.push_back(Answer::Lookup(m.blob.0.to_vec()));
+            }
+            Ok(AnyMessage::Telemetry(m)) => {
+                counters.telemetry.see(m.seq, m.dropped);
+                counters.telemetry.received += 1;
+                self.events.push_back(Event::Telemetry(m));
+            }
+            Ok(AnyMessage::FaultEvent(m)) => self.events.push_back(Event::Fault(m)),
+            Ok(
+                ref m @ (AnyMessage::WindowStart(_)
+                | AnyMessage::WindowChunk(_)
+                | AnyMessage::TrackChunk(_)
+                | AnyMessage::WindowEnd(_)),
+            ) => {
+                if let AnyMessage::WindowStart(start) = m {
+                    counters.windows.see(start.seq, start.dropped);
+                }
+                let events = &mut self.events;
+                self.assembler
+                    .take(m, |result| events.push_back(window_event(result, counters)));
+            }
+            // What only a host sends has no business here.
+            Ok(
+                AnyMessage::SetPower(_)
+                | AnyMessage::Stream(_)
+                | AnyMessage::GetStatus(_)
+                | AnyMessage::PushLookup(_)
+                | AnyMessage::ReadLookup(_)
+                | AnyMessage::ClearFault(_),
+            )
+            | Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
+                counters.messages_malformed += 1;
+            }
+            Err(DecodeError::UnknownId { .. }) => counters.messages_unknown += 1,
+        }
+        Ok(())
+    }
+
+    /// The next frame begins a new sequence: nothing is missing before it.
+    pub fn restart_sequence(&mut self) {
+        self.deframer.restart_sequence();
+    }
+
+    /// The stream is over: a window under way is rejected.
+    pub fn finish(&mut self) {
+        if let Some(rejected) = self.assembler.finish() {
+            let event = window_event(Err(rejected), &mut self.counters);
+            self.events.push_back(event);
+        }
+    }
+}
+
+fn window_event(result: Result<Box<Window>, Rejected>, counters: &mut Counters) -> Event {
+    match result {
+        Ok(window) => {
+            counters.windows.received += 1;
+            Event::Window(window)
+        }
+        Err(Rejected { seq, reason }) => {
+            *counters.windows_rejected.entry(reason.label()).or_default() += 1;
+            Event::WindowRejected { seq, reason }
+        }
+    }
+}
