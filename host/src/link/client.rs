@@ -202,8 +202,7 @@ impl Client {
                 return Ok(Some(event));
             }
             let left = deadline.saturating_sub(self.transport.clock());
-            let received = self.receive(left)?;
-            if received == 0 && self.transport.clock() >= deadline {
+            if self.receive(left)? == 0 {
                 return Ok(None);
             }
         }
@@ -252,11 +251,11 @@ impl Client {
                 }
             }
             let waited = self.transport.clock().saturating_sub(start);
-            if waited >= self.timeout {
+            let left = self.timeout.saturating_sub(waited);
+            if left.is_zero() || self.receive(left)? == 0 {
                 self.owed = true;
                 return Err(self.no_answer(command, &before));
             }
-            self.receive(self.timeout - waited)?;
         }
     }
 
@@ -283,8 +282,11 @@ impl Client {
         if self.owed {
             self.owed = false;
             let deadline = self.transport.clock() + LATE;
-            while self.transport.clock() < deadline {
-                self.receive(deadline.saturating_sub(self.transport.clock()))?;
+            loop {
+                let left = deadline.saturating_sub(self.transport.clock());
+                if left.is_zero() || self.receive(left)? == 0 {
+                    break;
+                }
             }
         }
         let stray = self.incoming.answers.len() as u32;

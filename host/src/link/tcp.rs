@@ -80,17 +80,21 @@ impl Transport for TcpTransport {
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
         // Zero would mean "for ever" to the socket.
         let timeout = timeout.max(Duration::from_micros(1));
-        let read = self
-            .stream
-            .set_read_timeout(Some(timeout))
-            .and_then(|()| self.stream.read(buf));
+        let read = self.stream.set_read_timeout(Some(timeout)).and_then(|()| {
+            loop {
+                match self.stream.read(buf) {
+                    Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                    read => return read,
+                }
+            }
+        });
         match read {
             Ok(0) if !buf.is_empty() => Err(LinkError::Closed {
                 device: self.device.clone(),
             }),
             Ok(n) => Ok(n),
             Err(e) => match e.kind() {
-                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => Ok(0),
+                ErrorKind::WouldBlock | ErrorKind::TimedOut => Ok(0),
                 _ => Err(self.failed("receive", e)),
             },
         }
