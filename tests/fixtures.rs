@@ -1,1 +1,5 @@
-//! Fixtures.
+//! Fixtures: recorded half-cycles with known truth, and the f64 oracles that tests compare with.
+
+pub mod desk_hob;
+pub mod half_cycle;
+pub mod oracle;

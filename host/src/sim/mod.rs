@@ -1,3 +1,18 @@
-//! The simulated hob: loads with known truth, the power stage, the sensing chain.
+//! The simulated hob: loads with known truth, the power stage, the sensing chain, and the
+//! firmware lib itself as its controller.
+//!
+//! ```text
+//! mains ─► half-bridge ─► C_r, load ─► ADC ─► firmware ─► link
+//!              ▲            (truth)              │
+//!              └───────────── drive ◄────────────┘
+//! ```
 
+pub mod adc;
+pub mod behavioural;
+pub mod circuit;
 pub mod field;
+pub mod hob;
+pub mod mains;
+pub mod plant;
+pub mod transport;
+pub mod truth;

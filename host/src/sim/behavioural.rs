@@ -1,0 +1,149 @@
+//! Behavioural loads: R and L as a closed law of current amplitude and frequency.
+//!
+//! With these the paper's equation (1), v = R i + L di/dt, holds exactly, so they are truth (a) of
+//! the project's studies. Numbers: design notes, sections 6 and 7.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// What stands on the coil.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum PotKind {
+    /// Full-size ferromagnetic pot: truth (a).
+    #[default]
+    Ferromagnetic,
+    /// Ferromagnetic pot of 12 cm.
+    Small,
+    /// Aluminium pan.
+    Aluminium,
+    /// Austenitic stainless steel 304.
+    Stainless,
+    /// Nothing.
+    None,
+}
+
+/// Frequency at which the laws below are stated, in hertz.
+const REFERENCE_HZ: f64 = 45e3;
+
+impl PotKind {
+    /// Every kind, for lists and tests.
+    pub const ALL: [Self; 5] = [
+        Self::Ferromagnetic,
+        Self::Small,
+        Self::Aluminium,
+        Self::Stainless,
+        Self::None,
+    ];
+
+    /// The name used on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ferromagnetic => "ferromagnetic",
+            Self::Small => "small",
+            Self::Aluminium => "aluminium",
+            Self::Stainless => "stainless",
+            Self::None => "none",
+        }
+    }
+}
+
+impl fmt::Display for PotKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for PotKind {
+    type Err = UnknownPot;
+
+    fn from_str(s: &str) -> Result<Self, UnknownPot> {
+        Self::ALL
+            .into_iter()
+            .find(|p| p.name() == s)
+            .ok_or_else(|| UnknownPot(s.to_owned()))
+    }
+}
+
+/// A pot name that does not exist.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("unknown pot `{0}`: use ferromagnetic, small, aluminium, stainless or none")]
+pub struct UnknownPot(pub String);
+
+/// A load at one frequency, ready to be evaluated at every sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Load {
+    pot: PotKind,
+    r_factor: f64,
+    l_factor: f64,
+}
+
+impl Load {
+    /// The load of a pot at a switching frequency in hertz.
+    ///
+    /// R ∝ f^½ by the skin effect; the part of L that is in magnetic material ∝ f^−0.3, the gap's
+    /// part constant.
+    pub fn new(pot: PotKind, f_sw_hz: f64) -> Self {
+        let x = f_sw_hz / REFERENCE_HZ;
+        Self {
+            pot,
+            r_factor: libm::sqrt(x),
+            l_factor: libm::pow(x, -0.3),
+        }
+    }
+
+    /// R in ohm and L in henry at an amplitude of the current's fundamental in ampere.
+    ///
+    /// Ferromagnetic: R = (2.2 + 3.5/(1 + I/15))·(f/45k)^½ ohm,
+    /// L = 16 + (1 + 15/(1 + (I/14)^1.5))·(f/45k)^−0.3 µH (design notes, section 6).
+    pub fn r_l(&self, i_a: f64) -> (f64, f64) {
+        let (r, gap_uh, material_uh) = match self.pot {
+            PotKind::Ferromagnetic => {
+                let y = i_a / 14.0;
+                (
+                    2.2 + 3.5 / (1.0 + i_a / 15.0),
+                    16.0,
+                    1.0 + 15.0 / (1.0 + y * libm::sqrt(y)),
+                )
+            }
+            PotKind::Small => (
+                0.75 + 0.75 / (1.0 + i_a / 8.0),
+                40.0,
+                8.0 + 4.0 / (1.0 + i_a / 15.0),
+            ),
+            PotKind::Aluminium => (0.22, 17.0, 0.0),
+            PotKind::Stainless => (0.76, 18.0, 0.0),
+            PotKind::None => (0.1, 70.0, 0.0),
+        };
+        (
+            r * self.r_factor,
+            (gap_uh + material_uh * self.l_factor) * 1e-6,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn truth_a_has_the_values_of_the_design() {
+        let load = Load::new(PotKind::Ferromagnetic, 45e3);
+        let (r0, l0) = load.r_l(0.0);
+        assert!((r0 - 5.7).abs() < 1e-12 && (l0 - 32e-6).abs() < 1e-15);
+        let (r, l) = load.r_l(14.0);
+        assert!((r - (2.2 + 3.5 / (1.0 + 14.0 / 15.0))).abs() < 1e-12);
+        assert!((l - 24.5e-6).abs() < 1e-15);
+        let (r4, l4) = Load::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
+        assert!((r4 / r0 - 2.0).abs() < 1e-12);
+        assert!((l4 - (16.0 + 16.0 * 4f64.powf(-0.3)) * 1e-6).abs() < 1e-15);
+    }
+
+    #[test]
+    fn names_round_trip_and_unknown_ones_are_refused() {
+        for pot in PotKind::ALL {
+            assert_eq!(pot.name().parse(), Ok(pot));
+        }
+        let refused = "copper".parse::<PotKind>().unwrap_err();
+        assert!(refused.to_string().contains("aluminium"));
+    }
+}

@@ -1,0 +1,59 @@
+//! Makes tests/fixtures/half_cycle: `cargo run -p ihd-tests --example make_fixtures`.
+//!
+//! Truth (a), 50 Hz mains, the second half-cycle after switching on at a fixed frequency, 12 bit,
+//! 61/3; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
+//! (seed 7).
+
+use ihd::sim::adc::{Adc, Noise};
+use ihd::sim::behavioural::PotKind;
+use ihd::sim::mains::Mains;
+use ihd::sim::plant::Plant;
+use ihd_firmware::realtime::Drive;
+use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
+use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
+
+/// Points of the kept truth: every 40th sample.
+const TRUTH_EVERY: usize = 40;
+
+fn record(f_sw_hz: u32, noise: Noise) -> HalfCycle {
+    let mains = Mains::new(50.0);
+    let half_s = mains.half_cycle_s();
+    let mut plant = Plant::new(mains, PotKind::Ferromagnetic, Adc::new(noise, 7));
+    plant.set_drive(Drive { f_sw_hz, on: true });
+    let (mut pairs, mut truth): (Vec<Pair>, _) = (Vec::new(), Vec::new());
+    while plant.t_s() < 2.0 * half_s {
+        // The window begins with the first whole block after the crossing at 10 ms.
+        let inside = plant.t_s() >= half_s - 1e-9;
+        let mut samples = 0;
+        let block = plant.block(|p| {
+            if inside && samples % TRUTH_EVERY == 0 {
+                truth.push((p.t_s - half_s, p.r_ohm, p.l_h));
+            }
+            samples += 1;
+        });
+        if inside {
+            pairs.extend(block);
+        }
+    }
+    HalfCycle {
+        f_sw_hz,
+        pairs,
+        truth,
+    }
+}
+
+fn main() -> std::io::Result<()> {
+    for f_sw_hz in F_SW_HZ {
+        let clean = record(f_sw_hz, Noise::default());
+        let rms = |value: fn(&Pair) -> f64| {
+            let sum: f64 = clean.pairs.iter().map(|p| value(p).powi(2)).sum();
+            (sum / clean.pairs.len() as f64).sqrt()
+        };
+        let v_rms = rms(|p| f64::from(p.v) * VOLT_PER_CODE);
+        let i_rms = rms(|p| f64::from(p.i) * AMPERE_PER_CODE);
+        println!("{f_sw_hz} Hz: v_rms {v_rms:.1} V, i_rms {i_rms:.2} A");
+        clean.save("noiseless")?;
+        record(f_sw_hz, Noise::from_snr_db(30.0, v_rms, i_rms)).save("snr30")?;
+    }
+    Ok(())
+}
