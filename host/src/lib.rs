@@ -2,4 +2,5 @@
 
 pub mod capture;
 pub mod link;
+pub mod lookup;
 pub mod sim;

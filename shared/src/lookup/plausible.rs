@@ -2,7 +2,8 @@
 //!
 //! With frequency the skin depth falls, so R rises and L falls. With current a ferromagnetic load
 //! saturates, so both fall. Measured tables are noisy, so a little of the wrong way is allowed;
-//! slopes are bounded so that one bad cell cannot make the power control jump.
+//! slopes are bounded so that one bad cell cannot make the power control jump. Where an observed
+//! cell meets one that keeps the prior, the two may disagree about the pot: only the slope counts.
 
 use core::fmt;
 
@@ -82,13 +83,24 @@ pub fn check(lookup: &RlLookup) -> Result<(), Implausible> {
         for i in 0..CURRENTS {
             let cell = (f * CURRENTS + i) as u16;
             let (r, l) = (lookup.r[f][i], lookup.l[f][i]);
+            let seam = |f2, i2| lookup.is_observed(f, i) != lookup.is_observed(f2, i2);
             if i + 1 < CURRENTS {
-                step(r, lookup.r[f][i + 1], Trend::Falls, cell)?;
-                step(l, lookup.l[f][i + 1], Trend::Falls, cell)?;
+                let falls = if seam(f, i + 1) {
+                    Trend::Seam
+                } else {
+                    Trend::Falls
+                };
+                step(r, lookup.r[f][i + 1], falls, cell)?;
+                step(l, lookup.l[f][i + 1], falls, cell)?;
             }
             if f + 1 < FREQUENCIES {
-                step(r, lookup.r[f + 1][i], Trend::Rises, cell)?;
-                step(l, lookup.l[f + 1][i], Trend::Falls, cell)?;
+                let (rises, falls) = if seam(f + 1, i) {
+                    (Trend::Seam, Trend::Seam)
+                } else {
+                    (Trend::Rises, Trend::Falls)
+                };
+                step(r, lookup.r[f + 1][i], rises, cell)?;
+                step(l, lookup.l[f + 1][i], falls, cell)?;
             }
         }
     }
@@ -99,6 +111,8 @@ pub fn check(lookup: &RlLookup) -> Result<(), Implausible> {
 enum Trend {
     Rises,
     Falls,
+    /// Between an observed cell and one that keeps the prior: either way, only not too far.
+    Seam,
 }
 
 fn step(from: u16, to: u16, trend: Trend, cell: u16) -> Result<(), Implausible> {
@@ -109,6 +123,7 @@ fn step(from: u16, to: u16, trend: Trend, cell: u16) -> Result<(), Implausible> 
     let wrong_way = match trend {
         Trend::Rises => to < from,
         Trend::Falls => to > from,
+        Trend::Seam => false,
     };
     if wrong_way && high << 10 > low * WRONG_WAY_Q10 {
         return Err(Implausible::NotMonotone { cell });
