@@ -1,0 +1,232 @@
+//! A controller on a desk: the real firmware, fed with computed blocks, behind an in-memory link
+//! that can damage what passes.
+//!
+//! The load is one constant R and L, so a current follows from the drive in closed form; what is
+//! tested here is the link, not the physics. Time passes only while somebody waits for bytes.
+
+use std::collections::VecDeque;
+use std::f64::consts::{PI, TAU};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use ihd::link::{LinkError, Transport};
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::realtime::{Block, Drive, RealTime};
+use ihd_shared::sampling::{
+    ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, block_ns,
+};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::frame::MAX_ENCODED;
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::Hello;
+
+/// Half-cycle of the desk's mains, in nanoseconds.
+pub const HALF_CYCLE_NS: u64 = 10_000_000;
+
+const BUS_PEAK_V: f64 = 325.0;
+const LOAD_L_H: f64 = 26e-6;
+const C_F: f64 = 1080e-9;
+
+/// What the link does to a frame on its way to the host: the bytes that arrive.
+pub type Mangle = Box<dyn FnMut(&[u8]) -> Vec<u8> + Send>;
+
+/// Firmware, load and the device's end of the link.
+pub struct DeskHob {
+    housekeeping: Housekeeping,
+    realtime: Box<RealTime>,
+    time_ns: u64,
+    /// R of the load at 45 kHz, in ohm; 0 for no pot: no current flows.
+    pub load_ohm: f64,
+    /// Every so many blocks, one voltage sample stands at the end of the ADC's range; 0 for never.
+    pub clip_every: u32,
+    blocks: u32,
+    /// Bytes the link carries per block; what is more waits in the device.
+    pub bytes_per_block: usize,
+    /// What the link does to each frame towards the host.
+    pub mangle: Mangle,
+    to_device: VecDeque<u8>,
+    to_host: VecDeque<u8>,
+}
+
+/// The hello of a desk device.
+pub fn desk_hello() -> Hello {
+    ours(ROLE_DEVICE, CAP_SIMULATED, 7, "desk 0.0.0", "desk")
+}
+
+impl DeskHob {
+    /// A pot stands on the coil, the link is fast and whole.
+    pub fn new(hello: Hello) -> Self {
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+        Self {
+            housekeeping: Housekeeping::new(hello),
+            realtime: Box::new(RealTime::new(r, l)),
+            time_ns: 0,
+            load_ohm: 4.5,
+            clip_every: 0,
+            blocks: 0,
+            bytes_per_block: usize::MAX,
+            mangle: Box::new(<[u8]>::to_vec),
+            to_device: VecDeque::new(),
+            to_host: VecDeque::new(),
+        }
+    }
+
+    /// The firmware below the sampling path.
+    pub fn housekeeping(&self) -> &Housekeeping {
+        &self.housekeeping
+    }
+
+    /// Time since boot, in nanoseconds.
+    pub fn time_ns(&self) -> u64 {
+        self.time_ns
+    }
+
+    /// Bytes for the device, as they come.
+    pub fn offer(&mut self, bytes: &[u8]) {
+        self.to_device.extend(bytes);
+        self.exchange();
+    }
+
+    /// What has arrived at the host.
+    pub fn collect(&mut self) -> Vec<u8> {
+        self.to_host.drain(..).collect()
+    }
+
+    /// Lets time pass.
+    pub fn run(&mut self, half_cycles: u64) {
+        let end = self.time_ns + half_cycles * HALF_CYCLE_NS;
+        while self.time_ns < end {
+            self.step();
+        }
+    }
+
+    /// One block of samples, then the link.
+    pub fn step(&mut self) {
+        let drive = self.realtime.drive();
+        let duration = u64::from(block_ns(drive.f_sw_hz));
+        let pairs = self.pairs(drive);
+        let next_crossing = (self.time_ns / HALF_CYCLE_NS + 1) * HALF_CYCLE_NS;
+        let zero_crossing = (next_crossing <= self.time_ns + duration)
+            .then(|| ((next_crossing - self.time_ns) * ADC_LOCK_P as u64).div_ceil(duration) as u8);
+        let block = Block {
+            pairs: &pairs,
+            zero_crossing,
+            bus_dv: (BUS_PEAK_V * self.envelope() * 10.0) as u16,
+            lost: 0,
+        };
+        self.realtime.on_block(&block);
+        self.time_ns += duration;
+        self.blocks += 1;
+        self.housekeeping.poll(&mut *self.realtime);
+        self.exchange();
+    }
+
+    fn envelope(&self) -> f64 {
+        (PI * self.time_ns as f64 / HALF_CYCLE_NS as f64)
+            .sin()
+            .abs()
+    }
+
+    /// Steady alternating current at the switching frequency: I = V1 / |Z|, V = (R + jωL) I.
+    fn pairs(&self, drive: Drive) -> [Pair; ADC_LOCK_P] {
+        if !drive.on || self.load_ohm == 0.0 {
+            return [Pair::default(); ADC_LOCK_P];
+        }
+        let f = f64::from(drive.f_sw_hz);
+        let (r, x) = (self.load_ohm * (f / 45e3).sqrt(), TAU * f * LOAD_L_H);
+        let v1 = 2.0 / PI * BUS_PEAK_V * self.envelope();
+        let i = v1 / r.hypot(x - (TAU * f * C_F).recip());
+        let (v, lead) = (i * r.hypot(x), x.atan2(r));
+        let clipped = self.clip_every > 0 && self.blocks.is_multiple_of(self.clip_every);
+        std::array::from_fn(|n| {
+            let turns = n as f64 * f64::from(ADC_LOCK_Q) / ADC_LOCK_P as f64;
+            let code = |x: f64, per_code: f64| (x / per_code).round() as i16;
+            Pair {
+                v: if n == 0 && clipped {
+                    CODE_MAX
+                } else {
+                    code(v * (TAU * turns + lead).cos(), VOLT_PER_CODE)
+                },
+                i: code(i * (TAU * turns).cos(), AMPERE_PER_CODE),
+            }
+        })
+    }
+
+    fn exchange(&mut self) {
+        let offered = self.to_device.make_contiguous();
+        let taken = self.housekeeping.receive(&mut *self.realtime, offered);
+        self.to_device.drain(..taken);
+        let mut frame = [0; MAX_ENCODED];
+        let mut carried = 0;
+        while carried < self.bytes_per_block {
+            let length = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            if length == 0 {
+                break;
+            }
+            carried += length;
+            self.to_host.extend((self.mangle)(&frame[..length]));
+        }
+    }
+}
+
+/// The host's end of the desk's link, and a handle on what is behind it.
+#[derive(Clone)]
+pub struct DeskLink {
+    hob: Arc<Mutex<DeskHob>>,
+    /// Garbage that arrives at the device before each of the host's frames, in turn.
+    noise: VecDeque<Vec<u8>>,
+}
+
+impl DeskLink {
+    /// A link to a device.
+    pub fn new(hob: DeskHob) -> Self {
+        Self {
+            hob: Arc::new(Mutex::new(hob)),
+            noise: VecDeque::new(),
+        }
+    }
+
+    /// As [`DeskLink::new`], with garbage before each of the host's frames.
+    pub fn noisy(hob: DeskHob, noise: Vec<Vec<u8>>) -> Self {
+        Self {
+            noise: noise.into(),
+            ..Self::new(hob)
+        }
+    }
+
+    /// What is behind the link.
+    pub fn hob(&self) -> MutexGuard<'_, DeskHob> {
+        self.hob.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Transport for DeskLink {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let noise = self.noise.pop_front().unwrap_or_default();
+        let mut hob = self.hob();
+        hob.offer(&noise);
+        hob.offer(bytes);
+        Ok(())
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        let mut hob = self.hob();
+        let deadline = u128::from(hob.time_ns) + timeout.as_nanos();
+        while hob.to_host.is_empty() && u128::from(hob.time_ns) < deadline {
+            hob.step();
+        }
+        let length = buf.len().min(hob.to_host.len());
+        for (slot, byte) in buf.iter_mut().zip(hob.to_host.drain(..length)) {
+            *slot = byte;
+        }
+        Ok(length)
+    }
+
+    fn describe(&self) -> String {
+        "desk".to_owned()
+    }
+
+    fn clock(&self) -> Duration {
+        Duration::from_nanos(self.hob().time_ns)
+    }
+}
