@@ -7,6 +7,9 @@ pub struct Mains {
     pub frequency_hz: f64,
     /// Peak of the bus voltage in volt.
     pub peak_v: f64,
+    /// Distortion: third, fifth and seventh harmonic as a share of the fundamental, in phase at
+    /// the zero crossing. A positive third or a negative fifth flattens the top.
+    pub harmonics: [f64; 3],
 }
 
 impl Mains {
@@ -15,6 +18,7 @@ impl Mains {
         Self {
             frequency_hz,
             peak_v: ihd_shared::hob::BUS_PEAK_V,
+            harmonics: [0.0; 3],
         }
     }
 
@@ -25,6 +29,13 @@ impl Mains {
 
     /// Bus voltage at a time after a zero crossing, in volt.
     pub fn bus_v(&self, t_s: f64) -> f64 {
-        self.peak_v * libm::fabs(libm::sin(std::f64::consts::TAU * self.frequency_hz * t_s))
+        let angle = std::f64::consts::TAU * self.frequency_hz * t_s;
+        let mut v = libm::sin(angle);
+        if self.harmonics != [0.0; 3] {
+            for (share, order) in self.harmonics.into_iter().zip([3.0, 5.0, 7.0]) {
+                v += share * libm::sin(order * angle);
+            }
+        }
+        self.peak_v * libm::fabs(v)
     }
 }

@@ -163,6 +163,17 @@ impl<const N: usize> FieldLoad<N> {
         })
     }
 
+    /// Changes the time step, in second; the next step takes the old instants as if they had been
+    /// this far apart. For steps within a percent of each other, as a change of the switching
+    /// frequency makes them.
+    pub fn set_dt(&mut self, dt_s: f64) -> Result<(), FieldError> {
+        super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
+        let ratio = dt_s / (self.dt_over_sigma * 1.5 * self.sigma);
+        self.storage.iter_mut().for_each(|s| *s /= ratio);
+        self.dt_over_sigma *= ratio;
+        Ok(())
+    }
+
     /// Relation between flux linkage and current at the next instant.
     pub fn predict(&mut self) -> FluxLine {
         self.arch.dispatch(Predict(self))

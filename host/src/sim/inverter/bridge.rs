@@ -1,0 +1,163 @@
+//! The half-bridge's output node: gates, dead time, edges.
+
+use super::InverterError;
+
+/// Node voltage as a share of the bus, 0 to 1.
+///
+/// In a period of T: upper gate on from the dead time to T/2, lower gate from T/2 + dead time to
+/// T. With both off, the coil current moves the node: out of the node (positive) pulls it to 0,
+/// into it lifts it to 1; without current it stays until the next gate switches hard. Every move
+/// is a linear edge of the given duration (paper: 0.2 µs). A current too small to finish its edge
+/// within the dead time is not modelled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HalfBridge {
+    dead_s: f64,
+    edge_s: f64,
+    level: f64,
+}
+
+impl HalfBridge {
+    /// A bridge at rest, low. Durations in seconds: dead time 0 to 2 µs, edge 10 ns to 2 µs.
+    pub fn new(dead_s: f64, edge_s: f64) -> Result<Self, InverterError> {
+        super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
+        super::in_range("edge_s", edge_s, 10e-9, 2e-6, "10 ns to 2 µs")?;
+        Ok(Self {
+            dead_s,
+            edge_s,
+            level: 0.0,
+        })
+    }
+
+    /// Share of the bus now.
+    pub fn level(&self) -> f64 {
+        self.level
+    }
+
+    /// Moves from `from_s` to `to_s` after the start of a period of `period_s` with coil current
+    /// `i_a`; returns the mean level on the way. Off means: lower switch on.
+    pub fn advance(&mut self, on: bool, period_s: f64, from_s: f64, to_s: f64, i_a: f64) -> f64 {
+        let half_s = 0.5 * period_s;
+        let changes = [self.dead_s, half_s, half_s + self.dead_s, f64::INFINITY];
+        let mut at_s = from_s;
+        let mut sum = 0.0;
+        for change_s in changes {
+            let end_s = change_s.min(to_s);
+            if end_s <= at_s {
+                continue;
+            }
+            let middle_s = 0.5 * (at_s + end_s);
+            let target = if !on {
+                Some(0.0)
+            } else if middle_s < self.dead_s || (half_s..half_s + self.dead_s).contains(&middle_s) {
+                match i_a {
+                    i if i > 0.0 => Some(0.0),
+                    i if i < 0.0 => Some(1.0),
+                    _ => None,
+                }
+            } else if middle_s < half_s {
+                Some(1.0)
+            } else {
+                Some(0.0)
+            };
+            sum += self.ramp(target.unwrap_or(self.level), end_s - at_s);
+            at_s = end_s;
+        }
+        sum / (to_s - from_s)
+    }
+
+    /// Moves towards `target` for a duration; returns the integral of the level.
+    fn ramp(&mut self, target: f64, duration_s: f64) -> f64 {
+        let distance = target - self.level;
+        let moving_s = (distance.abs() * self.edge_s).min(duration_s);
+        let end = if moving_s < duration_s {
+            target
+        } else {
+            self.level + distance.signum() * moving_s / self.edge_s
+        };
+        let integral = 0.5 * (self.level + end) * moving_s + end * (duration_s - moving_s);
+        self.level = end;
+        integral
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const T: f64 = 20e-6;
+
+    /// Levels at the ends of 20 ns steps over one period, and their mean.
+    fn period(bridge: &mut HalfBridge, current_a: impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
+        let mut mean = 0.0;
+        let levels = (0..1000)
+            .map(|n| {
+                let (from, to) = (n as f64 * 20e-9, (n + 1) as f64 * 20e-9);
+                mean += bridge.advance(true, T, from, to, current_a(from)) / 1000.0;
+                bridge.level()
+            })
+            .collect();
+        (levels, mean)
+    }
+
+    #[test]
+    fn lagging_current_commutates_at_once_and_hides_the_dead_time() {
+        // Inductive load: negative at the start of the period, positive at its middle.
+        let lagging = |t: f64| {
+            if t < 0.2 * T || t > 0.7 * T {
+                -5.0
+            } else {
+                5.0
+            }
+        };
+        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        let (levels, mean) = period(&mut bridge, lagging);
+        assert!(
+            (levels[4] - 0.5).abs() < 1e-9,
+            "half the edge after 0.1 µs: {}",
+            levels[4]
+        );
+        assert_eq!(levels[9], 1.0);
+        assert!((levels[504] - 0.5).abs() < 1e-9);
+        assert!((mean - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn leading_current_waits_for_the_gate() {
+        let leading = |t: f64| {
+            if t < 0.3 * T || t > 0.8 * T {
+                5.0
+            } else {
+                -5.0
+            }
+        };
+        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        let (levels, _) = period(&mut bridge, leading);
+        assert_eq!(levels[48], 0.0, "still in the dead time");
+        assert!((levels[54] - 0.5).abs() < 1e-9, "0.1 µs after the gate");
+        assert_eq!(levels[548], 1.0);
+        assert!((levels[554] - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_edge_off_the_step_grid_keeps_its_area() {
+        // Rising edge from 0 to 150 ns in one step of 1 µs: mean = 1 − 0.075.
+        let mut bridge = HalfBridge::new(0.0, 150e-9).unwrap();
+        let mean = bridge.advance(true, T, 0.0, 1e-6, 0.0);
+        assert!((mean - 0.925).abs() < 1e-12, "{mean}");
+    }
+
+    #[test]
+    fn off_is_low() {
+        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        bridge.advance(true, T, 2e-6, 3e-6, 0.0);
+        assert_eq!(bridge.level(), 1.0);
+        bridge.advance(false, T, 3e-6, 4e-6, 10.0);
+        assert_eq!(bridge.level(), 0.0);
+    }
+
+    #[test]
+    fn a_dead_time_that_is_not_a_number_is_refused() {
+        let e = HalfBridge::new(f64::NAN, 0.2e-6).unwrap_err();
+        assert!(e.to_string().contains("dead_s"));
+    }
+}

@@ -1,0 +1,276 @@
+//! What stands on the coil, where, and how hot: the description that becomes a field model.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::field::FieldError;
+use super::field::geometry::Geometry;
+use super::field::material::Material;
+use super::field::model::Settings;
+
+/// Angles at which the rim of an off-centre pot is looked at, over half a turn.
+const SECTORS: usize = 4;
+
+/// Metals of pots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metal {
+    /// Ferromagnetic stainless steel: the paper's load.
+    Ferritic,
+    /// Austenitic stainless steel 304.
+    Stainless,
+    /// Aluminium.
+    Aluminium,
+}
+
+/// A pot, or nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pot {
+    /// What it is made of; `None`: the coil stands alone.
+    pub metal: Option<Metal>,
+    /// Diameter of its base in metre.
+    pub diameter_m: f64,
+    /// Distance above its usual place, in metre.
+    pub lift_m: f64,
+    /// Distance of its axis from the coil's, in metre.
+    pub offset_m: f64,
+    /// Temperature of its base in degrees Celsius.
+    pub temperature_c: f64,
+}
+
+/// A pot's name that means nothing.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "unknown pot `{0}`: use ferritic-D, stainless-D or aluminium-D with D = 9 to 21 (base in cm), or none"
+)]
+pub struct UnknownPotName(String);
+
+impl FromStr for Pot {
+    type Err = UnknownPotName;
+
+    fn from_str(name: &str) -> Result<Self, UnknownPotName> {
+        let unknown = || UnknownPotName(name.to_owned());
+        let (metal, cm) = match name.split_once('-') {
+            None if name == "none" => return Ok(Self::NONE),
+            None => (name, 21.0),
+            Some((metal, cm)) => (metal, cm.parse::<f64>().map_err(|_| unknown())?),
+        };
+        if !(9.0..=21.0).contains(&cm) {
+            return Err(unknown());
+        }
+        let metal = match metal {
+            "ferritic" => Metal::Ferritic,
+            "stainless" => Metal::Stainless,
+            "aluminium" => Metal::Aluminium,
+            _ => return Err(unknown()),
+        };
+        Ok(Self::new(metal, cm * 1e-2))
+    }
+}
+
+impl fmt::Display for Pot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let metal = match self.metal {
+            None => return f.write_str("none"),
+            Some(Metal::Ferritic) => "ferritic",
+            Some(Metal::Stainless) => "stainless",
+            Some(Metal::Aluminium) => "aluminium",
+        };
+        write!(f, "{metal}-{}", self.diameter_m * 100.0)
+    }
+}
+
+impl Pot {
+    /// Nothing on the coil.
+    pub const NONE: Self = Self {
+        metal: None,
+        diameter_m: 0.21,
+        lift_m: 0.0,
+        offset_m: 0.0,
+        temperature_c: 20.0,
+    };
+
+    /// A centred pot at room temperature.
+    pub fn new(metal: Metal, diameter_m: f64) -> Self {
+        Self {
+            metal: Some(metal),
+            diameter_m,
+            ..Self::NONE
+        }
+    }
+
+    /// Field models whose mean is this pot, with their weights; empty for no pot.
+    ///
+    /// Off centre: seen from the coil's axis the rim is at ρ(θ) = d cos θ + √(R² − d² sin² θ).
+    /// Each sector of the coil's turns is taken as if the pot had radius ρ(θ) all round; the
+    /// sectors carry the same current and their voltages add. Fields that cross from one sector to
+    /// the next are neglected.
+    pub fn field_settings(&self, winding_r_ohm: f64) -> Result<Vec<(f64, Settings)>, FieldError> {
+        let Some(metal) = self.metal else {
+            return Ok(Vec::new());
+        };
+        self.check()?;
+        let radius_m = 0.5 * self.diameter_m;
+        let radii = if self.offset_m == 0.0 {
+            vec![radius_m]
+        } else {
+            (0..SECTORS)
+                .map(|k| {
+                    let angle = std::f64::consts::PI * (k as f64 + 0.5) / SECTORS as f64;
+                    let (s, c) = (
+                        self.offset_m * libm::sin(angle),
+                        self.offset_m * libm::cos(angle),
+                    );
+                    c + (radius_m * radius_m - s * s).sqrt()
+                })
+                .collect()
+        };
+        let weight = 1.0 / radii.len() as f64;
+        let of_radius = |load_radius_m: f64| {
+            let paper = Geometry::paper();
+            let settings = Settings {
+                geometry: Geometry {
+                    load_radius_m,
+                    load_gap_m: paper.load_gap_m + self.lift_m,
+                    ..paper
+                },
+                material: metal.at(self.temperature_c),
+                load_thickness_m: 5e-3,
+                winding_r_ohm,
+                ..Settings::paper()
+            };
+            (weight, settings)
+        };
+        Ok(radii.into_iter().map(of_radius).collect())
+    }
+
+    fn check(&self) -> Result<(), FieldError> {
+        use super::field::error::in_range;
+        in_range("pot diameter_m", self.diameter_m, 0.05, 0.4, "5 to 40 cm")?;
+        in_range("pot lift_m", self.lift_m, 0.0, 0.1, "0 to 100 mm")?;
+        let most = 0.4 * self.diameter_m;
+        in_range(
+            "pot offset_m",
+            self.offset_m,
+            0.0,
+            most,
+            "0 to 0.4 of the pot's diameter",
+        )?;
+        in_range(
+            "pot temperature_c",
+            self.temperature_c,
+            -40.0,
+            600.0,
+            "-40 to 600 °C",
+        )
+    }
+}
+
+impl Metal {
+    /// Material at a temperature in °C. Resistivity grows linearly; the ferritic steel's saturation
+    /// falls as 1 − (ΔT/ΔT_Curie)² with a Curie point of 680 °C.
+    pub fn at(self, temperature_c: f64) -> Material {
+        let rise = temperature_c - 20.0;
+        let (material, per_kelvin) = match self {
+            Self::Ferritic => (Material::PAPER, 1.1e-3),
+            Self::Stainless => (Material::STAINLESS_304, 0.9e-3),
+            Self::Aluminium => (Material::ALUMINIUM, 4.0e-3),
+        };
+        let hot_sigma = |sigma: f64| sigma / (1.0 + per_kelvin * rise);
+        match material {
+            Material::Froehlich {
+                alpha_a_per_m,
+                b_per_t,
+                sigma_s_per_m,
+            } => {
+                let x = rise.max(0.0) / 660.0;
+                Material::Froehlich {
+                    alpha_a_per_m,
+                    b_per_t: b_per_t / (1.0 - x * x),
+                    sigma_s_per_m: hot_sigma(sigma_s_per_m),
+                }
+            }
+            Material::Linear {
+                mu_r,
+                sigma_s_per_m,
+            } => Material::Linear {
+                mu_r,
+                sigma_s_per_m: hot_sigma(sigma_s_per_m),
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::field::{FieldModel, harmonic};
+    use super::*;
+
+    fn z(pot: Pot) -> (f64, f64) {
+        pot.field_settings(0.0)
+            .unwrap()
+            .iter()
+            .fold((0.0, 0.0), |(r, l), (w, s)| {
+                let z = harmonic::impedance(&FieldModel::new(s).unwrap(), 45e3, 10.0).unwrap();
+                (r + w * z.r_ohm, l + w * z.l_h)
+            })
+    }
+
+    #[test]
+    fn names_round_trip_and_unknown_ones_are_refused() {
+        for name in ["ferritic-18", "stainless-9", "aluminium-12.5", "none"] {
+            assert_eq!(name.parse::<Pot>().unwrap().to_string(), name);
+        }
+        for bad in ["copper-18", "ferritic-50", "ferritic-x", "", "ferritic-NaN"] {
+            assert!(
+                bad.parse::<Pot>()
+                    .unwrap_err()
+                    .to_string()
+                    .contains("ferritic-D"),
+                "{bad}"
+            );
+        }
+    }
+
+    #[test]
+    fn smaller_and_lifted_pots_couple_less() {
+        let full = z(Pot::new(Metal::Ferritic, 0.21));
+        let small = z(Pot::new(Metal::Ferritic, 0.12));
+        let lifted = z(Pot {
+            lift_m: 0.02,
+            ..Pot::new(Metal::Ferritic, 0.21)
+        });
+        assert!(
+            small.0 < 0.5 * full.0 && small.1 > full.1,
+            "{small:?} {full:?}"
+        );
+        assert!(lifted.0 < 0.5 * full.0, "{lifted:?} {full:?}");
+    }
+
+    #[test]
+    fn off_centre_tends_to_centred() {
+        let centred = z(Pot::new(Metal::Ferritic, 0.18));
+        let nearly = z(Pot {
+            offset_m: 1e-3,
+            ..Pot::new(Metal::Ferritic, 0.18)
+        });
+        let far = z(Pot {
+            offset_m: 0.05,
+            ..Pot::new(Metal::Ferritic, 0.18)
+        });
+        assert!(
+            (nearly.0 / centred.0 - 1.0).abs() < 0.01,
+            "{nearly:?} {centred:?}"
+        );
+        assert!(far.0 < centred.0);
+    }
+
+    #[test]
+    fn heat_raises_the_resistance_of_aluminium_as_the_root_of_its_resistivity() {
+        let cold = z(Pot::new(Metal::Aluminium, 0.21));
+        let hot = z(Pot {
+            temperature_c: 120.0,
+            ..Pot::new(Metal::Aluminium, 0.21)
+        });
+        assert!((hot.0 / cold.0 / 1.4f64.sqrt() - 1.0).abs() < 0.02);
+    }
+}
