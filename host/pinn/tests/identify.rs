@@ -56,6 +56,31 @@ fn white_noise_of_30_db_leaves_one_percent() {
 }
 
 #[test]
+fn other_pots_and_no_pot_are_within_reach_of_the_same_scales() {
+    // About aluminium, stainless steel and no pot at all; the currents keep within 400 V. Without
+    // a pot |Z| is 140 R: what the codes leave of phase error counts as many times in R.
+    for (pot, crest_a, r_limit_pct) in [
+        ((0.08, 0.8), 40.0, 1.0),
+        ((0.3, 0.8), 40.0, 1.0),
+        ((0.03, 3.0), 10.0, 4.0),
+    ] {
+        let hob = Hob {
+            pot,
+            crest_a,
+            ..Hob::at(45e3, 50.0)
+        };
+        let ideal = hob.record();
+        assert!(fits_the_range(&ideal), "{hob:?} clips: no fair truth");
+        let found = found(&ideal.quantised(), &Config::default());
+        let (r, l) = mre_pct(&found, &hob, 0.0);
+        assert!(
+            r <= r_limit_pct && l <= 1.0,
+            "{hob:?}: MRE of R {r} %, of L {l} %"
+        );
+    }
+}
+
+#[test]
 fn both_backends_walk_the_same_loss_curve() {
     let hob = Hob::at(45e3, 50.0);
     let recording = hob.record().quantised();

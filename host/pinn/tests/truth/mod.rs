@@ -14,6 +14,8 @@ pub struct Hob {
     pub f_mains_hz: f64,
     /// Amplitude of the current's fundamental at the crest of the envelope, A.
     pub crest_a: f64,
+    /// R and L of the pot relative to truth (a): (1, 1) is a ferromagnetic one.
+    pub pot: (f64, f64),
 }
 
 /// (order, amplitude relative to the fundamental, phase in rad): about what a half-bridge drives
@@ -32,6 +34,7 @@ impl Hob {
             f_sw_hz,
             f_mains_hz,
             crest_a: 54.0 * (45e3 / f_sw_hz).powf(1.5),
+            pot: (1.0, 1.0),
         }
     }
 
@@ -45,12 +48,13 @@ impl Hob {
     }
 
     pub fn r_ohm(&self, t_s: f64) -> f64 {
-        (2.2 + 3.5 / (1.0 + self.envelope_a(t_s) / 15.0)) * (self.f_sw_hz / 45e3).sqrt()
+        let ohm = 2.2 + 3.5 / (1.0 + self.envelope_a(t_s) / 15.0);
+        self.pot.0 * ohm * (self.f_sw_hz / 45e3).sqrt()
     }
 
     pub fn l_h(&self, t_s: f64) -> f64 {
         let bend = 1.0 + (self.envelope_a(t_s) / 14.0).powf(1.5);
-        (16.0 + (1.0 + 15.0 / bend) * (self.f_sw_hz / 45e3).powf(-0.3)) * 1e-6
+        self.pot.1 * (16.0 + (1.0 + 15.0 / bend) * (self.f_sw_hz / 45e3).powf(-0.3)) * 1e-6
     }
 
     /// Voltage (V) and current (A) at `t_s` within the half-cycle, exactly.
