@@ -1,9 +1,14 @@
 //! The two ADC channels: noise, 12-bit codes, saturation.
 
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE};
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+/// Resolution of the board's converters.
+const BITS: u32 = 12;
+
+const _: () = assert!(CODE_HALF_RANGE == 1 << (BITS - 1));
 
 /// White noise of the two channels, standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,24 +58,26 @@ impl Adc {
             }
         };
         Pair {
-            v: code(noisy(v_v, self.noise.v_v) / VOLT_PER_CODE),
-            i: code(noisy(i_a, self.noise.i_a) / AMPERE_PER_CODE),
+            v: code(noisy(v_v, self.noise.v_v) / VOLT_PER_CODE, BITS),
+            i: code(noisy(i_a, self.noise.i_a) / AMPERE_PER_CODE, BITS),
         }
     }
 }
 
-/// Rounds to the nearest code; saturates. What is not a number reads as the lower rail, so that it
-/// is counted as saturated.
-fn code(codes: f64) -> i16 {
+/// Rounds to the nearest code of a converter of 8 to 16 bits; saturates. What is not a number reads
+/// as the lower rail, so that it is counted as saturated.
+pub fn code(codes: f64, bits: u32) -> i16 {
+    let half_range = f64::from(1u32 << (bits - 1));
     if codes.is_nan() {
-        return CODE_MIN;
+        return -half_range as i16;
     }
-    libm::round(codes).clamp(f64::from(CODE_MIN), f64::from(CODE_MAX)) as i16
+    libm::round(codes).clamp(-half_range, half_range - 1.0) as i16
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ihd_shared::sampling::{CODE_MAX, CODE_MIN};
 
     #[test]
     fn codes_round_and_saturate() {
@@ -83,6 +90,7 @@ mod tests {
             }
         );
         assert_eq!(adc.convert(1.4 * VOLT_PER_CODE, 0.0), Pair { v: 1, i: 0 });
+        assert_eq!((code(1e9, 16), code(-1e9, 8)), (32767, -128));
         assert!(adc.convert(f64::NAN, 0.0).is_saturated());
         assert!(adc.convert(0.0, f64::INFINITY).is_saturated());
     }

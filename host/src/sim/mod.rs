@@ -16,6 +16,7 @@ pub mod inverter;
 pub mod mains;
 pub mod plant;
 pub mod pot;
+pub mod recording;
 pub mod reduced;
 pub mod transport;
 pub mod truth;

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 use super::field::FieldError;
 use super::field::geometry::Geometry;
 use super::field::material::Material;
@@ -12,7 +14,8 @@ use super::field::model::Settings;
 const SECTORS: usize = 4;
 
 /// Metals of pots.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Metal {
     /// Ferromagnetic stainless steel: the paper's load.
     Ferritic,
@@ -23,7 +26,7 @@ pub enum Metal {
 }
 
 /// A pot, or nothing.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pot {
     /// What it is made of; `None`: the coil stands alone.
     pub metal: Option<Metal>,

@@ -95,6 +95,18 @@ impl LoadState {
         }
     }
 
+    /// Changes the time step of the field model and keeps its state; `false` for a law, which has
+    /// none but knows its frequency.
+    pub fn set_dt(&mut self, dt_s: f64) -> Result<bool, InverterError> {
+        let Self::Field { sectors, .. } = self else {
+            return Ok(false);
+        };
+        for (_, load) in sectors {
+            load.set_dt(dt_s)?;
+        }
+        Ok(true)
+    }
+
     /// Before a step: what the circuit needs, with `i_a` the current now.
     pub fn predict(&mut self, i_a: f64) -> FluxStep {
         match self {

@@ -1,0 +1,334 @@
+//! Runs the power stage and records it.
+
+use super::sensing::Sampler;
+use super::settings::{Change, LoadKind, Settings};
+use crate::sim::behavioural::{self, PotKind};
+use crate::sim::field::FieldModel;
+use crate::sim::field::gap::GapOperator;
+use crate::sim::field::geometry::Geometry;
+use crate::sim::inverter::bridge::HalfBridge;
+use crate::sim::inverter::bus::Bus;
+use crate::sim::inverter::load::{Law, LoadState};
+use crate::sim::inverter::meter::{PeriodMeter, PeriodTruth};
+use crate::sim::inverter::{Inverter, InverterError};
+use crate::sim::mains::Mains;
+use crate::sim::pot::{Metal, Pot};
+use crate::sim::reduced::ReducedPot;
+
+/// What came out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// What went in.
+    pub settings: Settings,
+    /// Sampling instants of the voltage, in seconds after the recording's start.
+    pub t_s: Vec<f64>,
+    /// Voltage codes.
+    pub v_code: Vec<i16>,
+    /// Current codes.
+    pub i_code: Vec<i16>,
+    /// Voltage after the analogue chain without noise, in volt.
+    pub v_clean_v: Vec<f64>,
+    /// Current likewise, in ampere.
+    pub i_clean_a: Vec<f64>,
+    /// Truth of every switching period.
+    pub truth: Vec<PeriodTruth>,
+}
+
+impl Recording {
+    /// Volt of one voltage code.
+    pub fn volt_per_code(&self) -> f64 {
+        let s = &self.settings.sensing;
+        s.v_full_scale_v / f64::from(1u32 << (s.bits - 1))
+    }
+
+    /// Ampere of one current code.
+    pub fn ampere_per_code(&self) -> f64 {
+        let s = &self.settings.sensing;
+        s.i_full_scale_a / f64::from(1u32 << (s.bits - 1))
+    }
+}
+
+/// A pot made ready for one kind of load model, at any frequency.
+#[derive(Clone, Debug)]
+pub enum PreparedLoad {
+    /// Field models with their weights.
+    Field(Vec<(f64, FieldModel)>),
+    /// Table.
+    Reduced(Box<ReducedPot>),
+    /// Formulas.
+    Behavioural(PotKind),
+}
+
+impl PreparedLoad {
+    /// Solves what has to be solved once for a pot: some 10 ms for the field, 100 ms for the table.
+    pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
+        if kind == LoadKind::Behavioural {
+            return Ok(Self::Behavioural(behavioural_kind(pot)));
+        }
+        let mut models = Vec::new();
+        for (weight, settings) in pot.field_settings(winding_r_ohm)? {
+            models.push((weight, FieldModel::new(&settings)?));
+        }
+        if models.is_empty() {
+            // Nothing nonlinear is left: the coil over its ferrite is a constant.
+            let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
+            return Ok(Self::Reduced(Box::new(ReducedPot::constant(
+                winding_r_ohm,
+                l_h,
+            ))));
+        }
+        Ok(match kind {
+            LoadKind::Field => Self::Field(models),
+            _ => Self::Reduced(Box::new(ReducedPot::new(&models)?)),
+        })
+    }
+
+    /// The load at rest for a switching frequency, or carrying on from `before`.
+    pub fn start(
+        &self,
+        f_sw_hz: f64,
+        steps: usize,
+        before: Option<&LoadState>,
+    ) -> Result<LoadState, InverterError> {
+        let law = match self {
+            Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
+            Self::Reduced(pot) => Law::Reduced(pot.at(f_sw_hz)),
+            Self::Behavioural(kind) => Law::Behavioural(behavioural::Load::new(*kind, f_sw_hz)),
+        };
+        Ok(match before {
+            Some(state) => state.with_law(law, steps),
+            None => LoadState::law(law, steps),
+        })
+    }
+}
+
+/// The formulas know five loads; sizes go to the nearer of the two ferromagnetic ones.
+fn behavioural_kind(pot: &Pot) -> PotKind {
+    match pot.metal {
+        None => PotKind::None,
+        Some(Metal::Stainless) => PotKind::Stainless,
+        Some(Metal::Aluminium) => PotKind::Aluminium,
+        Some(Metal::Ferritic) if pot.diameter_m < 0.15 => PotKind::Small,
+        Some(Metal::Ferritic) => PotKind::Ferromagnetic,
+    }
+}
+
+/// Simulates; `progress` hears the finished share, 0 to 1, once a switching period.
+pub fn record(
+    settings: &Settings,
+    mut progress: impl FnMut(f64),
+) -> Result<Recording, InverterError> {
+    settings.check()?;
+    let mains = Mains {
+        harmonics: settings.mains_harmonics,
+        ..Mains::new(settings.mains_hz)
+    };
+    let mut prepared = PreparedLoad::new(settings.load, &settings.pot, settings.winding_r_ohm)?;
+    let steps = settings.steps(settings.f_sw_hz);
+    let mut inverter = Inverter::new(
+        Bus::new(mains, settings.bus_capacitance_f, settings.start_s)?,
+        HalfBridge::new(settings.dead_s, settings.edge_s)?,
+        prepared.start(settings.f_sw_hz, steps, None)?,
+        settings.f_sw_hz,
+        steps,
+        settings.start_s,
+    );
+    let mut meter = PeriodMeter::new(steps);
+    let mut sampler = Sampler::new(&settings.sensing, inverter.instant());
+    let mut truth = Vec::new();
+    let mut on = true;
+    let mut events = settings.events.iter().peekable();
+    let end_s = settings.start_s + settings.duration_s;
+    while inverter.now_s() < end_s {
+        let elapsed_s = inverter.now_s() - settings.start_s;
+        while let Some(event) = events.next_if(|e| e.t_s <= elapsed_s) {
+            match event.change {
+                Change::On => on = true,
+                Change::Off => on = false,
+                Change::Frequency(f) => change_frequency(&mut inverter, &prepared, f, settings)?,
+                Change::Pot(pot) => {
+                    prepared = PreparedLoad::new(settings.load, &pot, settings.winding_r_ohm)?;
+                    let f = inverter.f_sw_hz();
+                    inverter.load = prepared.start(f, inverter.steps(), Some(&inverter.load))?;
+                }
+            }
+            meter = PeriodMeter::new(inverter.steps());
+        }
+        truth.push(record_period(
+            &mut inverter,
+            on,
+            &mut meter,
+            &mut sampler,
+            settings.start_s,
+        ));
+        progress((elapsed_s / settings.duration_s).min(1.0));
+    }
+    progress(1.0);
+    let (v_code, i_code) = sampler.finish(settings.seed);
+    let n = v_code.len();
+    let mut t_s = sampler.t_s;
+    t_s.truncate(n);
+    t_s.iter_mut().for_each(|t| *t -= settings.start_s);
+    sampler.v_v.truncate(n);
+    sampler.i_a.truncate(n);
+    Ok(Recording {
+        settings: settings.clone(),
+        t_s,
+        v_code,
+        i_code,
+        v_clean_v: sampler.v_v,
+        i_clean_a: sampler.i_a,
+        truth,
+    })
+}
+
+/// One switching period; returns its truth.
+fn record_period(
+    inverter: &mut Inverter,
+    on: bool,
+    meter: &mut PeriodMeter,
+    sampler: &mut Sampler,
+    start_s: f64,
+) -> PeriodTruth {
+    let f_sw_hz = inverter.f_sw_hz();
+    let mut last = inverter.instant();
+    let middle_s = last.t_s + 0.5 / f_sw_hz - start_s;
+    meter.push(0, last.coil_v, last.i_a);
+    for n in 1..=inverter.steps() {
+        last = inverter.advance(on);
+        meter.push(n, last.coil_v, last.i_a);
+        sampler.push(last, f_sw_hz);
+    }
+    meter.truth(middle_s, f_sw_hz, last.i_a)
+}
+
+/// The field keeps its state across a change of frequency, only its time step moves a little.
+fn change_frequency(
+    inverter: &mut Inverter,
+    prepared: &PreparedLoad,
+    f_sw_hz: f64,
+    settings: &Settings,
+) -> Result<(), InverterError> {
+    let steps = settings.steps(f_sw_hz);
+    let mut load = inverter.load.clone();
+    if !load.set_dt(1.0 / (f_sw_hz * steps as f64))? {
+        load = prepared.start(f_sw_hz, steps, Some(&load))?;
+    }
+    inverter.restart(load, f_sw_hz, steps);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::settings::Event;
+    use super::*;
+
+    fn behavioural(duration_s: f64) -> Settings {
+        Settings {
+            load: LoadKind::Behavioural,
+            duration_s,
+            ..Settings::default()
+        }
+    }
+
+    #[test]
+    fn truth_of_the_behavioural_load_is_its_law() {
+        let r = record(&behavioural(10e-3), |_| ()).unwrap();
+        let law = behavioural::Load::new(PotKind::Ferromagnetic, 45e3);
+        let mut compared = 0;
+        for t in r.truth.iter().filter(|t| t.i_a > 2.0) {
+            // The law sees the envelope of the past period: half a period late.
+            let (r_ohm, l_h) = law.r_l(t.i_a);
+            assert!((t.r_ohm[0] / r_ohm - 1.0).abs() < 0.02, "{t:?} {r_ohm}");
+            assert!((t.l_h[0] / l_h - 1.0).abs() < 0.02, "{t:?} {l_h}");
+            compared += 1;
+        }
+        assert!(compared > 350);
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_record_and_another_does_not() {
+        let mut s = behavioural(1e-3);
+        s.sensing.snr_db = Some(30.0);
+        let a = record(&s, |_| ()).unwrap();
+        assert_eq!(a, record(&s, |_| ()).unwrap());
+        s.seed = 2;
+        assert_ne!(a.v_code, record(&s, |_| ()).unwrap().v_code);
+    }
+
+    #[test]
+    fn events_change_frequency_pot_and_bridge() {
+        let mut s = behavioural(10e-3);
+        s.events = vec![
+            Event {
+                t_s: 3e-3,
+                change: Change::Frequency(60e3),
+            },
+            Event {
+                t_s: 5e-3,
+                change: Change::Pot(Pot::NONE),
+            },
+            Event {
+                t_s: 7e-3,
+                change: Change::Off,
+            },
+        ];
+        let r = record(&s, |_| ()).unwrap();
+        let at = |t_s: f64| r.truth.iter().find(|t| t.t_s > t_s).unwrap();
+        assert_eq!(at(2e-3).f_sw_hz, 45e3);
+        assert_eq!(at(4e-3).f_sw_hz, 60e3);
+        assert!(
+            (at(6e-3).l_h[0] / 70e-6 - 1.0).abs() < 0.02,
+            "{:?}",
+            at(6e-3)
+        );
+        assert!(at(9e-3).i_a < 0.2 * at(6.9e-3).i_a);
+    }
+
+    #[test]
+    fn taking_the_pot_off_the_field_model_leaves_the_bare_coil() {
+        let mut s = Settings {
+            duration_s: 4e-3,
+            ..Settings::default()
+        };
+        s.events = vec![
+            Event {
+                t_s: 2e-3,
+                change: Change::Frequency(50e3),
+            },
+            Event {
+                t_s: 3e-3,
+                change: Change::Pot(Pot::NONE),
+            },
+        ];
+        let r = record(&s, |_| ()).unwrap();
+        let before = r.truth.iter().rfind(|t| t.t_s < 2.9e-3).unwrap();
+        let after = r.truth.last().unwrap();
+        let bare = GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap();
+        assert!(before.l_h[0] < 30e-6, "{before:?}");
+        assert!((after.l_h[0] / bare - 1.0).abs() < 0.01, "{after:?} {bare}");
+        assert!(after.r_ohm[0].abs() < 0.2);
+        // No step of the current at the exchange.
+        let jump = r
+            .i_clean_a
+            .windows(2)
+            .map(|w| (w[1] - w[0]).abs())
+            .fold(0.0, f64::max);
+        assert!(jump < 2.0, "{jump}");
+    }
+
+    #[test]
+    fn dead_time_is_invisible_to_lagging_current() {
+        let a = record(&behavioural(3e-3), |_| ()).unwrap();
+        let b = record(
+            &Settings {
+                dead_s: 1e-6,
+                ..behavioural(3e-3)
+            },
+            |_| (),
+        )
+        .unwrap();
+        let (x, y) = (a.truth.last().unwrap(), b.truth.last().unwrap());
+        assert!((x.i_a / y.i_a - 1.0).abs() < 0.01, "{x:?} {y:?}");
+    }
+}
