@@ -6,16 +6,17 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
-use ihd_shared::wire::hello::check;
+use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, Reply, SetPower,
-    State, Status, Stream, Telemetry,
+    AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, ReplayBlocks,
+    ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
 };
 
 use crate::control::{Action, Control};
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
 use crate::realtime::RealTime;
+use crate::replay::Replay;
 use crate::session::{Answer, Session};
 
 /// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
@@ -42,6 +43,7 @@ pub struct Housekeeping {
     pending: Option<RlLookup>,
     reported_fault: Fault,
     last: Summary,
+    replay: Replay,
 }
 
 impl Housekeeping {
@@ -57,6 +59,7 @@ impl Housekeeping {
             pending: None,
             reported_fault: Fault::None,
             last: Summary::default(),
+            replay: Replay::default(),
         }
     }
 
@@ -82,6 +85,7 @@ impl Housekeeping {
             };
             let id = frame.id;
             match AnyMessage::decode(id, frame.payload) {
+                // These two borrow from the deframer; the rest may borrow all of self.
                 Ok(AnyMessage::PushLookup(push)) if self.paired => {
                     let offered = RlLookup::from_bytes(push.blob.0);
                     let (outcome, detail) = match offered {
@@ -89,6 +93,12 @@ impl Housekeeping {
                         Err(why) => why.outcome(),
                     };
                     self.reply(PushLookup::ID, outcome, detail);
+                }
+                Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
+                    match self.replay.blocks(access, &blocks) {
+                        Some(answer) => self.session.answer(answer),
+                        None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
+                    }
                 }
                 Ok(AnyMessage::Hello(theirs)) => self.pair(access, &theirs),
                 _ if !self.paired => self.reply(id, Outcome::NotPaired, 0),
@@ -103,6 +113,11 @@ impl Housekeeping {
                     access.with(RealTime::clear_fault);
                     self.control.clear_fault();
                     self.reply(id, Outcome::Ok, 0);
+                }
+                Ok(AnyMessage::ReplayStart(m)) => self.start_replay(access, &m),
+                Ok(AnyMessage::ReplayEnd(_)) => {
+                    let mode = self.replay.end(access);
+                    self.answer_replay_mode(mode);
                 }
                 Ok(_) | Err(DecodeError::UnknownId { .. }) => {
                     self.reply(id, Outcome::UnknownMessage, 0);
@@ -144,7 +159,9 @@ impl Housekeeping {
                 u32::from(RATED_POWER_W),
             );
         }
-        if fault != Fault::None && m.power_w > 0 {
+        // In replay mode nothing may be heated; there is no fault to name.
+        let locked = access.with(|rt| rt.is_replaying());
+        if (fault != Fault::None || locked) && m.power_w > 0 {
             return self.reply(
                 SetPower::ID,
                 Outcome::FaultActive,
@@ -154,6 +171,20 @@ impl Housekeeping {
         let action = self.control.set_power(m.power_w);
         self.act(access, action);
         self.reply(SetPower::ID, Outcome::Ok, 0);
+    }
+
+    fn start_replay(&mut self, access: &mut impl Access, m: &ReplayStart) {
+        let off = self.control.set_power(0);
+        self.act(access, off);
+        match self.replay.start(access, m) {
+            Ok(mode) => self.answer_replay_mode(mode),
+            Err((outcome, detail)) => self.reply(ReplayStart::ID, outcome, detail),
+        }
+    }
+
+    fn answer_replay_mode(&mut self, mode: ReplayMode) {
+        self.session.set_capability(CAP_REPLAYING, mode.active);
+        self.session.answer(Answer::ReplayMode(mode));
     }
 
     fn stream(&mut self, access: &mut impl Access, m: &Stream) {

@@ -29,4 +29,5 @@ pub mod power;
 pub mod protection;
 pub mod realtime;
 pub mod recorder;
+pub mod replay;
 pub mod session;

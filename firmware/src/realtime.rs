@@ -67,6 +67,8 @@ pub struct RealTime {
     summary: Option<Summary>,
     fault: Fault,
     saturated_pairs: u32,
+    /// Samples come from a host; the bridge is off whatever `drive` says.
+    replaying: bool,
 }
 
 impl RealTime {
@@ -88,11 +90,22 @@ impl RealTime {
             summary: None,
             fault: Fault::None,
             saturated_pairs: 0,
+            replaying: false,
         }
     }
 
-    /// Takes one block; returns what the bridge is to do from the next block on.
+    /// Takes one block from the ADC; returns what the bridge is to do from the next block on. In
+    /// replay mode the block is ignored and the bridge is off.
     pub fn on_block(&mut self, block: &Block<'_>) -> Drive {
+        if !self.replaying {
+            self.take_block(block);
+        }
+        self.drive()
+    }
+
+    /// Takes one block; returns the estimate it led to.
+    fn take_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
+        let mut estimate = None;
         let sums = correlate(block.pairs);
         self.saturated_pairs = self.saturated_pairs.wrapping_add(u32::from(sums.saturated));
         let crossing = block
@@ -122,6 +135,7 @@ impl RealTime {
                 r: self.ekf.r(),
                 l: self.ekf.l(),
             };
+            estimate = Some(entry);
             self.recorder
                 .estimate(entry, self.block_ns, self.demod.delay_blocks());
             if !self.ekf.is_held()
@@ -135,7 +149,7 @@ impl RealTime {
             .since_crossing_ns
             .saturating_add(i64::from(self.block_ns));
         self.take_drive(crossing.is_some());
-        self.drive
+        estimate
     }
 
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
@@ -200,9 +214,49 @@ impl RealTime {
         self.wanted = drive;
     }
 
-    /// The drive in force.
+    /// The drive in force at the bridge.
     pub fn drive(&self) -> Drive {
-        self.drive
+        if self.replaying {
+            Drive::OFF
+        } else {
+            self.drive
+        }
+    }
+
+    /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
+    /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
+    pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
+        let on = replay && self.fault == Fault::None;
+        let drive = if on {
+            Drive { f_sw_hz, on }
+        } else {
+            Drive::OFF
+        };
+        self.replaying = replay;
+        self.drive = drive;
+        self.wanted = drive;
+        self.block_ns = block_ns(drive.f_sw_hz);
+        self.demod = Demodulator::new(drive.f_sw_hz);
+        self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
+        self.protection.set_frequency(drive.f_sw_hz);
+        self.protection.reset();
+        self.accumulator = Accumulator::default();
+        self.recorder.interrupt();
+        self.since_crossing_ns = SHORTEST_HALF_CYCLE_NS;
+    }
+
+    /// Whether samples come from a host.
+    pub fn is_replaying(&self) -> bool {
+        self.replaying
+    }
+
+    /// Takes one block from a host; returns the estimate it led to, if any.
+    pub fn replay_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
+        if self.replaying {
+            self.take_block(block)
+        } else {
+            None
+        }
     }
 
     /// Enters the safe state for a reason that housekeeping found (a pot, not a sample).

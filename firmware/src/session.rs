@@ -9,12 +9,13 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
-    FaultEvent, Hello, LookupBlob, Message, Raw, Reply, Status, Telemetry, TrackChunk, WindowChunk,
-    WindowEnd, WindowStart,
+    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry, TrackChunk,
+    WindowChunk, WindowEnd, WindowStart,
 };
 
 use crate::housekeeping::Access;
 use crate::recorder::Header;
+use crate::replay::Estimates;
 
 /// Answers that may wait for the link. When they are all taken, no more bytes are accepted.
 const ANSWERS: usize = 8;
@@ -34,6 +35,10 @@ pub enum Answer {
     Lookup,
     /// A fault tripped or was cleared.
     Fault(FaultEvent),
+    /// Replay mode was entered, left, or is missing.
+    ReplayMode(ReplayMode),
+    /// What replayed blocks led to.
+    ReplayEstimates(Estimates),
 }
 
 /// How far a window has been sent.
@@ -80,6 +85,15 @@ impl Session {
     /// Our hello.
     pub fn hello(&self) -> &Hello {
         &self.hello
+    }
+
+    /// Sets or clears one of the hello's capabilities.
+    pub fn set_capability(&mut self, bit: u32, on: bool) {
+        if on {
+            self.hello.capabilities |= bit;
+        } else {
+            self.hello.capabilities &= !bit;
+        }
     }
 
     /// Whether another answer would find no room.
@@ -138,6 +152,11 @@ impl Session {
                     self.frame(&LookupBlob { blob: Raw(&blob) }, out)
                 }
                 Answer::Fault(m) => self.frame(&m, out),
+                Answer::ReplayMode(m) => self.frame(&m, out),
+                Answer::ReplayEstimates(estimates) => {
+                    let mut raw = [0; Estimates::BYTES];
+                    self.frame(&estimates.message(&mut raw), out)
+                }
             };
         }
         if let Some(telemetry) = self.telemetry.pop_front() {

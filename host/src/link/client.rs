@@ -216,7 +216,7 @@ impl Client {
         })
     }
 
-    fn ask<M: Message, T>(
+    pub(super) fn ask<M: Message, T>(
         &mut self,
         message: &M,
         command: &'static str,

@@ -84,6 +84,12 @@ pub enum LinkError {
         /// What is wrong with it.
         source: BlobError,
     },
+    /// The device is not in replay mode any more.
+    #[error("{device} is not in replay mode any more; was it reset?")]
+    NotReplaying {
+        /// The device.
+        device: String,
+    },
     /// A command does not fit a frame.
     #[error("{command} cannot be sent: {source}")]
     Unsendable {

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Hello, Reply, Status, Telemetry,
+    AnyMessage, DecodeError, FaultEvent, Hello, ReplayMode, Reply, Status, Telemetry,
 };
 
 use super::Counters;
@@ -40,6 +40,10 @@ pub enum Answer {
     Status(Status),
     /// The active lookup's bytes.
     Lookup(Vec<u8>),
+    /// Whether the device takes its samples from the link.
+    ReplayMode(ReplayMode),
+    /// Blocks replayed before, and the bytes of the estimates.
+    ReplayEstimates(u32, Vec<u8>),
 }
 
 /// The receiving end of a link, or of a recording of one.
@@ -86,6 +90,12 @@ impl Incoming {
             Ok(AnyMessage::LookupBlob(m)) => {
                 self.answers.push_back(Answer::Lookup(m.blob.0.to_vec()));
             }
+            Ok(AnyMessage::ReplayMode(m)) => self.answers.push_back(Answer::ReplayMode(m)),
+            Ok(AnyMessage::ReplayEstimates(m)) => {
+                let bytes = m.data.0.to_vec();
+                self.answers
+                    .push_back(Answer::ReplayEstimates(m.first, bytes));
+            }
             Ok(AnyMessage::Telemetry(m)) => {
                 counters.telemetry.see(m.seq, m.dropped);
                 counters.telemetry.received += 1;
@@ -112,7 +122,10 @@ impl Incoming {
                 | AnyMessage::GetStatus(_)
                 | AnyMessage::PushLookup(_)
                 | AnyMessage::ReadLookup(_)
-                | AnyMessage::ClearFault(_),
+                | AnyMessage::ClearFault(_)
+                | AnyMessage::ReplayStart(_)
+                | AnyMessage::ReplayBlocks(_)
+                | AnyMessage::ReplayEnd(_),
             )
             | Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
                 counters.messages_malformed += 1;

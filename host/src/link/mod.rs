@@ -16,6 +16,7 @@ pub mod device_spec;
 pub mod error;
 pub mod incoming;
 pub mod protocol_doc;
+pub mod replay;
 pub mod tcp;
 pub mod transport;
 pub mod window;

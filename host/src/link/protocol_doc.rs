@@ -59,6 +59,14 @@ the wire. The CRC is CRC-32/ISO-HDLC (zlib's) over id, seq and payload. `seq` co
 one end sends, so that the other sees what got lost. A receiver splits at zeros, drops runs that are
 no frame, counts them, and is in step again at the next zero.
 
+| type | on the wire |
+|---|---|
+| `u8`, enumeration | one byte |
+| `u16`, `u32`, `u64` | varint |
+| `i16` | zigzag varint |
+| `MicroOhm`, `PicoHenry` | `i32` in that unit, zigzag varint |
+| `Raw`, `String<N>` | length as varint, then the bytes; a string is UTF-8 of at most N bytes |
+
 ## Handshake
 
 The host sends `Hello`, the device answers with its own, and both check: the magic word, opposite
@@ -121,7 +129,7 @@ fn table(doc: &mut String, kind: &str, entry: &Entry) {
         let kind = kind.replace("<'a>", "");
         line(
             doc,
-            &format!("| `{}` | {kind} | {} |", item.name, prose(item.doc)),
+            &format!("| `{}` | `{kind}` | {} |", item.name, prose(item.doc)),
         );
     }
 }

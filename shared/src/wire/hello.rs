@@ -11,6 +11,9 @@ pub const MAGIC: u32 = u32::from_le_bytes(*b"IHD1");
 /// The samples come from a simulation.
 pub const CAP_SIMULATED: u32 = 1 << 0;
 
+/// The device is in replay mode: its samples come from a host, its power outputs are locked off.
+pub const CAP_REPLAYING: u32 = 1 << 1;
+
 /// Role of a host in [`Hello::role`].
 pub const ROLE_HOST: u8 = 0;
 

@@ -72,7 +72,8 @@ wire_enum! {
         NotPaired = 3,
         /// Asked power above the rating; `detail` is the rating in watt.
         PowerOutOfRange = 4,
-        /// A fault is active; clear it first. `detail` is its number.
+        /// A fault is active; clear it first. `detail` is its number; 0 when it is replay mode that
+        /// locks the power outputs.
         FaultActive = 5,
         /// Lookup of the wrong length; `detail` is the length expected.
         LookupLength = 6,
@@ -200,6 +201,29 @@ message_table! { 'a;
     0x06 "to device" ReadLookup {}
     /// Leaves the safe state after a fault; power must be asked for again.
     0x07 "to device" ClearFault {}
+    /// Enters replay mode: samples come from `ReplayBlocks`, those of the ADC are ignored, and the
+    /// power outputs are locked off. The estimator begins anew. Answered by `ReplayMode`.
+    0x08 "to device" ReplayStart {
+        /// Switching frequency of the recording, in hertz, 34 000 to 80 000.
+        f_sw_hz: u32,
+        /// R that the estimator starts from.
+        r: MicroOhm,
+        /// L that the estimator starts from.
+        l: PicoHenry,
+    }
+    /// Up to four blocks of 61 pairs for the sampling path. Answered by `ReplayEstimates`, or by
+    /// `ReplayMode` when the device is not in replay mode.
+    0x09 "to device" ReplayBlocks<'a> {
+        /// Index of the first pair after a mains zero crossing; 65535 for none.
+        zero_crossing: u16,
+        /// Bus voltage, in decivolt.
+        bus_dv: u16,
+        /// Whole blocks of pairs, [`crate::sampling::Pair::to_le_bytes`] each.
+        #[serde(borrow)]
+        data: Raw<'a>,
+    }
+    /// Leaves replay mode; power must be asked for again. Answered by `ReplayMode`.
+    0x0a "to device" ReplayEnd {}
     /// Answer to every command that has no answer of its own.
     0x80 "from device" Reply {
         /// Id of the command.
@@ -334,6 +358,22 @@ message_table! { 'a;
         half_cycle: u32,
         /// The fault.
         fault: Fault,
+    }
+    /// Whether samples come from a host; the power outputs are locked off while they do.
+    0x89 "from device" ReplayMode {
+        /// Replay mode.
+        active: bool,
+        /// Blocks replayed since it was entered.
+        blocks: u32,
+    }
+    /// What the estimator made of the blocks of one `ReplayBlocks`.
+    0x8a "from device" ReplayEstimates<'a> {
+        /// Blocks replayed before these.
+        first: u32,
+        /// One [`crate::window::TrackEntry::to_le_bytes`] a block; zeros where a block gave no
+        /// estimate.
+        #[serde(borrow)]
+        data: Raw<'a>,
     }
 }
 

@@ -15,4 +15,4 @@ pub mod schema;
 pub const PROTOCOL_MAJOR: u16 = 1;
 
 /// Raised by a new message.
-pub const PROTOCOL_MINOR: u16 = 0;
+pub const PROTOCOL_MINOR: u16 = 1;

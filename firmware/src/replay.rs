@@ -1,0 +1,150 @@
+//! Replay mode: the sampling path fed with recorded blocks from the link instead of the ADC.
+//!
+//! It is how a host proves that a board estimates what the host's own build of this crate does, bit
+//! for bit. [`RealTime`] ignores the ADC and keeps the bridge off for as long as it lasts; the
+//! hello says so ([`ihd_shared::wire::hello::CAP_REPLAYING`]).
+
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::window::{PAIR_BYTES, TRACK_BYTES, TrackEntry};
+use ihd_shared::wire::messages::{
+    Outcome, Raw, ReplayBlocks, ReplayEstimates, ReplayMode, ReplayStart,
+};
+
+use crate::housekeeping::Access;
+use crate::realtime::Block;
+use crate::session::Answer;
+
+/// Blocks that fit one message.
+pub const BLOCKS_PER_MESSAGE: usize = 4;
+
+/// Bytes of one block on the wire.
+pub const BLOCK_BYTES: usize = ADC_LOCK_P * PAIR_BYTES;
+
+/// [`ReplayBlocks::zero_crossing`] when no zero crossing falls into the blocks.
+pub const NO_CROSSING: u16 = u16::MAX;
+
+/// What the blocks of one message led to.
+pub struct Estimates {
+    first: u32,
+    entries: [TrackEntry; BLOCKS_PER_MESSAGE],
+    count: usize,
+}
+
+impl Estimates {
+    /// Most bytes of a message.
+    pub const BYTES: usize = BLOCKS_PER_MESSAGE * TRACK_BYTES;
+
+    /// The message, its bytes in `raw`.
+    pub fn message<'a>(&self, raw: &'a mut [u8; Self::BYTES]) -> ReplayEstimates<'a> {
+        let count = self.count.min(BLOCKS_PER_MESSAGE);
+        for (entry, slot) in self.entries.iter().zip(raw.chunks_exact_mut(TRACK_BYTES)) {
+            slot.copy_from_slice(&entry.to_le_bytes());
+        }
+        ReplayEstimates {
+            first: self.first,
+            data: Raw(&raw[..count * TRACK_BYTES]),
+        }
+    }
+}
+
+/// Replay mode as the link sees it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Replay {
+    blocks: u32,
+}
+
+impl Replay {
+    /// Enters replay mode.
+    ///
+    /// # Errors
+    /// Outcome and detail: a fault is active, or the frequency is outside the ratings.
+    pub fn start(
+        &mut self,
+        access: &mut impl Access,
+        m: &ReplayStart,
+    ) -> Result<ReplayMode, (Outcome, u32)> {
+        if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&m.f_sw_hz) {
+            return Err((Outcome::Malformed, 0));
+        }
+        let fault = access.with(|rt| {
+            if rt.fault() == Fault::None {
+                rt.set_replay(true, m.f_sw_hz, m.r, m.l);
+            }
+            rt.fault()
+        });
+        if fault != Fault::None {
+            return Err((Outcome::FaultActive, u32::from(fault.number())));
+        }
+        self.blocks = 0;
+        Ok(ReplayMode {
+            active: true,
+            blocks: 0,
+        })
+    }
+
+    /// Leaves replay mode; the estimator expects the built-in prior's load again.
+    pub fn end(&mut self, access: &mut impl Access) -> ReplayMode {
+        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+        access.with(|rt| {
+            if rt.is_replaying() {
+                rt.set_replay(false, F_SW_MAX_HZ, r, l);
+            }
+        });
+        ReplayMode {
+            active: false,
+            blocks: self.blocks,
+        }
+    }
+
+    /// Replays the blocks of one message; `None` when they are not whole blocks, or too many.
+    pub fn blocks(&mut self, access: &mut impl Access, m: &ReplayBlocks<'_>) -> Option<Answer> {
+        let bytes = m.data.0;
+        let count = bytes.len() / BLOCK_BYTES;
+        if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
+            return None;
+        }
+        let (active, blocks) = (access.with(|rt| rt.is_replaying()), self.blocks);
+        if !active {
+            return Some(Answer::ReplayMode(ReplayMode { active, blocks }));
+        }
+        let mut entries = [TrackEntry::default(); BLOCKS_PER_MESSAGE];
+        let blocks = bytes.chunks_exact(BLOCK_BYTES);
+        for (k, (entry, block)) in entries.iter_mut().zip(blocks).enumerate() {
+            let crossing = usize::from(m.zero_crossing).checked_sub(k * ADC_LOCK_P);
+            let estimate = replay_one(access, block, crossing, m.bus_dv);
+            *entry = estimate.unwrap_or_default();
+        }
+        let first = self.blocks;
+        self.blocks = first.wrapping_add(count as u32);
+        Some(Answer::ReplayEstimates(Estimates {
+            first,
+            entries,
+            count,
+        }))
+    }
+}
+
+/// One block, one short claim on the sampling path. `crossing` counts from the block's first pair.
+fn replay_one(
+    access: &mut impl Access,
+    bytes: &[u8],
+    crossing: Option<usize>,
+    bus_dv: u16,
+) -> Option<TrackEntry> {
+    let mut pairs = [Pair::default(); ADC_LOCK_P];
+    for (pair, b) in pairs.iter_mut().zip(bytes.chunks_exact(PAIR_BYTES)) {
+        *pair = Pair::from_le_bytes([b[0], b[1], b[2], b[3]]);
+    }
+    let zero_crossing = crossing.filter(|&at| at < ADC_LOCK_P).map(|at| at as u8);
+    access.with(|rt| {
+        rt.replay_block(&Block {
+            pairs: &pairs,
+            zero_crossing,
+            bus_dv,
+            lost: 0,
+        })
+    })
+}
