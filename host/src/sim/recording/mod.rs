@@ -1,5 +1,7 @@
 //! A simulated recording: what an oscilloscope or the board would have captured, and the truth.
 
-pub mod settings;
-pub mod sensing;
+pub mod figure;
+pub mod file;
 pub mod run;
+pub mod sensing;
+pub mod settings;

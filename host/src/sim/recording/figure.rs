@@ -1,0 +1,257 @@
+//! A figure of a recording, after the paper's Fig. 4 (waveforms) and Fig. 5 (R and L).
+
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+
+use super::run::Recording;
+
+/// Why no figure was drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum FigureError {
+    /// The recording has too few samples or no current.
+    #[error("nothing to draw: the recording has no period with current")]
+    Empty,
+    /// Drawing or writing failed.
+    #[error("{path}: {what}")]
+    Draw {
+        /// Which file.
+        path: String,
+        /// What the backend said.
+        what: String,
+    },
+}
+
+/// Columns of the overview; each shows its minimum and maximum.
+const COLUMNS: usize = 600;
+
+/// Switching periods in the close-up.
+const CLOSE_UP_PERIODS: f64 = 4.0;
+
+/// Smallest current amplitude whose R and L are drawn, in ampere.
+const SMALLEST_A: f64 = 0.5;
+
+const VOLTAGE: RGBColor = RGBColor(31, 119, 180);
+const CURRENT: RGBColor = RGBColor(214, 39, 40);
+
+type Panel<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+/// One curve with its name and colour.
+struct Curve<'a> {
+    name: &'a str,
+    colour: RGBColor,
+    points: Vec<(f64, f64)>,
+}
+
+/// Draws voltage and current over the whole recording and in a close-up at the largest current,
+/// and R and L of the fundamental, to an SVG file.
+pub fn draw(recording: &Recording, path: &Path) -> Result<(), FigureError> {
+    let peak = recording
+        .truth
+        .iter()
+        .max_by(|a, b| a.i_a.total_cmp(&b.i_a));
+    let peak = peak
+        .filter(|t| t.i_a > SMALLEST_A)
+        .ok_or(FigureError::Empty)?;
+    let wrong = |e: String| FigureError::Draw {
+        path: path.display().to_string(),
+        what: e,
+    };
+    let root = SVGBackend::new(path, (1100, 720)).into_drawing_area();
+    root.fill(&WHITE).map_err(|e| wrong(e.to_string()))?;
+    let panels = root.split_evenly((2, 2));
+
+    let v: Vec<f64> = recording
+        .v_code
+        .iter()
+        .map(|c| f64::from(*c) * recording.volt_per_code())
+        .collect();
+    let i: Vec<f64> = recording
+        .i_code
+        .iter()
+        .map(|c| f64::from(*c) * recording.ampere_per_code())
+        .collect();
+    let t_ms: Vec<f64> = recording.t_s.iter().map(|t| t * 1e3).collect();
+    let waves = |range: Range<usize>| {
+        [
+            Curve {
+                name: "v / 5 V",
+                colour: VOLTAGE,
+                points: extremes(&t_ms, &v, range.clone(), 0.2),
+            },
+            Curve {
+                name: "i / A",
+                colour: CURRENT,
+                points: extremes(&t_ms, &i, range, 1.0),
+            },
+        ]
+    };
+    panel(&panels[0], "Voltage and current", &waves(0..t_ms.len())).map_err(wrong)?;
+    let half_s = 0.5 * CLOSE_UP_PERIODS / peak.f_sw_hz;
+    let from = recording.t_s.partition_point(|t| *t < peak.t_s - half_s);
+    let to = recording.t_s.partition_point(|t| *t < peak.t_s + half_s);
+    panel(
+        &panels[1],
+        "Close-up at the largest current",
+        &waves(from..to),
+    )
+    .map_err(wrong)?;
+
+    let loaded: Vec<_> = recording
+        .truth
+        .iter()
+        .filter(|t| t.i_a >= SMALLEST_A)
+        .collect();
+    let of = |value: fn(&crate::sim::inverter::meter::PeriodTruth) -> f64| {
+        loaded.iter().map(|t| (t.t_s * 1e3, value(t))).collect()
+    };
+    let r = [
+        Curve {
+            name: "R of the fundamental / ohm",
+            colour: VOLTAGE,
+            points: of(|t| t.r_ohm[0]),
+        },
+        Curve {
+            name: "P / I² / ohm",
+            colour: CURRENT,
+            points: of(|t| t.r_power_ohm),
+        },
+    ];
+    let l = [
+        Curve {
+            name: "L of the fundamental / µH",
+            colour: VOLTAGE,
+            points: of(|t| t.l_h[0] * 1e6),
+        },
+        Curve {
+            name: "L of the third harmonic / µH",
+            colour: CURRENT,
+            points: of(|t| t.l_h[1] * 1e6),
+        },
+    ];
+    panel(&panels[2], "Resistance", &r).map_err(wrong)?;
+    panel(&panels[3], "Inductance", &l).map_err(wrong)?;
+    root.present().map_err(|e| wrong(e.to_string()))
+}
+
+/// Minimum and maximum of each column, in order, so that a carrier becomes a band.
+fn extremes(t: &[f64], x: &[f64], range: Range<usize>, scale: f64) -> Vec<(f64, f64)> {
+    let per_column = range.len().div_ceil(COLUMNS).max(1);
+    let mut points = Vec::with_capacity(2 * COLUMNS);
+    let mut start = range.start;
+    while start < range.end {
+        let end = (start + per_column).min(range.end);
+        let values = || x[start..end].iter().copied();
+        let (low, high) = (
+            values().fold(f64::INFINITY, f64::min),
+            values().fold(f64::NEG_INFINITY, f64::max),
+        );
+        points.push((t[start], low * scale));
+        if end - start > 1 {
+            points.push((t[end - 1], high * scale));
+        }
+        start = end;
+    }
+    points
+}
+
+fn panel(area: &Panel<'_>, title: &str, curves: &[Curve<'_>]) -> Result<(), String> {
+    let all = || {
+        curves
+            .iter()
+            .flat_map(|c| c.points.iter().copied())
+            .filter(|p| p.1.is_finite())
+    };
+    let low = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::INFINITY, f64::min);
+    let high = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
+    let x = low(&mut all().map(|p| p.0))..high(&mut all().map(|p| p.0));
+    let (bottom, top) = (low(&mut all().map(|p| p.1)), high(&mut all().map(|p| p.1)));
+    let margin = 0.05 * (top - bottom).max(1e-9);
+    let bottom = if bottom >= 0.0 { 0.0 } else { bottom - margin };
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 18))
+        .margin(10)
+        .x_label_area_size(34)
+        .y_label_area_size(44)
+        .build_cartesian_2d(x, bottom..top + margin)
+        .map_err(|e| e.to_string())?;
+    mesh(&mut chart).map_err(|e| e.to_string())?;
+    for curve in curves {
+        let (points, colour) = (
+            curve.points.iter().copied().filter(|p| p.1.is_finite()),
+            curve.colour,
+        );
+        chart
+            .draw_series(LineSeries::new(points, colour.stroke_width(1)))
+            .map_err(|e| e.to_string())?
+            .label(curve.name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::LowerMiddle)
+        .background_style(WHITE.mix(0.85))
+        .draw()
+        .map_err(|e| e.to_string())
+}
+
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+fn mesh(chart: &mut Chart<'_, '_>) -> Result<(), impl std::error::Error> {
+    chart
+        .configure_mesh()
+        .x_desc("t / ms")
+        .light_line_style(WHITE)
+        .bold_line_style(RGBColor(225, 225, 225))
+        .draw()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::run::record;
+    use super::super::settings::{Change, Event, LoadKind, Settings};
+    use super::*;
+
+    #[test]
+    fn a_recording_becomes_a_small_svg_with_its_four_panels() {
+        let s = Settings {
+            load: LoadKind::Behavioural,
+            duration_s: 10e-3,
+            ..Settings::default()
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.svg");
+        draw(&record(&s, |_| ()).unwrap(), &path).unwrap();
+        let svg = std::fs::read_to_string(&path).unwrap();
+        for title in [
+            "Voltage and current",
+            "Close-up",
+            "Resistance",
+            "Inductance",
+        ] {
+            assert!(svg.contains(title), "{title}");
+        }
+        assert!(svg.len() < 300_000, "{}", svg.len());
+    }
+
+    #[test]
+    fn a_recording_without_current_has_no_figure() {
+        let off = Event {
+            t_s: 0.0,
+            change: Change::Off,
+        };
+        let s = Settings {
+            load: LoadKind::Behavioural,
+            duration_s: 1e-3,
+            events: vec![off],
+            ..Settings::default()
+        };
+        let path = Path::new("/nonexistent/a.svg");
+        assert!(matches!(
+            draw(&record(&s, |_| ()).unwrap(), path),
+            Err(FigureError::Empty)
+        ));
+    }
+}
