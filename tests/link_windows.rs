@@ -2,7 +2,7 @@
 //! reason, or shows as a gap.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Duration;
 
 use ihd::link::incoming::Incoming;
@@ -294,7 +294,7 @@ fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
 }
 
 /// The frames a heating device sends in some half-cycles, undamaged.
-fn recorded_frames() -> Vec<Vec<u8>> {
+static RECORDED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     let (_client, link) = heating();
     let frames = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&frames);
@@ -303,9 +303,9 @@ fn recorded_frames() -> Vec<Vec<u8>> {
         frame.to_vec()
     });
     link.hob().run(8);
-    let frames = frames.lock().unwrap().clone();
-    frames
-}
+    let mut frames = frames.lock().unwrap();
+    std::mem::take(&mut *frames)
+});
 
 fn windows_of(stream: impl IntoIterator<Item = u8>) -> (BTreeMap<u32, Window>, Incoming) {
     let mut incoming = Incoming::default();
@@ -364,7 +364,7 @@ proptest! {
     fn no_damage_is_silently_accepted(
         fates in prop::collection::vec(fate(), 400),
     ) {
-        let frames = recorded_frames();
+        let frames = &*RECORDED;
         let (truth, _) = windows_of(frames.concat());
         prop_assert!(truth.len() >= 3);
         let damaged: Vec<u8> = frames
