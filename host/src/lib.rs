@@ -1,6 +1,10 @@
 //! Host side of ihd: identifies an induction hob's load and teaches its controller.
 
+pub mod cli;
 pub mod capture;
 pub mod link;
 pub mod lookup;
+pub mod report;
 pub mod sim;
+#[cfg(feature = "pinn")]
+pub mod trainer;

@@ -1,2 +1,7 @@
-//! .
-fn main() {}
+//! The `ihd` command.
+
+use clap::Parser;
+
+fn main() -> anyhow::Result<()> {
+    ihd::cli::Cli::parse().run()
+}

@@ -1,0 +1,75 @@
+//! Numbers with SI prefixes on the command line: `45k`, `50M`, `20ms`, `0.2us`.
+
+/// A number that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
+pub struct NotANumber(String);
+
+/// Reads a number with an optional SI prefix and an optional unit after it, which is ignored.
+pub fn quantity(text: &str) -> Result<f64, NotANumber> {
+    let wrong = || NotANumber(text.to_owned());
+    let digits = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-' | '+');
+    let mut end = text.find(|c| !digits(c)).unwrap_or(text.len());
+    // An exponent counts to the number only if digits follow it.
+    let rest = &text[end..];
+    if let Some(exponent) = rest.strip_prefix(['e', 'E']) {
+        let sign = usize::from(exponent.starts_with(['-', '+']));
+        let figures = exponent[sign..]
+            .chars()
+            .take_while(char::is_ascii_digit)
+            .count();
+        if figures > 0 {
+            end += 1 + sign + figures;
+        }
+    }
+    let number: f64 = text[..end].parse().map_err(|_| wrong())?;
+    let mut tail = text[end..].trim_start().chars();
+    let scale = match tail.clone().next() {
+        Some('n') => 1e-9,
+        Some('u' | 'µ') => 1e-6,
+        Some('m') => 1e-3,
+        Some('k') => 1e3,
+        Some('M') => 1e6,
+        _ => 1.0,
+    };
+    if scale != 1.0 {
+        tail.next();
+    }
+    match tail.as_str() {
+        "" | "s" | "Hz" | "F" | "V" | "A" | "ohm" | "S/s" | "m" => Ok(number * scale),
+        _ => Err(wrong()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prefixes_units_and_exponents() {
+        let cases = [
+            ("45k", 45e3),
+            ("50M", 50e6),
+            ("50MS/s", 50e6),
+            ("20ms", 20e-3),
+            ("0.2us", 0.2e-6),
+            ("0.2 µs", 0.2e-6),
+            ("1080nF", 1080e-9),
+            ("1e-3", 1e-3),
+            ("45e3Hz", 45e3),
+            ("-7", -7.0),
+            ("10mm", 10e-3),
+        ];
+        for (text, value) in cases {
+            let got = quantity(text).unwrap();
+            assert!((got / value - 1.0).abs() < 1e-12, "{text}: {got}");
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        for text in ["", "k", "fast", "45x", "4.5.6", "NaN", "inf", "45kk"] {
+            assert!(quantity(text).is_err(), "{text}");
+        }
+    }
+}
