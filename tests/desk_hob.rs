@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ihd::link::{LinkError, Transport};
+use ihd::link::{Client, LinkError, Transport};
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Block, Drive, RealTime};
 use ihd_shared::sampling::{
@@ -229,4 +229,17 @@ impl Transport for DeskLink {
     fn clock(&self) -> Duration {
         Duration::from_nanos(self.hob().time_ns)
     }
+}
+
+/// A client whose device heats, settled on one frequency, and streams every second half-cycle.
+///
+/// # Panics
+/// When the device refuses: the test then fails where it should.
+pub fn heating() -> (Client, DeskLink) {
+    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut client = Client::connect(Box::new(link.clone())).unwrap();
+    client.set_power(1_000).unwrap();
+    link.hob().run(60);
+    client.stream(0, 2).unwrap();
+    (client, link)
 }

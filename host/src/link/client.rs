@@ -1,6 +1,5 @@
 //! The host's end of the link: handshake, commands, events.
 
-use std::io;
 use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
@@ -12,6 +11,7 @@ use ihd_shared::wire::messages::{
 };
 
 use super::incoming::{Answer, Event, Incoming};
+use super::tap::Tap;
 use super::{Counters, FrameSink, LinkError, Transport};
 
 /// How long a command waits for its answer unless told otherwise.
@@ -34,17 +34,9 @@ pub struct Client {
     timeout: Duration,
     /// An answer stayed away and may still come.
     owed: bool,
-    recording: Option<Recording>,
-    recording_failed: Option<io::Error>,
-    mid_frame: bool,
+    tap: Tap,
     answers_stray: u32,
     events_dropped: u32,
-}
-
-struct Recording {
-    sink: Box<dyn FrameSink>,
-    /// The rest of a frame whose beginning was not recorded is not recorded either.
-    in_step: bool,
 }
 
 impl Client {
@@ -63,9 +55,7 @@ impl Client {
             frame_seq: 0,
             timeout: DEFAULT_TIMEOUT,
             owed: false,
-            recording: None,
-            recording_failed: None,
-            mid_frame: false,
+            tap: Tap::default(),
             answers_stray: 0,
             events_dropped: 0,
         };
@@ -109,10 +99,7 @@ impl Client {
 
     /// Copies every frame from now on to `sink`.
     pub fn record_to(&mut self, sink: impl FrameSink + 'static) {
-        self.recording = Some(Recording {
-            sink: Box::new(sink),
-            in_step: !self.mid_frame,
-        });
+        self.tap.open(Box::new(sink));
     }
 
     /// Asks for a mean power in watt; 0 switches off.
@@ -195,7 +182,7 @@ impl Client {
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
         let deadline = self.transport.clock() + timeout;
         loop {
-            if let Some(error) = self.recording_failed.take() {
+            if let Some(error) = self.tap.take_failure() {
                 return Err(LinkError::Recording(error));
             }
             if let Some(event) = self.incoming.events.pop_front() {
@@ -205,6 +192,7 @@ impl Client {
             if self.receive(left)? == 0 {
                 return Ok(None);
             }
+            self.drop_answers();
         }
     }
 
@@ -289,10 +277,14 @@ impl Client {
                 }
             }
         }
+        self.drop_answers();
+        Ok(())
+    }
+
+    fn drop_answers(&mut self) {
         let stray = self.incoming.answers.len() as u32;
         self.answers_stray = self.answers_stray.wrapping_add(stray);
         self.incoming.answers.clear();
-        Ok(())
     }
 
     /// Takes what comes within `timeout`; returns how many bytes it was.
@@ -308,27 +300,7 @@ impl Client {
             self.incoming.events.pop_front();
             self.events_dropped = self.events_dropped.wrapping_add(1);
         }
-        self.record(bytes);
-        self.mid_frame = bytes.last().map_or(self.mid_frame, |&b| b != 0);
+        self.tap.take(bytes);
         Ok(length)
-    }
-
-    fn record(&mut self, bytes: &[u8]) {
-        let Some(recording) = &mut self.recording else {
-            return;
-        };
-        let mut bytes = bytes;
-        if !recording.in_step {
-            let Some(end) = bytes.iter().position(|&b| b == 0) else {
-                return;
-            };
-            recording.in_step = true;
-            bytes = &bytes[end + 1..];
-        }
-        // A full disk must not cost the link: the next event tells it.
-        if let Err(error) = recording.sink.append(bytes) {
-            self.recording = None;
-            self.recording_failed = Some(error);
-        }
     }
 }

@@ -3,6 +3,7 @@
 use std::io;
 use std::time::Duration;
 
+use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::BlobError;
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_shared::wire::frame::EncodeError;
@@ -115,7 +116,13 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
                 .into()
         }
         Outcome::PowerOutOfRange => format!("more than its rating of {detail} W"),
-        Outcome::FaultActive => format!("fault {detail} is active; clear it first"),
+        Outcome::FaultActive if detail == 0 => {
+            "replay mode locks its power outputs; leave it".into()
+        }
+        Outcome::FaultActive => match Fault::ALL.get(detail as usize) {
+            Some(fault) => format!("fault {detail} ({fault:?}) is active; clear it first"),
+            None => format!("fault {detail} is active; clear it first"),
+        },
         Outcome::LookupLength => format!("a lookup has {detail} bytes"),
         Outcome::LookupFormat => format!("it reads lookups of format {detail} only"),
         Outcome::LookupCrc => "the lookup's CRC-32 does not match".into(),

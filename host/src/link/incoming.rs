@@ -9,7 +9,8 @@ use ihd_shared::wire::messages::{
 };
 
 use super::Counters;
-use super::window::{Assembler, Rejected, Window, WindowDefect};
+use super::assembler::{Assembler, Rejected};
+use super::window::{Window, WindowDefect};
 
 /// What a device says of its own accord.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,6 +10,7 @@
 //! [`incoming::Incoming`] turns bytes into answers and events; a live client and a recording read
 //! back ([`crate::capture`]) share it, so that both see the same windows and count the same damage.
 
+pub mod assembler;
 pub mod client;
 pub mod counters;
 pub mod device_spec;
@@ -17,6 +18,7 @@ pub mod error;
 pub mod incoming;
 pub mod protocol_doc;
 pub mod replay;
+mod tap;
 pub mod tcp;
 pub mod transport;
 pub mod window;

@@ -62,6 +62,7 @@ no frame, counts them, and is in step again at the next zero.
 | type | on the wire |
 |---|---|
 | `u8`, enumeration | one byte |
+| `bool` | one byte, 0 or 1 |
 | `u16`, `u32`, `u64` | varint |
 | `i16` | zigzag varint |
 | `MicroOhm`, `PicoHenry` | `i32` in that unit, zigzag varint |

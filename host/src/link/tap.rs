@@ -1,0 +1,83 @@
+//! The copy of the device's bytes that goes to a recording.
+
+use std::io;
+
+use super::FrameSink;
+
+/// Feeds a sink with whole frames, and keeps its failure for whoever asks.
+#[derive(Default)]
+pub struct Tap {
+    sink: Option<Box<dyn FrameSink>>,
+    failure: Option<io::Error>,
+    /// The last byte was within a frame.
+    mid_frame: bool,
+    /// The rest of a frame whose beginning was not recorded is not recorded either.
+    in_step: bool,
+}
+
+impl Tap {
+    /// Feeds `sink` from the next frame on.
+    pub fn open(&mut self, sink: Box<dyn FrameSink>) {
+        self.sink = Some(sink);
+        self.in_step = !self.mid_frame;
+    }
+
+    /// Why the sink gave up, once.
+    pub fn take_failure(&mut self) -> Option<io::Error> {
+        self.failure.take()
+    }
+
+    /// Takes what has come from the device. A full disk must not cost the link: the failure waits
+    /// and the sink is let go.
+    pub fn take(&mut self, bytes: &[u8]) {
+        if let Err(failure) = self.feed(bytes) {
+            self.sink = None;
+            self.failure = Some(failure);
+        }
+        self.mid_frame = bytes.last().map_or(self.mid_frame, |&b| b != 0);
+    }
+
+    fn feed(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        let Some(sink) = &mut self.sink else {
+            return Ok(());
+        };
+        if !self.in_step {
+            let Some(end) = bytes.iter().position(|&b| b == 0) else {
+                return Ok(());
+            };
+            self.in_step = true;
+            bytes = &bytes[end + 1..];
+        }
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        sink.append(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::{Arc, Mutex};
+
+    struct Kept(Arc<Mutex<Vec<u8>>>);
+
+    impl FrameSink for Kept {
+        fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+            self.0.lock().unwrap().extend(bytes);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_recording_that_begins_within_a_frame_begins_with_the_next() {
+        let kept = Arc::new(Mutex::new(Vec::new()));
+        let mut tap = Tap::default();
+        tap.take(&[0, 1, 2]);
+        tap.open(Box::new(Kept(Arc::clone(&kept))));
+        tap.take(&[3]);
+        tap.take(&[4, 0, 0, 5]);
+        tap.take(&[6, 0]);
+        assert_eq!(*kept.lock().unwrap(), [0, 5, 6, 0]);
+    }
+}
