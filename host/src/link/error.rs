@@ -32,7 +32,7 @@ pub enum LinkError {
         why: &'static str,
     },
     /// The device ended the link.
-    #[error("{device} closed the link; connect again once it runs")]
+    #[error("{device} closed the link: it ended, or another host has it; connect again once it is free")]
     Closed {
         /// The device.
         device: String,
