@@ -32,7 +32,9 @@ pub enum LinkError {
         why: &'static str,
     },
     /// The device ended the link.
-    #[error("{device} closed the link: it ended, or another host has it; connect again once it is free")]
+    #[error(
+        "{device} closed the link: it ended, or another host has it; connect again once it is free"
+    )]
     Closed {
         /// The device.
         device: String,
