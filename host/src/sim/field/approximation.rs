@@ -51,16 +51,15 @@ pub fn wide_settings(material: Material) -> Settings {
 
 /// Field model against the layered integral, small signal, wide plates.
 pub fn against_layered(material: Material, f_hz: f64) -> Result<Cost, FieldError> {
+    let what = match material {
+        Material::Froehlich { .. } => "all grids, against the layered integral: ferritic",
+        Material::Linear { mu_r, .. } if mu_r > 1.0 => "the same: stainless 304",
+        Material::Linear { .. } => "the same: aluminium",
+    };
     let s = wide_settings(material);
     let used = harmonic::impedance(&FieldModel::new(&s)?, f_hz, 0.0)?;
     let exact = layered::impedance(&s.geometry, &material, Shield::Perfect, f_hz)?;
-    Ok(Cost::of(
-        "grids, against the layered integral",
-        f_hz,
-        0.0,
-        used,
-        exact,
-    ))
+    Ok(Cost::of(what, f_hz, 0.0, used, exact))
 }
 
 /// The shield as a perfect conductor instead of aluminium.

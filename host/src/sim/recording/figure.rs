@@ -136,21 +136,18 @@ pub fn draw(recording: &Recording, path: &Path) -> Result<(), FigureError> {
     root.present().map_err(|e| wrong(e.to_string()))
 }
 
-/// Minimum and maximum of each column, in order, so that a carrier becomes a band.
+/// Minimum and maximum of each column in their order of time, so that a carrier becomes a band.
 fn extremes(t: &[f64], x: &[f64], range: Range<usize>, scale: f64) -> Vec<(f64, f64)> {
     let per_column = range.len().div_ceil(COLUMNS).max(1);
     let mut points = Vec::with_capacity(2 * COLUMNS);
     let mut start = range.start;
     while start < range.end {
         let end = (start + per_column).min(range.end);
-        let values = || x[start..end].iter().copied();
-        let (low, high) = (
-            values().fold(f64::INFINITY, f64::min),
-            values().fold(f64::NEG_INFINITY, f64::max),
-        );
-        points.push((t[start], low * scale));
-        if end - start > 1 {
-            points.push((t[end - 1], high * scale));
+        let by_value = |a: &usize, b: &usize| x[*a].total_cmp(&x[*b]);
+        let lowest = (start..end).min_by(by_value).unwrap_or(start);
+        let highest = (start..end).max_by(by_value).unwrap_or(start);
+        for k in [lowest.min(highest), lowest.max(highest)] {
+            points.push((t[k], x[k] * scale));
         }
         start = end;
     }
@@ -168,14 +165,20 @@ fn panel(area: &Panel<'_>, title: &str, curves: &[Curve<'_>]) -> Result<(), Stri
     let high = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
     let x = low(&mut all().map(|p| p.0))..high(&mut all().map(|p| p.0));
     let (bottom, top) = (low(&mut all().map(|p| p.1)), high(&mut all().map(|p| p.1)));
+    // Waveforms fill their panel: room for the legend above. R and L leave it below.
     let margin = 0.05 * (top - bottom).max(1e-9);
-    let bottom = if bottom >= 0.0 { 0.0 } else { bottom - margin };
+    let (bottom, top, legend) = if bottom < 0.0 {
+        let room = 5.0 * margin;
+        (bottom - margin, top + room, SeriesLabelPosition::UpperRight)
+    } else {
+        (0.0, top + margin, SeriesLabelPosition::LowerMiddle)
+    };
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 18))
         .margin(10)
         .x_label_area_size(34)
         .y_label_area_size(44)
-        .build_cartesian_2d(x, bottom..top + margin)
+        .build_cartesian_2d(x, bottom..top)
         .map_err(|e| e.to_string())?;
     mesh(&mut chart).map_err(|e| e.to_string())?;
     for curve in curves {
@@ -191,7 +194,7 @@ fn panel(area: &Panel<'_>, title: &str, curves: &[Curve<'_>]) -> Result<(), Stri
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::LowerMiddle)
+        .position(legend)
         .background_style(WHITE.mix(0.85))
         .draw()
         .map_err(|e| e.to_string())
