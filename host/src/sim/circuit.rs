@@ -1,53 +1,6 @@
-//! Half-bridge, resonance capacitor and load: the two state equations, integrated in time.
+//! Resonance capacitor and load: the two state equations, integrated in time.
 
-use ihd_shared::hob::{EDGE_NS, RESONANCE_CAPACITANCE_NF};
-use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
-
-/// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
-/// period is a whole number of steps too.
-pub const STEPS_PER_SAMPLE: usize = 24;
-
-/// Integration steps of one block of p samples.
-pub const STEPS_PER_BLOCK: usize = STEPS_PER_SAMPLE * ADC_LOCK_P;
-
-/// Integration steps of one switching period.
-pub const STEPS_PER_PERIOD: usize = STEPS_PER_BLOCK / ADC_LOCK_Q as usize;
-
-const _: () = assert!(STEPS_PER_PERIOD * ADC_LOCK_Q as usize == STEPS_PER_BLOCK);
-
-/// The half-bridge's voltage over one switching period, as a share of the bus, at the boundaries
-/// of the integration steps: up at the start, down at the middle, linear edges.
-#[derive(Clone, Debug)]
-pub struct BridgeShape {
-    level: Vec<f64>,
-    /// Duration of an integration step in seconds.
-    pub dt_s: f64,
-}
-
-impl BridgeShape {
-    /// The shape at a switching frequency in hertz.
-    pub fn new(f_sw_hz: f64) -> Self {
-        let period_s = 1.0 / f_sw_hz;
-        let edge_s = f64::from(EDGE_NS) * 1e-9;
-        let level = (0..=STEPS_PER_PERIOD)
-            .map(|n| {
-                let t = n as f64 / STEPS_PER_PERIOD as f64 * period_s;
-                let rise = (t / edge_s).min(1.0);
-                let fall = ((t - 0.5 * period_s) / edge_s).clamp(0.0, 1.0);
-                rise - fall
-            })
-            .collect();
-        Self {
-            level,
-            dt_s: period_s / STEPS_PER_PERIOD as f64,
-        }
-    }
-
-    /// Level at step boundary `n` of the period, 0 to 1.
-    pub fn level(&self, n: usize) -> f64 {
-        self.level[n % STEPS_PER_PERIOD]
-    }
-}
+use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
 /// Coil current and capacitor voltage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -84,39 +37,31 @@ impl Circuit {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::inverter::bridge::HalfBridge;
     use std::f64::consts::{PI, TAU};
-
-    #[test]
-    fn the_shape_is_a_square_with_edges() {
-        let shape = BridgeShape::new(45e3);
-        assert!(shape.level(0).abs() < 1e-12);
-        assert!((shape.level(STEPS_PER_PERIOD / 4) - 1.0).abs() < 1e-12);
-        assert!(shape.level(3 * STEPS_PER_PERIOD / 4).abs() < 1e-12);
-        let mean = (0..STEPS_PER_PERIOD).map(|n| shape.level(n)).sum::<f64>();
-        assert!((mean / STEPS_PER_PERIOD as f64 - 0.5).abs() < 2e-3);
-        // Slope: 45 ns of 200 ns.
-        assert!((shape.level(1) - shape.dt_s / 200e-9).abs() < 1e-12);
-    }
 
     /// Against the phasor solution of the series circuit, harmonic by harmonic.
     #[test]
     fn steady_state_has_the_phasors_of_the_series_circuit() {
         let (f, r, l, bus) = (45e3, 3.0, 20e-6, 100.0);
-        let shape = BridgeShape::new(f);
+        let steps = 488;
+        let dt_s = 1.0 / (f * steps as f64);
+        let mut bridge = HalfBridge::new(0.0, 200e-9).unwrap();
         let mut circuit = Circuit::default();
         let mut phasor = [(0.0, 0.0); 2];
         let periods = 400;
         for p in 0..periods {
-            for n in 0..STEPS_PER_PERIOD {
+            for n in 0..steps {
                 if p == periods - 1 {
                     for (h, sum) in [1.0, 3.0].into_iter().zip(&mut phasor) {
-                        let a = TAU * h * n as f64 / STEPS_PER_PERIOD as f64;
-                        sum.0 += circuit.i_a * a.cos() * 2.0 / STEPS_PER_PERIOD as f64;
-                        sum.1 -= circuit.i_a * a.sin() * 2.0 / STEPS_PER_PERIOD as f64;
+                        let a = TAU * h * n as f64 / steps as f64;
+                        sum.0 += circuit.i_a * a.cos() * 2.0 / steps as f64;
+                        sum.1 -= circuit.i_a * a.sin() * 2.0 / steps as f64;
                     }
                 }
-                let mean = 0.5 * (shape.level(n) + shape.level(n + 1)) * bus;
-                circuit.step(mean, r, l, shape.dt_s);
+                let (from, to) = (n as f64 * dt_s, (n + 1) as f64 * dt_s);
+                let mean = bridge.advance(true, 1.0 / f, from, to, 0.0) * bus;
+                circuit.step(mean, r, l, dt_s);
             }
         }
         for (h, sum) in [1.0, 3.0].into_iter().zip(phasor) {

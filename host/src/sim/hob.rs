@@ -16,6 +16,7 @@ use super::adc::{Adc, Noise};
 use super::behavioural::PotKind;
 use super::mains::Mains;
 use super::plant::{LoadPoint, Plant};
+use super::recording::settings::LoadKind;
 use super::truth::Truth;
 
 /// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
@@ -31,6 +32,8 @@ pub struct HobConfig {
     pub mains_hz: f64,
     /// What stands on the coil at the start.
     pub pot: PotKind,
+    /// How the load is modelled.
+    pub load: LoadKind,
     /// Noise of the ADC channels.
     pub noise: Noise,
     /// Seed of the noise.
@@ -45,6 +48,7 @@ impl Default for HobConfig {
         Self {
             mains_hz: 50.0,
             pot: PotKind::Ferromagnetic,
+            load: LoadKind::Behavioural,
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
                 v_v: 0.1,
@@ -78,9 +82,10 @@ impl SimHob {
         let boot_id = config.seed as u32;
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
         Self {
-            plant: Plant::new(
+            plant: Plant::with_load(
                 Mains::new(config.mains_hz),
                 config.pot,
+                config.load,
                 Adc::new(config.noise, config.seed),
             ),
             realtime: Box::new(RealTime::new(r, l)),

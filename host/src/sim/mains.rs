@@ -27,8 +27,8 @@ impl Mains {
         0.5 / self.frequency_hz
     }
 
-    /// Bus voltage at a time after a zero crossing, in volt.
-    pub fn bus_v(&self, t_s: f64) -> f64 {
+    /// Mains voltage at a time after a rising zero crossing, in volt.
+    pub fn mains_v(&self, t_s: f64) -> f64 {
         let angle = std::f64::consts::TAU * self.frequency_hz * t_s;
         let mut v = libm::sin(angle);
         if self.harmonics != [0.0; 3] {
@@ -36,6 +36,11 @@ impl Mains {
                 v += share * libm::sin(order * angle);
             }
         }
-        self.peak_v * libm::fabs(v)
+        self.peak_v * v
+    }
+
+    /// Rectified mains at a time after a zero crossing, in volt.
+    pub fn bus_v(&self, t_s: f64) -> f64 {
+        libm::fabs(self.mains_v(t_s))
     }
 }

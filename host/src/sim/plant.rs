@@ -1,52 +1,35 @@
-//! The power stage with its load, one ADC block at a time.
-
-use std::f64::consts::TAU;
+//! The power stage with its load and ADC, one ADC block at a time.
 
 use ihd_firmware::realtime::Drive;
-use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::hob::EDGE_NS;
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
 use super::adc::Adc;
-use super::behavioural::{Load, PotKind};
-use super::circuit::{BridgeShape, Circuit, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
+use super::behavioural::PotKind;
+use super::inverter::bridge::HalfBridge;
+use super::inverter::bus::Bus;
+use super::inverter::load::LoadState;
+use super::inverter::meter::PeriodMeter;
+use super::inverter::{Inverter, InverterError};
 use super::mains::Mains;
+use super::pot::{Metal, Pot};
+use super::recording::run::PreparedLoad;
+use super::recording::settings::LoadKind;
 
-/// Amplitude of the current's fundamental over the last switching period: a sliding Fourier sum,
-/// so that it is continuous in time and the load follows the envelope, not the carrier.
-#[derive(Clone, Debug)]
-struct Envelope {
-    cos_sin: Vec<(f64, f64)>,
-    ring: Vec<(f64, f64)>,
-    sum: (f64, f64),
-}
+/// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
+/// period is a whole number of steps too.
+pub const STEPS_PER_SAMPLE: usize = 24;
 
-impl Envelope {
-    fn new() -> Self {
-        let step = TAU / STEPS_PER_PERIOD as f64;
-        Self {
-            cos_sin: (0..STEPS_PER_PERIOD)
-                .map(|n| (libm::cos(step * n as f64), libm::sin(step * n as f64)))
-                .collect(),
-            ring: vec![(0.0, 0.0); STEPS_PER_PERIOD],
-            sum: (0.0, 0.0),
-        }
-    }
+/// Integration steps of one switching period.
+pub const STEPS_PER_PERIOD: usize = STEPS_PER_SAMPLE * ADC_LOCK_P / ADC_LOCK_Q as usize;
 
-    fn push(&mut self, n: usize, i_a: f64) {
-        let (c, s) = self.cos_sin[n];
-        let new = (i_a * c, i_a * s);
-        let old = std::mem::replace(&mut self.ring[n], new);
-        self.sum.0 += new.0 - old.0;
-        self.sum.1 += new.1 - old.1;
-    }
+const _: () = assert!(STEPS_PER_SAMPLE.is_multiple_of(ADC_LOCK_Q as usize));
 
-    fn amplitude_a(&self) -> f64 {
-        let (c, s) = self.sum;
-        libm::sqrt(c * c + s * s) * 2.0 / STEPS_PER_PERIOD as f64
-    }
-}
+/// Resistance of the winding in ohm, beside a load from the field model.
+const WINDING_R_OHM: f64 = 0.1;
 
 /// Load and envelope at one ADC sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoadPoint {
     /// Time of the sample since the simulation's start, in seconds.
     pub t_s: f64,
@@ -58,46 +41,110 @@ pub struct LoadPoint {
     pub i_a: f64,
 }
 
+/// Every pot, ready to be put on the coil.
+#[derive(Clone, Debug)]
+struct Shelf(Vec<(PotKind, PreparedLoad)>);
+
+impl Shelf {
+    fn new(kind: LoadKind) -> Result<Self, InverterError> {
+        let prepare = |pot: PotKind| {
+            let prepared = match kind {
+                LoadKind::Behavioural => PreparedLoad::Behavioural(pot),
+                _ => PreparedLoad::new(kind, &described(pot), WINDING_R_OHM)?,
+            };
+            Ok((pot, prepared))
+        };
+        let all: Result<_, InverterError> = PotKind::ALL.into_iter().map(prepare).collect();
+        Ok(Self(all?))
+    }
+
+    fn take(
+        &self,
+        pot: PotKind,
+        f_sw_hz: f64,
+        before: Option<&LoadState>,
+    ) -> Result<LoadState, InverterError> {
+        // `new` put every kind on the shelf.
+        let found = self.0.iter().find(|(kind, _)| *kind == pot);
+        let (_, prepared) = found.unwrap_or(&self.0[0]);
+        prepared.start(f_sw_hz, STEPS_PER_PERIOD, before)
+    }
+}
+
+/// The pots of the behavioural model as field models.
+fn described(pot: PotKind) -> Pot {
+    match pot {
+        PotKind::Ferromagnetic => Pot::new(Metal::Ferritic, 0.21),
+        PotKind::Small => Pot::new(Metal::Ferritic, 0.12),
+        PotKind::Aluminium => Pot::new(Metal::Aluminium, 0.21),
+        PotKind::Stainless => Pot::new(Metal::Stainless, 0.21),
+        PotKind::None => Pot::NONE,
+    }
+}
+
 /// Mains, half-bridge, capacitor, load and ADC.
 #[derive(Clone, Debug)]
 pub struct Plant {
-    mains: Mains,
     adc: Adc,
     pot: PotKind,
-    load: Load,
+    shelf: Shelf,
     drive: Drive,
-    shape: BridgeShape,
-    circuit: Circuit,
-    envelope: Envelope,
-    t_s: f64,
+    inverter: Inverter,
+    meter: PeriodMeter,
+    measured: LoadPoint,
 }
 
 impl Plant {
-    /// A plant at rest, at a mains zero crossing.
+    /// A plant at rest, at a mains zero crossing, with a behavioural load.
     pub fn new(mains: Mains, pot: PotKind, adc: Adc) -> Self {
+        Self::with_load(mains, pot, LoadKind::Behavioural, adc)
+    }
+
+    /// The same with a load model of choice.
+    ///
+    /// # Panics
+    /// Never by anything from outside: all pots and the bridge are constants of this file, and the
+    /// tests put every pot on the shelf.
+    pub fn with_load(mains: Mains, pot: PotKind, load: LoadKind, adc: Adc) -> Self {
+        Self::assemble(mains, pot, load, adc).expect("the pots of this file are valid")
+    }
+
+    fn assemble(
+        mains: Mains,
+        pot: PotKind,
+        load: LoadKind,
+        adc: Adc,
+    ) -> Result<Self, InverterError> {
         let drive = Drive::OFF;
-        let f = f64::from(drive.f_sw_hz);
-        Self {
-            mains,
+        let f_sw_hz = f64::from(drive.f_sw_hz);
+        let shelf = Shelf::new(load)?;
+        let inverter = Inverter::new(
+            Bus::new(mains, 0.0, 0.0)?,
+            HalfBridge::new(0.0, f64::from(EDGE_NS) * 1e-9)?,
+            shelf.take(pot, f_sw_hz, None)?,
+            f_sw_hz,
+            STEPS_PER_PERIOD,
+            0.0,
+        );
+        Ok(Self {
             adc,
             pot,
-            load: Load::new(pot, f),
+            shelf,
             drive,
-            shape: BridgeShape::new(f),
-            circuit: Circuit::default(),
-            envelope: Envelope::new(),
-            t_s: 0.0,
-        }
+            inverter,
+            meter: PeriodMeter::new(STEPS_PER_PERIOD),
+            measured: LoadPoint::default(),
+        })
     }
 
     /// Time since the start, in seconds.
     pub fn t_s(&self) -> f64 {
-        self.t_s
+        self.inverter.now_s()
     }
 
     /// The mains.
     pub fn mains(&self) -> Mains {
-        self.mains
+        self.inverter.bus.mains()
     }
 
     /// What stands on the coil.
@@ -105,57 +152,145 @@ impl Plant {
         self.pot
     }
 
-    /// Puts another pot on the coil, or takes it away.
+    /// Puts another pot on the coil, or takes it away. The current flows on.
     pub fn set_pot(&mut self, pot: PotKind) {
-        self.pot = pot;
-        self.load = Load::new(pot, f64::from(self.drive.f_sw_hz));
+        let load = self
+            .shelf
+            .take(pot, self.inverter.f_sw_hz(), Some(&self.inverter.load));
+        // The shelf was checked when it was filled; a pot that cannot be put on stays away.
+        if let Ok(load) = load {
+            self.inverter.load = load;
+            self.pot = pot;
+        }
     }
 
     /// Takes effect with the next block; with another frequency the carrier starts anew.
     pub fn set_drive(&mut self, drive: Drive) {
         if drive.f_sw_hz != self.drive.f_sw_hz {
-            let f = f64::from(drive.f_sw_hz);
-            self.load = Load::new(self.pot, f);
-            self.shape = BridgeShape::new(f);
-            self.envelope = Envelope::new();
+            let f_sw_hz = f64::from(drive.f_sw_hz);
+            let dt_s = 1.0 / (f_sw_hz * STEPS_PER_PERIOD as f64);
+            let mut load = self.inverter.load.clone();
+            if !load.set_dt(dt_s).unwrap_or(false)
+                && let Ok(law) = self.shelf.take(self.pot, f_sw_hz, Some(&load))
+            {
+                load = law;
+            }
+            self.inverter.restart(load, f_sw_hz, STEPS_PER_PERIOD);
         }
         self.drive = drive;
     }
 
     /// Simulates one block; `seen` gets the load at every ADC sample. With the bridge off the tank
     /// is shorted by the low-side switch and rings out.
+    ///
+    /// A law is known at the sample itself; of the field model `seen` gets what the last whole
+    /// switching period showed.
     pub fn block(&mut self, mut seen: impl FnMut(&LoadPoint)) -> [Pair; ADC_LOCK_P] {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
-        let dt_s = self.shape.dt_s;
-        let on = if self.drive.on { 1.0 } else { 0.0 };
-        for (k, pair) in pairs.iter_mut().enumerate() {
-            let t_s = self.t_s + (k * STEPS_PER_SAMPLE) as f64 * dt_s;
-            let i_a = self.envelope.amplitude_a();
-            let (r_ohm, l_h) = self.load.r_l(i_a);
-            seen(&LoadPoint {
+        for pair in &mut pairs {
+            let now = self.inverter.instant();
+            seen(&self.load_point());
+            *pair = self.adc.convert(now.coil_v, now.i_a);
+            for _ in 0..STEPS_PER_SAMPLE {
+                self.step();
+            }
+        }
+        pairs
+    }
+
+    fn load_point(&self) -> LoadPoint {
+        let t_s = self.t_s();
+        match self.inverter.load.law_point() {
+            Some((r_ohm, l_h, i_a)) => LoadPoint {
                 t_s,
                 r_ohm,
                 l_h,
                 i_a,
-            });
-            // The bus moves by 0.03 % within a sample: taken at both ends and in between, linear.
-            let bus = [0, STEPS_PER_SAMPLE].map(|n| self.mains.bus_v(t_s + n as f64 * dt_s) * on);
-            let first = k * STEPS_PER_SAMPLE % STEPS_PER_PERIOD;
-            let bridge_v = |n: usize| {
-                let w = n as f64 / STEPS_PER_SAMPLE as f64;
-                (bus[0] + w * (bus[1] - bus[0])) * self.shape.level(first + n)
-            };
-            *pair = self
-                .adc
-                .convert(bridge_v(0) - self.circuit.v_c_v, self.circuit.i_a);
-            for n in 0..STEPS_PER_SAMPLE {
-                self.envelope
-                    .push((first + n) % STEPS_PER_PERIOD, self.circuit.i_a);
-                let mean = 0.5 * (bridge_v(n) + bridge_v(n + 1));
-                self.circuit.step(mean, r_ohm, l_h, dt_s);
-            }
+            },
+            None => LoadPoint {
+                t_s,
+                ..self.measured
+            },
         }
-        self.t_s += (ADC_LOCK_P * STEPS_PER_SAMPLE) as f64 * dt_s;
-        pairs
+    }
+
+    fn step(&mut self) {
+        if !self.inverter.load.is_field() {
+            self.inverter.advance(self.drive.on);
+            return;
+        }
+        let n = self.inverter.step_in_period();
+        if n == 0 {
+            let start = self.inverter.instant();
+            self.meter.push(0, start.coil_v, start.i_a);
+        }
+        let now = self.inverter.advance(self.drive.on);
+        self.meter.push(n + 1, now.coil_v, now.i_a);
+        if n + 1 == STEPS_PER_PERIOD {
+            let truth = self.meter.truth(now.t_s, self.inverter.f_sw_hz(), now.i_a);
+            self.measured = LoadPoint {
+                t_s: now.t_s,
+                r_ohm: truth.r_ohm[0],
+                l_h: truth.l_h[0],
+                i_a: truth.i_a,
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::adc::Noise;
+    use crate::sim::behavioural::Load;
+
+    fn at_full_power(load: LoadKind) -> Plant {
+        let adc = Adc::new(Noise::default(), 1);
+        let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
+        plant.set_drive(Drive {
+            f_sw_hz: 50_000,
+            on: true,
+        });
+        while plant.t_s() < 5e-3 {
+            plant.block(|_| ());
+        }
+        plant
+    }
+
+    #[test]
+    fn the_load_point_is_the_law_at_the_envelope() {
+        let point = at_full_power(LoadKind::Behavioural).load_point();
+        let (r, l) = Load::new(PotKind::Ferromagnetic, 50e3).r_l(point.i_a);
+        assert!(point.i_a > 30.0, "{point:?}");
+        assert_eq!((point.r_ohm, point.l_h), (r, l));
+    }
+
+    #[test]
+    fn the_table_stands_for_the_field() {
+        let field = at_full_power(LoadKind::Field).load_point();
+        let table = at_full_power(LoadKind::Reduced).load_point();
+        println!("{field:?} {table:?}");
+        assert!((table.l_h / field.l_h - 1.0).abs() < 0.03);
+        assert!((table.r_ohm / field.r_ohm - 1.0).abs() < 0.06);
+        assert!((table.i_a / field.i_a - 1.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn pots_are_exchanged_and_frequency_changed_in_operation() {
+        for load in [LoadKind::Behavioural, LoadKind::Field] {
+            let mut plant = at_full_power(load);
+            let before = plant.load_point();
+            plant.set_pot(PotKind::None);
+            plant.set_drive(Drive {
+                f_sw_hz: 60_000,
+                on: true,
+            });
+            while plant.t_s() < 6e-3 {
+                plant.block(|_| ());
+            }
+            let after = plant.load_point();
+            assert!(after.l_h > 1.5 * before.l_h, "{before:?} {after:?}");
+            assert!(after.r_ohm < 0.2 * before.r_ohm, "{before:?} {after:?}");
+        }
     }
 }

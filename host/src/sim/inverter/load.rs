@@ -95,6 +95,22 @@ impl LoadState {
         }
     }
 
+    /// Whether this is the field model.
+    pub fn is_field(&self) -> bool {
+        matches!(self, Self::Field { .. })
+    }
+
+    /// R in ohm, L in henry and the amplitude in ampere that give them; `None` for the field model,
+    /// which has no such numbers.
+    pub fn law_point(&self) -> Option<(f64, f64, f64)> {
+        let Self::Law { law, envelope } = self else {
+            return None;
+        };
+        let i_a = envelope.amplitude_a();
+        let (r_ohm, l_h) = law.r_l(i_a);
+        Some((r_ohm, l_h, i_a))
+    }
+
     /// Changes the time step of the field model and keeps its state; `false` for a law, which has
     /// none but knows its frequency.
     pub fn set_dt(&mut self, dt_s: f64) -> Result<bool, InverterError> {
