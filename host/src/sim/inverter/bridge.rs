@@ -37,6 +37,12 @@ impl HalfBridge {
     /// `i_a`; returns the mean level on the way. Off means: lower switch on.
     pub fn advance(&mut self, on: bool, period_s: f64, from_s: f64, to_s: f64, i_a: f64) -> f64 {
         let half_s = 0.5 * period_s;
+        if on && self.level == 1.0 && from_s >= self.dead_s && to_s <= half_s {
+            return 1.0;
+        }
+        if on && self.level == 0.0 && from_s >= half_s + self.dead_s && to_s <= period_s {
+            return 0.0;
+        }
         let changes = [self.dead_s, half_s, half_s + self.dead_s, f64::INFINITY];
         let mut at_s = from_s;
         let mut sum = 0.0;

@@ -79,6 +79,7 @@ pub struct Inverter {
     /// Load.
     pub load: LoadState,
     f_sw_hz: f64,
+    dt_s: f64,
     steps: usize,
     step: usize,
     period_start_s: f64,
@@ -100,6 +101,7 @@ impl Inverter {
             circuit: Circuit::default(),
             load,
             f_sw_hz,
+            dt_s: 1.0 / (f_sw_hz * steps as f64),
             steps,
             step: 0,
             period_start_s: t_s,
@@ -108,7 +110,7 @@ impl Inverter {
 
     /// Integration step in seconds.
     pub fn dt_s(&self) -> f64 {
-        1.0 / (self.f_sw_hz * self.steps as f64)
+        self.dt_s
     }
 
     /// Steps of a period.
@@ -132,6 +134,7 @@ impl Inverter {
         self.period_start_s = self.now_s();
         self.step = 0;
         (self.load, self.f_sw_hz, self.steps) = (load, f_sw_hz, steps);
+        self.dt_s = 1.0 / (f_sw_hz * steps as f64);
     }
 
     /// Time now, in seconds.
