@@ -34,6 +34,8 @@ pub struct HobConfig {
     pub pot: PotKind,
     /// How the load is modelled.
     pub load: LoadKind,
+    /// Whether the pot warms up, so that R and L drift over minutes.
+    pub warming: bool,
     /// Noise of the ADC channels.
     pub noise: Noise,
     /// Seed of the noise.
@@ -49,6 +51,7 @@ impl Default for HobConfig {
             mains_hz: 50.0,
             pot: PotKind::Ferromagnetic,
             load: LoadKind::Behavioural,
+            warming: false,
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
                 v_v: 0.1,
@@ -81,13 +84,14 @@ impl SimHob {
         // Simulated boots are told apart by their seed.
         let boot_id = config.seed as u32;
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
+        let adc = Adc::new(config.noise, config.seed);
+        let mains = Mains::new(config.mains_hz);
+        let mut plant = Plant::with_load(mains, config.pot, config.load, adc);
+        if config.warming {
+            plant.enable_warming();
+        }
         Self {
-            plant: Plant::with_load(
-                Mains::new(config.mains_hz),
-                config.pot,
-                config.load,
-                Adc::new(config.noise, config.seed),
-            ),
+            plant,
             realtime: Box::new(RealTime::new(r, l)),
             housekeeping: Housekeeping::new(hello),
             inbound: VecDeque::new(),

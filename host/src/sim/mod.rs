@@ -20,3 +20,4 @@ pub mod recording;
 pub mod reduced;
 pub mod transport;
 pub mod truth;
+pub mod warming;

@@ -15,6 +15,7 @@ use super::mains::Mains;
 use super::pot::{Metal, Pot};
 use super::recording::run::PreparedLoad;
 use super::recording::settings::LoadKind;
+use super::warming::Warming;
 
 /// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
 /// period is a whole number of steps too.
@@ -92,6 +93,7 @@ pub struct Plant {
     inverter: Inverter,
     meter: PeriodMeter,
     measured: LoadPoint,
+    warming: Option<Warming>,
 }
 
 impl Plant {
@@ -134,7 +136,18 @@ impl Plant {
             inverter,
             meter: PeriodMeter::new(STEPS_PER_PERIOD),
             measured: LoadPoint::default(),
+            warming: None,
         })
+    }
+
+    /// Lets the pot warm up from room temperature by the power it takes.
+    pub fn enable_warming(&mut self) {
+        self.warming = Some(Warming::default());
+    }
+
+    /// Temperature of the pot in °C, if it warms up.
+    pub fn temperature_c(&self) -> Option<f64> {
+        self.warming.map(|w| w.temperature_c())
     }
 
     /// Time since the start, in seconds.
@@ -161,6 +174,8 @@ impl Plant {
         if let Ok(load) = load {
             self.inverter.load = load;
             self.pot = pot;
+            // The new pot comes from the cupboard.
+            self.warming = self.warming.map(|_| Warming::default());
         }
     }
 
@@ -176,6 +191,7 @@ impl Plant {
                 load = law;
             }
             self.inverter.restart(load, f_sw_hz, STEPS_PER_PERIOD);
+            self.apply_temperature();
         }
         self.drive = drive;
     }
@@ -195,7 +211,39 @@ impl Plant {
                 self.step();
             }
         }
+        self.warm_up();
         pairs
+    }
+
+    /// One block's heat.
+    fn warm_up(&mut self) {
+        let Some(warming) = &mut self.warming else {
+            return;
+        };
+        let (r_ohm, i_a) = match self.inverter.load.law_point() {
+            Some((r_ohm, _, i_a)) => (r_ohm, i_a),
+            None => (self.measured.r_ohm, self.measured.i_a),
+        };
+        let block_s = f64::from(ADC_LOCK_Q) / self.inverter.f_sw_hz();
+        warming.advance(0.5 * r_ohm * i_a * i_a, block_s);
+        self.apply_temperature();
+    }
+
+    fn apply_temperature(&mut self) {
+        let (Some(warming), Some(metal)) = (&self.warming, described(self.pot).metal) else {
+            return;
+        };
+        let winding_r_ohm = match self.shelf.0.first() {
+            Some((_, PreparedLoad::Behavioural(_))) => 0.0,
+            _ => WINDING_R_OHM,
+        };
+        let (hot_c, f_sw_hz) = (warming.temperature_c(), self.inverter.f_sw_hz());
+        // Refused only far beyond the temperatures that the cooling allows.
+        let set = self
+            .inverter
+            .load
+            .set_temperature(metal, hot_c, winding_r_ohm, f_sw_hz);
+        debug_assert!(set.is_ok(), "{set:?}");
     }
 
     fn load_point(&self) -> LoadPoint {
@@ -273,6 +321,28 @@ mod tests {
         assert!((table.l_h / field.l_h - 1.0).abs() < 0.03);
         assert!((table.r_ohm / field.r_ohm - 1.0).abs() < 0.06);
         assert!((table.i_a / field.i_a - 1.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn r_drifts_upwards_as_the_pot_warms() {
+        for load in [LoadKind::Behavioural, LoadKind::Field] {
+            let mut plant = at_full_power(load);
+            plant.enable_warming();
+            plant.warming.as_mut().unwrap().advance(9e4, 1.0);
+            let hot_c = plant.temperature_c().unwrap();
+            assert!((hot_c - 120.0).abs() < 1e-9, "{hot_c}");
+            let cold = plant.load_point();
+            let then_s = plant.t_s() + 1e-4;
+            while plant.t_s() < then_s {
+                plant.block(|_| ());
+            }
+            let hot = plant.load_point();
+            let ratio = hot.r_ohm / cold.r_ohm;
+            assert!(
+                (ratio / 1.11f64.sqrt() - 1.0).abs() < 0.03,
+                "{load:?} {ratio}"
+            );
+        }
     }
 
     #[test]

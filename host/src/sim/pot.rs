@@ -169,35 +169,41 @@ impl Pot {
 }
 
 impl Metal {
+    /// Resistivity at a temperature in °C over that at 20 °C.
+    pub fn resistivity_factor(self, temperature_c: f64) -> f64 {
+        let per_kelvin = match self {
+            Self::Ferritic => 1.1e-3,
+            Self::Stainless => 0.9e-3,
+            Self::Aluminium => 4.0e-3,
+        };
+        1.0 + per_kelvin * (temperature_c - 20.0)
+    }
+
     /// Material at a temperature in °C. Resistivity grows linearly; the ferritic steel's saturation
     /// falls as 1 − (ΔT/ΔT_Curie)² with a Curie point of 680 °C.
     pub fn at(self, temperature_c: f64) -> Material {
-        let rise = temperature_c - 20.0;
-        let (material, per_kelvin) = match self {
-            Self::Ferritic => (Material::PAPER, 1.1e-3),
-            Self::Stainless => (Material::STAINLESS_304, 0.9e-3),
-            Self::Aluminium => (Material::ALUMINIUM, 4.0e-3),
+        let material = match self {
+            Self::Ferritic => Material::PAPER,
+            Self::Stainless => Material::STAINLESS_304,
+            Self::Aluminium => Material::ALUMINIUM,
         };
-        let hot_sigma = |sigma: f64| sigma / (1.0 + per_kelvin * rise);
+        let hot_sigma = material.sigma_s_per_m() / self.resistivity_factor(temperature_c);
         match material {
             Material::Froehlich {
                 alpha_a_per_m,
                 b_per_t,
-                sigma_s_per_m,
+                ..
             } => {
-                let x = rise.max(0.0) / 660.0;
+                let x = (temperature_c - 20.0).max(0.0) / 660.0;
                 Material::Froehlich {
                     alpha_a_per_m,
                     b_per_t: b_per_t / (1.0 - x * x),
-                    sigma_s_per_m: hot_sigma(sigma_s_per_m),
+                    sigma_s_per_m: hot_sigma,
                 }
             }
-            Material::Linear {
+            Material::Linear { mu_r, .. } => Material::Linear {
                 mu_r,
-                sigma_s_per_m,
-            } => Material::Linear {
-                mu_r,
-                sigma_s_per_m: hot_sigma(sigma_s_per_m),
+                sigma_s_per_m: hot_sigma,
             },
         }
     }

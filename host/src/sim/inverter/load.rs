@@ -4,6 +4,7 @@ use super::InverterError;
 use super::envelope::Envelope;
 use crate::sim::behavioural;
 use crate::sim::field::{FieldLoad, FieldModel};
+use crate::sim::pot::Metal;
 use crate::sim::reduced::ReducedLoad;
 
 /// Rings of the time-domain field model.
@@ -43,6 +44,41 @@ impl Law {
     }
 }
 
+/// What heat does to R and L of a law: the skin effect's R and X of the load both grow with the
+/// root of its resistivity. The winding stays as it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Warmth {
+    growth: f64,
+    winding_r_ohm: f64,
+    omega_per_s: f64,
+}
+
+impl Default for Warmth {
+    fn default() -> Self {
+        Self {
+            growth: 0.0,
+            winding_r_ohm: 0.0,
+            omega_per_s: 1.0,
+        }
+    }
+}
+
+impl Warmth {
+    /// At a temperature in °C, for a law that includes `winding_r_ohm` and a frequency in hertz.
+    pub fn new(metal: Metal, temperature_c: f64, winding_r_ohm: f64, f_sw_hz: f64) -> Self {
+        Self {
+            growth: metal.resistivity_factor(temperature_c).sqrt() - 1.0,
+            winding_r_ohm,
+            omega_per_s: std::f64::consts::TAU * f_sw_hz,
+        }
+    }
+
+    fn bend(&self, (r_ohm, l_h): (f64, f64)) -> (f64, f64) {
+        let more_ohm = self.growth * (r_ohm - self.winding_r_ohm);
+        (r_ohm + more_ohm, l_h + more_ohm / self.omega_per_s)
+    }
+}
+
 /// A load in operation.
 #[derive(Clone, Debug)]
 pub enum LoadState {
@@ -56,6 +92,8 @@ pub enum LoadState {
         held: (f64, f64),
         /// Steps until the law is asked again.
         hold: u32,
+        /// How the load's temperature bends the law.
+        warmth: Warmth,
     },
     /// The field model; several for a pot off centre.
     Field {
@@ -80,6 +118,7 @@ impl LoadState {
             envelope,
             held: (0.0, 0.0),
             hold: 0,
+            warmth: Warmth::default(),
         }
     }
 
@@ -106,6 +145,27 @@ impl LoadState {
         }
     }
 
+    /// Sets the load's temperature in °C. The field model takes the hot material, a law is bent.
+    pub fn set_temperature(
+        &mut self,
+        metal: Metal,
+        temperature_c: f64,
+        winding_r_ohm: f64,
+        f_sw_hz: f64,
+    ) -> Result<(), InverterError> {
+        match self {
+            Self::Law { warmth, .. } => {
+                *warmth = Warmth::new(metal, temperature_c, winding_r_ohm, f_sw_hz);
+            }
+            Self::Field { sectors, .. } => {
+                for (_, load) in sectors {
+                    load.set_material(&metal.at(temperature_c))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Whether this is the field model.
     pub fn is_field(&self) -> bool {
         matches!(self, Self::Field { .. })
@@ -114,11 +174,17 @@ impl LoadState {
     /// R in ohm, L in henry and the amplitude in ampere that give them; `None` for the field model,
     /// which has no such numbers.
     pub fn law_point(&self) -> Option<(f64, f64, f64)> {
-        let Self::Law { law, envelope, .. } = self else {
+        let Self::Law {
+            law,
+            envelope,
+            warmth,
+            ..
+        } = self
+        else {
             return None;
         };
         let i_a = envelope.amplitude_a();
-        let (r_ohm, l_h) = law.r_l(i_a);
+        let (r_ohm, l_h) = warmth.bend(law.r_l(i_a));
         Some((r_ohm, l_h, i_a))
     }
 
@@ -142,9 +208,10 @@ impl LoadState {
                 envelope,
                 held,
                 hold,
+                warmth,
             } => {
                 if *hold == 0 {
-                    (*held, *hold) = (law.r_l(envelope.amplitude_a()), LAW_STEPS);
+                    (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
                 }
                 *hold -= 1;
                 let (r_ohm, l_h) = *held;
@@ -184,6 +251,38 @@ impl LoadState {
             } => {
                 *lambda_wb = lambda_wb.map(|now| now + step.change0_wb + step.l_h * i_a);
                 sectors.iter_mut().for_each(|(_, load)| load.commit(i_a));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::field::harmonic;
+    use crate::sim::pot::Pot;
+    use crate::sim::reduced::ReducedPot;
+
+    #[test]
+    fn the_bent_law_follows_the_hot_field_model() {
+        // The law leaves out that saturation falls with temperature, that only a linear load's X
+        // equals its R, and that a steel that carries more flux leaves less in the gap.
+        for metal in [Metal::Ferritic, Metal::Stainless, Metal::Aluminium] {
+            let model = |temperature_c| {
+                let pot = Pot {
+                    temperature_c,
+                    ..Pot::new(metal, 0.21)
+                };
+                let settings = pot.field_settings(0.1).unwrap().remove(0).1;
+                FieldModel::new(&settings).unwrap()
+            };
+            let cold = ReducedPot::new(&[(1.0, model(20.0))]).unwrap().at(45e3);
+            for i_a in [1.0, 30.0] {
+                let hot = harmonic::impedance(&model(150.0), 45e3, i_a).unwrap();
+                let (r, l) = Warmth::new(metal, 150.0, 0.1, 45e3).bend(cold.r_l(i_a));
+                println!("{metal:?} {i_a} A: R {r} {}, L {l} {}", hot.r_ohm, hot.l_h);
+                assert!((r / hot.r_ohm - 1.0).abs() < 0.05, "{metal:?} {i_a} A");
+                assert!((l / hot.l_h - 1.0).abs() < 0.03, "{metal:?} {i_a} A");
             }
         }
     }
