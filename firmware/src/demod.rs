@@ -6,8 +6,9 @@
 //! centre lies N − 1 blocks back. V and I pass the same kernel, so that V = (R + jωL) I + L dI/dt
 //! survives it.
 //!
-//! Budget: correlating one pair costs five multiply-accumulates; per block the boxcars add eight
-//! 64-bit additions and four scalings. Sums are exact integers: nothing drifts.
+//! Budget: correlating one pair costs five multiply-accumulates of 16-bit halves and four
+//! instructions to see whether it is out of the ordinary; per block the boxcars add eight 64-bit
+//! additions and four scalings. Sums are exact integers: nothing drifts.
 
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
 
@@ -35,8 +36,8 @@ const GAIN_BITS: u32 = 26;
 /// Most blocks of a boxcar: 0.2 ms at 80 kHz are 5.3.
 pub const MAX_BOXCAR: usize = 6;
 
-/// cos and −sin of 2π·q·k/p.
-static TABLE: [(i16, i16); ADC_LOCK_P] = table();
+/// cos (low half) and −sin (high half) of 2π·q·k/p, as one load brings them.
+static TABLE: [u32; ADC_LOCK_P] = packed(table());
 
 /// Sine of 2π·n/d for 0 ≤ n < d, by its Taylor series after folding to ±π/2, at compile time.
 const fn sine_of_turns(n: u32, d: u32) -> f64 {
@@ -81,6 +82,33 @@ const fn table() -> [(i16, i16); ADC_LOCK_P] {
     t
 }
 
+const fn packed(table: [(i16, i16); ADC_LOCK_P]) -> [u32; ADC_LOCK_P] {
+    let mut words = [0; ADC_LOCK_P];
+    let mut k = 0;
+    while k < ADC_LOCK_P {
+        words[k] = halves(table[k].0, table[k].1);
+        k += 1;
+    }
+    words
+}
+
+const fn halves(low: i16, high: i16) -> u32 {
+    low as u16 as u32 | (high as u16 as u32) << 16
+}
+
+#[inline(always)]
+fn low(word: u32) -> i32 {
+    i32::from(word as u16 as i16)
+}
+
+#[inline(always)]
+fn high(word: u32) -> i32 {
+    word as i32 >> 16
+}
+
+/// Current codes from here on are out of the ordinary: 70 A, below any trip level.
+pub const ALARM_CODE: i16 = 1_792;
+
 /// What one pass over a block's pairs gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlockSums {
@@ -90,33 +118,92 @@ pub struct BlockSums {
     pub i: Complex,
     /// Σ v·i in codes squared: mean power times pairs, all harmonics included.
     pub vi: i64,
-    /// Largest magnitude of a current code.
+    /// Largest magnitude of a current code, where one reaches [`ALARM_CODE`]; else 0.
     pub i_peak: u16,
     /// Pairs at the end of either channel's range.
     pub saturated: u16,
 }
 
-/// Correlates one block with the fundamental. The only loop that runs per sample.
+/// Added to a pair, these set a half's sign bit from a bound on: both carry into the current's half
+/// when the voltage is negative, which only widens its bound by a code. v beyond CODE_MIN or
+/// CODE_MAX, |i| from [`ALARM_CODE`].
+const ABOVE: u32 = halves(
+    i16::MIN.wrapping_sub(CODE_MAX),
+    i16::MIN.wrapping_sub(ALARM_CODE),
+);
+const BELOW: u32 = halves(-1 - CODE_MIN, ALARM_CODE - 2);
+const SIGNS: u32 = 0x8000_8000;
+
+/// Correlates one block with the fundamental. The only loop that runs per sample; a second one
+/// follows for a block that holds a sample out of the ordinary.
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
-    let mut s = BlockSums::default();
-    for (pair, &(cos, minus_sin)) in pairs.iter().zip(&TABLE) {
-        let (v, i) = (i32::from(pair.v), i32::from(pair.i));
-        let (cos, minus_sin) = (i32::from(cos), i32::from(minus_sin));
-        s.v.re = s.v.re.wrapping_add(v * cos);
-        s.v.im = s.v.im.wrapping_add(v * minus_sin);
-        s.i.re = s.i.re.wrapping_add(i * cos);
-        s.i.im = s.i.im.wrapping_add(i * minus_sin);
-        s.vi += i64::from(v * i);
-        s.i_peak = s.i_peak.max(pair.i.unsigned_abs());
-        s.saturated += u16::from(pair.is_saturated());
+    let words = Pair::words(pairs);
+    let mut sums = Correlation::default();
+    for (&pair, &phase) in words.iter().zip(&TABLE) {
+        sums.add(pair, phase);
+    }
+    let mut s = BlockSums {
+        v: sums.v,
+        i: sums.i,
+        vi: i64::from(sums.vi),
+        ..BlockSums::default()
+    };
+    if holds_alarm(words) {
+        look_closer(pairs, &mut s);
     }
     s
+}
+
+/// The sums of a block under way.
+#[derive(Default)]
+struct Correlation {
+    v: Complex,
+    i: Complex,
+    vi: i32,
+}
+
+impl Correlation {
+    #[inline(always)]
+    fn add(&mut self, pair: u32, phase: u32) {
+        self.v.re = self.v.re.wrapping_add(low(pair) * low(phase));
+        self.v.im = self.v.im.wrapping_add(low(pair) * high(phase));
+        self.i.re = self.i.re.wrapping_add(high(pair) * low(phase));
+        self.i.im = self.i.im.wrapping_add(high(pair) * high(phase));
+        self.vi = self.vi.wrapping_add(low(pair).wrapping_mul(high(pair)));
+    }
+}
+
+/// Whether any pair is out of the ordinary. A loop of its own: one for all would need more
+/// registers than there are.
+fn holds_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
+    let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
+    let alarm = words.iter().fold(0, |alarm, &word| alarm | look(word));
+    alarm & SIGNS != 0
+}
+
+/// Peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can
+/// hold, come here too: their products may not fit the sum above.
+#[cold]
+#[inline(never)]
+fn look_closer(pairs: &[Pair; ADC_LOCK_P], s: &mut BlockSums) {
+    s.vi = 0;
+    let mut peak = 0;
+    for pair in pairs {
+        s.vi += i64::from(i32::from(pair.v) * i32::from(pair.i));
+        peak = pair.i.unsigned_abs().max(peak);
+        s.saturated += u16::from(pair.is_saturated());
+    }
+    if peak >= ALARM_CODE.unsigned_abs() {
+        s.i_peak = peak;
+    }
 }
 
 // The sums above cannot wrap: 61 codes of 12 bit times 14-bit table entries stay below 2^31.
 const _: () = assert!(
     (ADC_LOCK_P as i64) * -(CODE_MIN as i64) * (1 << TABLE_BITS) <= i32::MAX as i64
         && CODE_MAX < -CODE_MIN
+        // A block's v·i with no half beyond its bounds.
+        && (ADC_LOCK_P as i64) * (CODE_MIN as i64) * (CODE_MIN as i64) <= i32::MAX as i64
 );
 
 /// Phasors of the fundamental, amplitude (not rms), in estimator units.
@@ -146,6 +233,21 @@ pub struct Demodulator {
 }
 
 impl Demodulator {
+    /// All bits zero; of use only to be replaced.
+    pub(crate) const fn blank() -> Self {
+        Self {
+            length: 0,
+            first: [[0; 4]; MAX_BOXCAR],
+            second: [[0; 4]; MAX_BOXCAR],
+            first_sum: [0; 4],
+            second_sum: [0; 4],
+            at: 0,
+            filled: 0,
+            gain_v: 0,
+            gain_i: 0,
+        }
+    }
+
     /// An empty demodulator for a switching frequency.
     pub fn new(f_sw_hz: u32) -> Self {
         // 0.2 ms in blocks of q/f_sw, to nearest: f · 0.2e-3 / 3 = f / 15 000.
@@ -205,9 +307,9 @@ impl Demodulator {
     }
 }
 
-/// Amplitude in milliampere of a current phasor in estimator units.
-pub fn amplitude_ma(i: Complex) -> u32 {
-    let mantissa = i.norm_squared().isqrt() as i64;
+/// Amplitude in milliampere of a current phasor, from its squared magnitude in estimator units.
+pub fn amplitude_ma(norm_squared: u64) -> u32 {
+    let mantissa = norm_squared.isqrt() as i64;
     saturate((mantissa * 16_000) >> STATE_BITS) as u32
 }
 
@@ -256,7 +358,7 @@ mod tests {
             // Quantisation of 61·(2N−1) codes leaves a few millivolt.
             assert!((re - 300.0 * 0.7f64.cos()).abs() < 0.03, "{re}");
             assert!((im - 300.0 * 0.7f64.sin()).abs() < 0.03, "{im}");
-            assert!((f64::from(amplitude_ma(p.i)) - 40_000.0).abs() < 10.0);
+            assert!((f64::from(amplitude_ma(p.i.norm_squared())) - 40_000.0).abs() < 10.0);
         }
     }
 
@@ -304,12 +406,40 @@ mod tests {
         assert_eq!(usize::from(s.saturated), ADC_LOCK_P);
         assert_eq!(s.i_peak, 2048);
         let square: [Pair; ADC_LOCK_P] = core::array::from_fn(|n| {
-            let code = if TABLE[n].0 > 0 { CODE_MAX } else { CODE_MIN };
+            let code = if low(TABLE[n]) > 0 {
+                CODE_MAX
+            } else {
+                CODE_MIN
+            };
             Pair { v: code, i: code }
         });
         let mut d = Demodulator::new(80_000);
         for _ in 0..20 {
             d.push(&correlate(&square));
+        }
+    }
+
+    /// The quick look at packed halves against the plain definition, over every code of either
+    /// channel next to codes of either sign on the other.
+    #[test]
+    fn no_sample_out_of_the_ordinary_is_missed() {
+        for code in i16::MIN..=i16::MAX {
+            for other in [-1_000, -1, 0, 1, 1_000] {
+                for pair in [Pair { v: code, i: other }, Pair { v: other, i: code }] {
+                    let mut pairs = [Pair::default(); ADC_LOCK_P];
+                    pairs[17] = pair;
+                    let s = correlate(&pairs);
+                    assert_eq!(s.saturated, u16::from(pair.is_saturated()), "{pair:?}");
+                    let peak = pair.i.unsigned_abs();
+                    let told = if peak >= ALARM_CODE.unsigned_abs() {
+                        peak
+                    } else {
+                        0
+                    };
+                    assert_eq!(s.i_peak, told, "{pair:?}");
+                    assert_eq!(s.vi, i64::from(i32::from(pair.v) * i32::from(pair.i)));
+                }
+            }
         }
     }
 

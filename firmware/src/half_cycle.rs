@@ -37,6 +37,25 @@ pub struct Accumulator {
 }
 
 impl Accumulator {
+    /// As the default.
+    pub(crate) const fn blank() -> Self {
+        Self {
+            crest_norm: 0,
+            crest: Summary {
+                half_cycle: 0,
+                f_sw_hz: 0,
+                duration_ns: 0,
+                r: MicroOhm(0),
+                l: PicoHenry(0),
+                i_crest_ma: 0,
+                power_mw: 0,
+                bus_peak_dv: 0,
+            },
+            vi: 0,
+            blocks: 0,
+        }
+    }
+
     /// Adds one block, whether the inverter runs or not.
     pub fn add_block(&mut self, sums: &BlockSums, bus_dv: u16) {
         self.vi = self.vi.saturating_add(sums.vi);
@@ -51,7 +70,6 @@ impl Accumulator {
             self.crest_norm = norm;
             self.crest.r = ekf.r();
             self.crest.l = ekf.l();
-            self.crest.i_crest_ma = amplitude_ma(z.i);
         }
     }
 
@@ -65,6 +83,8 @@ impl Accumulator {
             f_sw_hz,
             duration_ns,
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
+            // Here and not at every block of a rising current: a square root takes its time.
+            i_crest_ma: amplitude_ma(self.crest_norm),
             ..self.crest
         };
         *self = Self::default();

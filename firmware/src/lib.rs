@@ -30,4 +30,5 @@ pub mod protection;
 pub mod realtime;
 pub mod recorder;
 pub mod replay;
+pub mod reset;
 pub mod session;

@@ -42,6 +42,17 @@ pub struct Protection {
 }
 
 impl Protection {
+    /// As the default.
+    pub(crate) const fn blank() -> Self {
+        Self {
+            lost_blocks: 0,
+            since_zero_crossing_ns: 0,
+            below_resonance: 0,
+            at_bound: 0,
+            l_min: PicoHenry(0),
+        }
+    }
+
     /// Checks raw samples and timing of one block; `lost` blocks are missing before it.
     pub fn check_block(
         &mut self,

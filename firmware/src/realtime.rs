@@ -74,15 +74,26 @@ pub struct RealTime {
 impl RealTime {
     /// Bridge off; the estimator expects the given load.
     pub fn new(r: MicroOhm, l: PicoHenry) -> Self {
-        let drive = Drive::OFF;
+        let mut new = Self::blank();
+        new.begin(r, l);
+        new
+    }
+
+    /// All bits zero: 68 KiB that a board places in its cleared memory and that never cross a
+    /// stack. [`RealTime::begin`] comes before anything else.
+    pub const fn blank() -> Self {
+        let drive = Drive {
+            f_sw_hz: 0,
+            on: false,
+        };
         Self {
             drive,
             wanted: drive,
-            block_ns: block_ns(drive.f_sw_hz),
-            demod: Demodulator::new(drive.f_sw_hz),
-            ekf: Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED),
-            protection: Protection::default(),
-            accumulator: Accumulator::default(),
+            block_ns: 0,
+            demod: Demodulator::blank(),
+            ekf: Ekf::blank(),
+            protection: Protection::blank(),
+            accumulator: Accumulator::blank(),
             recorder: Recorder::new(),
             windows_every: 0,
             since_crossing_ns: 0,
@@ -92,6 +103,15 @@ impl RealTime {
             saturated_pairs: 0,
             replaying: false,
         }
+    }
+
+    /// Makes a blank path ready: bridge off, the estimator expects the given load.
+    pub fn begin(&mut self, r: MicroOhm, l: PicoHenry) {
+        self.drive = Drive::OFF;
+        self.wanted = Drive::OFF;
+        self.block_ns = block_ns(Drive::OFF.f_sw_hz);
+        self.demod = Demodulator::new(Drive::OFF.f_sw_hz);
+        self.ekf = Ekf::new(Drive::OFF.f_sw_hz, r, l, Noise::TUNED);
     }
 
     /// Takes one block from the ADC; returns what the bridge is to do from the next block on. In
@@ -124,7 +144,7 @@ impl RealTime {
         }
         match crossing {
             Some(at) => self.cross_zero(block.pairs, usize::from(at).min(ADC_LOCK_P)),
-            None => self.recorder.push(block.pairs),
+            None => self.recorder.push(block.pairs, sums.saturated == 0),
         }
         if self.drive.on
             && let Some(phasors) = self.demod.push(&sums)
@@ -158,7 +178,7 @@ impl RealTime {
         let offset_ns = at as i64 * i64::from(self.block_ns) / ADC_LOCK_P as i64;
         let duration_ns = self.since_crossing_ns.saturating_add(offset_ns);
         self.since_crossing_ns = -offset_ns;
-        self.recorder.push(before);
+        self.recorder.push(before, false);
         let duration_ns = u32::try_from(duration_ns).unwrap_or(u32::MAX);
         self.recorder.end(duration_ns);
         let f_sw_hz = if self.drive.on { self.drive.f_sw_hz } else { 0 };
@@ -175,7 +195,7 @@ impl RealTime {
         if due && self.drive.on && self.wanted == self.drive {
             self.recorder
                 .begin(self.half_cycle, self.drive.f_sw_hz, -offset_ns);
-            self.recorder.push(after);
+            self.recorder.push(after, false);
         }
     }
 

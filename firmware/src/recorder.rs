@@ -125,16 +125,23 @@ impl Recorder {
         };
     }
 
-    /// Adds pairs of the half-cycle, in order.
-    pub fn push(&mut self, pairs: &[Pair]) {
+    /// Adds pairs of the half-cycle, in order. `ordinary` when the caller knows that none of them is
+    /// saturated.
+    pub fn push(&mut self, pairs: &[Pair], ordinary: bool) {
         if self.stage != Stage::Recording {
             return;
         }
         let at = usize::from(self.header.pairs);
-        let room = pairs.len().min(MAX_PAIRS - at.min(MAX_PAIRS));
-        for (slot, &pair) in self.pairs.iter_mut().skip(at).zip(&pairs[..room]) {
-            *slot = pair;
-            self.header.saturated += u16::from(pair.is_saturated());
+        let Some(free) = self.pairs.get_mut(at..) else {
+            return;
+        };
+        let room = pairs.len().min(free.len());
+        if let (Some(free), Some(pairs)) = (free.get_mut(..room), pairs.get(..room)) {
+            free.copy_from_slice(pairs);
+        }
+        if !ordinary {
+            let recorded = pairs.iter().take(room);
+            self.header.saturated += recorded.filter(|p| p.is_saturated()).count() as u16;
         }
         self.header.pairs += room as u16;
     }
@@ -257,11 +264,11 @@ mod tests {
             v: k as i16,
             i: 2047,
         });
-        r.push(&pairs[9..]);
+        r.push(&pairs[9..], false);
         for k in 0..4 {
             r.estimate(entry(k), 66_667, 2);
             r.advance(66_667);
-            r.push(&pairs);
+            r.push(&pairs, false);
         }
         // Centres: -10000 + 33333 - 133334 < 0 for two blocks, then 23.3 µs and 90 µs.
         r.end(200_000);
@@ -323,7 +330,7 @@ mod tests {
         let mut r = recorder();
         r.begin(0, 80_000, 0);
         for _ in 0..400 {
-            r.push(&[Pair::default(); ADC_LOCK_P]);
+            r.push(&[Pair::default(); ADC_LOCK_P], true);
             r.estimate(entry(1), 37_500, 0);
             r.advance(37_500);
         }

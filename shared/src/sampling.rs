@@ -45,7 +45,9 @@ pub fn block_ns(f_sw_hz: u32) -> u32 {
 }
 
 /// One simultaneous sample of coil voltage and coil current, as signed ADC codes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Aligned so that one load brings both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C, align(4))]
 pub struct Pair {
     /// Voltage code, [`VOLT_PER_CODE`] each.
     pub v: i16,
@@ -57,6 +59,13 @@ impl Pair {
     /// Whether either channel stands at the end of its range.
     pub fn is_saturated(self) -> bool {
         self.v >= CODE_MAX || self.v <= CODE_MIN || self.i >= CODE_MAX || self.i <= CODE_MIN
+    }
+
+    /// Each pair of a block as one word, v in the low half: what a 32-bit multiply-accumulate of
+    /// halves wants. Both ends are little-endian.
+    pub fn words(block: &[Self; ADC_LOCK_P]) -> &[u32; ADC_LOCK_P] {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::must_cast_ref(block)
     }
 
     /// The layout on the wire and in files: v then i, little-endian 16 bit.

@@ -30,7 +30,7 @@ mod update;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::demod::{Phasors, STATE_BITS};
-use crate::fixed::{Complex, narrow, saturate, wide};
+use crate::fixed::{Complex, narrow, narrow_within, saturate, wide};
 
 /// Fractional bits of covariances.
 pub const COVARIANCE_BITS: u32 = 29;
@@ -110,6 +110,30 @@ pub struct Ekf {
 }
 
 impl Ekf {
+    /// All bits zero; of use only to be replaced.
+    pub(crate) const fn blank() -> Self {
+        Self {
+            i: Complex { re: 0, im: 0 },
+            r: 0,
+            x: 0,
+            p: Covariance {
+                ii: [0; 3],
+                it: [[0; 2]; 2],
+                tt: [0; 3],
+            },
+            noise: Noise {
+                measurement: 0,
+                current: 0,
+                impedance: 0,
+                impedance_by_current: 0,
+            },
+            f_sw_hz: 0,
+            henry_gain: 0,
+            held: false,
+            at_bound: false,
+        }
+    }
+
     /// A filter that expects the given load at a switching frequency.
     pub fn new(f_sw_hz: u32, r: MicroOhm, l: PicoHenry, noise: Noise) -> Self {
         let mut filter = Self {
@@ -198,7 +222,7 @@ impl Ekf {
     /// Resistance.
     pub fn r(&self) -> MicroOhm {
         // 2e6 µΩ per unit of 2^26: 15625 / 2^19.
-        MicroOhm(narrow(wide(self.r, 15_625), 19))
+        MicroOhm(narrow_within(wide(self.r, 15_625), 19))
     }
 
     /// Inductance.

@@ -5,7 +5,7 @@
 //! K·P_k·, which rounding can turn negative only on the diagonal, where a floor stands.
 
 use super::{Ekf, VARIANCE_FLOOR};
-use crate::fixed::{Complex, Reciprocal, narrow, wide};
+use crate::fixed::{Complex, Reciprocal, narrow_fitting, narrow_within, wide};
 
 /// Fractional bits of gains, ±128: at 1 A, where the gain is largest, a milliampere of innovation
 /// moves R by 7 mohm, 54 in the units of the filter.
@@ -17,7 +17,8 @@ impl Ekf {
         self.update_component(1, measured.im);
     }
 
-    /// `k` = 0 measures the real part, 1 the imaginary one.
+    /// `k` = 0 measures the real part, 1 the imaginary one. Inlined, so that `k` is a constant.
+    #[inline(always)]
     fn update_component(&mut self, k: usize, measured: i32) {
         let r = self.noise.measurement;
         let other = 1 - k;
@@ -26,15 +27,18 @@ impl Ekf {
         let cross = p.ii[1];
         let row = p.it[k];
         let s = u64::from(own.unsigned_abs()) + u64::from(r.unsigned_abs());
-        let inverse = Reciprocal::of(s);
-        // P and S share their format, so a gain is a plain ratio.
-        let gain = |p: i32| inverse.scale(p, GAIN_BITS as i32);
-        let shrink = gain(r);
-        let (to_own, to_other) = (gain(own), gain(cross));
+        // P and S share their format, so a gain is a plain ratio. S is between 2^12 and 2^32, for
+        // which the factor exists.
+        let by_s = Reciprocal::of(s).factor(GAIN_BITS as i32);
+        let gain = |p: i32| by_s.times(p);
+        // S is the sum of these two: both ratios are at most 1.
+        let shrink = by_s.times_fitting(r);
+        let (to_own, to_other) = (by_s.times_fitting(own), gain(cross));
         let to_theta = [gain(row[0]), gain(row[1])];
 
-        let shrunk = |x: i32| narrow(wide(x, shrink), GAIN_BITS);
-        let lost = |x: i32, gain: i32, y: i32| x.saturating_sub(narrow(wide(gain, y), GAIN_BITS));
+        let shrunk = |x: i32| narrow_fitting(wide(x, shrink), GAIN_BITS);
+        let lost =
+            |x: i32, gain: i32, y: i32| x.saturating_sub(narrow_within(wide(gain, y), GAIN_BITS));
         p.ii[2 * k] = shrunk(own).max(1);
         p.ii[1] = shrunk(cross);
         p.ii[2 * other] = lost(p.ii[2 * other], to_other, cross).max(1);
@@ -46,7 +50,8 @@ impl Ekf {
 
         let predicted = if k == 0 { self.i.re } else { self.i.im };
         let innovation = measured.saturating_sub(predicted);
-        let moved = |x: i32, gain: i32| x.saturating_add(narrow(wide(gain, innovation), GAIN_BITS));
+        let moved =
+            |x: i32, gain: i32| x.saturating_add(narrow_within(wide(gain, innovation), GAIN_BITS));
         let (own_new, other_old) = (moved(predicted, to_own), [self.i.im, self.i.re][k]);
         let other_new = moved(other_old, to_other);
         self.i = if k == 0 {

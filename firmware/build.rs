@@ -1,0 +1,35 @@
+//! Hands the linker what differs between the boards; the rest is in memory.x at the root.
+
+use std::path::{Path, PathBuf};
+use std::{env, fs};
+
+/// The STM32's flash without the two pages of the last good lookup.
+const STM32G474: &str = "FLASH : ORIGIN = 0x08000000, LENGTH = 508K\n";
+const MPS2_AN386: &str = "FLASH : ORIGIN = 0x00000000, LENGTH = 508K\n";
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=../memory.x");
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
+        return;
+    }
+    let out = env::var_os("OUT_DIR")
+        .map(PathBuf::from)
+        .unwrap_or_default();
+    println!("cargo:rustc-link-search={}", out.display());
+    if env::var_os("CARGO_FEATURE_STM32G474").is_some() {
+        write(&out.join("flash.x"), STM32G474);
+        // Not in .cargo/config.toml: only an image that logs has this script on its path.
+        println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    } else {
+        write(&out.join("flash.x"), MPS2_AN386);
+        // Where a vendor's crate would name its interrupt handlers; this board names its own.
+        write(&out.join("device.x"), "");
+    }
+}
+
+fn write(path: &Path, text: &str) {
+    if let Err(why) = fs::write(path, text) {
+        println!("cargo:error=cannot write {}: {why}", path.display());
+    }
+}

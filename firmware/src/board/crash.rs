@@ -1,0 +1,102 @@
+//! The end of the program: panic, processor fault, stack overflow. Outputs off, last words, reset.
+
+#![cfg_attr(
+    feature = "instruction-counts",
+    expect(dead_code, reason = "nothing is reported that nobody asks for")
+)]
+
+use core::panic::PanicInfo;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use ihd_firmware::reset::{LastWords, Reason, WORDS};
+
+#[cfg(feature = "mps2-an386")]
+use super::mps2_an386::outputs_off;
+#[cfg(feature = "stm32g474")]
+use super::stm32g474::outputs_off;
+
+/// Not cleared at start: link.x places `.uninit` outside what start-up code writes.
+#[unsafe(link_section = ".uninit.LAST_WORDS")]
+static LAST_WORDS: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
+
+/// What the last run left; counts this start.
+pub fn read_last_words() -> Option<LastWords> {
+    let mut words = [0; WORDS];
+    for (word, kept) in words.iter_mut().zip(&LAST_WORDS) {
+        *word = kept.load(Ordering::Relaxed);
+    }
+    let last = LastWords::from_words(words);
+    write(LastWords {
+        starts: last.map_or(0, |words| words.starts.wrapping_add(1)),
+        ..LastWords::default()
+    });
+    last
+}
+
+/// Notes the active fault, for whatever may come.
+pub fn note_fault(number: u16) {
+    let words = LastWords {
+        fault: number,
+        ..kept()
+    };
+    if words != kept() {
+        write(words);
+    }
+}
+
+fn kept() -> LastWords {
+    let mut words = [0; WORDS];
+    for (word, kept) in words.iter_mut().zip(&LAST_WORDS) {
+        *word = kept.load(Ordering::Relaxed);
+    }
+    LastWords::from_words(words).unwrap_or_default()
+}
+
+fn write(words: LastWords) {
+    for (kept, word) in LAST_WORDS.iter().zip(words.to_words()) {
+        kept.store(word, Ordering::Relaxed);
+    }
+}
+
+fn end(reason: Reason) -> ! {
+    outputs_off();
+    write(LastWords {
+        reason: Some(reason),
+        ..kept()
+    });
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    end(Reason::Panic)
+}
+
+/// Every fault of the processor ends here, as none but the hard fault is enabled. After a stack
+/// overflow the stack pointer is outside the RAM, so it is set first. The frame of the faulting
+/// code is not needed: "the fault handler executes even though the stack push for the handler
+/// failed" (Cortex-M4 Devices Generic User Guide, 2.4.2).
+#[unsafe(naked)]
+#[unsafe(export_name = "HardFault")]
+unsafe extern "C" fn hard_fault() -> ! {
+    core::arch::naked_asm!(
+        "mrs r0, msp",
+        "ldr r1, =_stack_start",
+        "msr msp, r1",
+        "b {end}",
+        end = sym processor_fault,
+    )
+}
+
+/// `sp` is the stack pointer after the processor pushed, or tried to push, its frame.
+extern "C" fn processor_fault(sp: usize) -> ! {
+    unsafe extern "C" {
+        static _stack_end: u32;
+    }
+    let stack_end = &raw const _stack_end as usize;
+    end(if sp < stack_end {
+        Reason::StackOverflow
+    } else {
+        Reason::Panic
+    })
+}

@@ -1,0 +1,134 @@
+//! The link task: bytes between a port and [`Housekeeping`], and housekeeping's turn after blocks.
+//!
+//! Control never waits for the link: while a frame waits for its port, blocks are still polled. The
+//! port that was heard last is the one that is answered.
+
+use embassy_futures::select::{Either4, select4};
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_shared::wire::frame::MAX_ENCODED;
+
+use super::sampling::{BLOCK_DONE, ThreadSide};
+
+/// One way to the host. Both futures may be dropped before they are ready without losing bytes.
+pub trait Port {
+    /// Waits for bytes; returns how many.
+    async fn receive(&mut self, buf: &mut [u8]) -> usize;
+    /// Waits for room and sends some of `bytes`; returns how many.
+    async fn send(&mut self, bytes: &[u8]) -> usize;
+}
+
+/// A port that the board does not have.
+pub struct NoPort;
+
+impl Port for NoPort {
+    async fn receive(&mut self, _: &mut [u8]) -> usize {
+        core::future::pending().await
+    }
+    async fn send(&mut self, _: &[u8]) -> usize {
+        core::future::pending().await
+    }
+}
+
+/// A frame on its way out.
+struct Outgoing {
+    frame: [u8; MAX_ENCODED],
+    sent: usize,
+    length: usize,
+}
+
+/// Bytes that came in and that housekeeping has not taken yet.
+struct Inbox<const N: usize> {
+    bytes: [u8; N],
+    taken: usize,
+    length: usize,
+}
+
+impl<const N: usize> Inbox<N> {
+    const EMPTY: Self = Self {
+        bytes: [0; N],
+        taken: 0,
+        length: 0,
+    };
+
+    fn rest(&self) -> &[u8] {
+        self.bytes.get(self.taken..self.length).unwrap_or(&[])
+    }
+
+    /// Room to receive into; none while bytes are left.
+    fn room(&mut self) -> Option<&mut [u8]> {
+        self.rest().is_empty().then_some(&mut self.bytes)
+    }
+
+    fn filled(&mut self, length: usize) {
+        (self.taken, self.length) = (0, length);
+    }
+}
+
+/// Which port.
+#[derive(Clone, Copy, PartialEq)]
+enum Heard {
+    First,
+    Second,
+}
+
+/// Runs the link for ever. `tick` is called after each block, once housekeeping has seen it.
+pub async fn run(
+    mut first: (impl Port, impl Port),
+    mut second: (impl Port, impl Port),
+    housekeeping: &mut Housekeeping,
+    mut path: ThreadSide,
+    mut tick: impl FnMut(&Housekeeping, &mut ThreadSide),
+) -> ! {
+    let mut out = Outgoing {
+        frame: [0; MAX_ENCODED],
+        sent: 0,
+        length: 0,
+    };
+    // 64 bytes are a USB packet.
+    let (mut a, mut b) = (Inbox::<64>::EMPTY, Inbox::<64>::EMPTY);
+    let mut heard = Heard::First;
+    loop {
+        for (inbox, port) in [(&mut a, Heard::First), (&mut b, Heard::Second)] {
+            if !inbox.rest().is_empty() {
+                heard = port;
+                inbox.taken += housekeeping.receive(&mut path, inbox.rest());
+            }
+        }
+        if out.sent >= out.length {
+            out.sent = 0;
+            out.length = housekeeping.transmit(&mut path, &mut out.frame);
+        }
+        let frame = out.frame.get(out.sent..out.length).unwrap_or(&[]);
+        let event = select4(
+            receive(&mut first.0, a.room()),
+            receive(&mut second.0, b.room()),
+            BLOCK_DONE.wait(),
+            send(&mut first.1, &mut second.1, heard, frame),
+        )
+        .await;
+        match event {
+            Either4::First(n) => a.filled(n),
+            Either4::Second(n) => b.filled(n),
+            Either4::Third(()) => {
+                housekeeping.poll(&mut path);
+                tick(housekeeping, &mut path);
+            }
+            Either4::Fourth(n) => out.sent += n,
+        }
+    }
+}
+
+async fn receive(port: &mut impl Port, room: Option<&mut [u8]>) -> usize {
+    match room {
+        Some(buf) => port.receive(buf).await,
+        None => core::future::pending().await,
+    }
+}
+
+async fn send(first: &mut impl Port, second: &mut impl Port, heard: Heard, frame: &[u8]) -> usize {
+    match (frame, heard) {
+        ([], _) => core::future::pending().await,
+        (_, Heard::First) => first.send(frame).await,
+        (_, Heard::Second) => second.send(frame).await,
+    }
+}

@@ -1,0 +1,25 @@
+//! The boards: the only place that knows registers, interrupts and an executor.
+//!
+//! ```text
+//! priority   what                                                    may be delayed by
+//! hardware   comparator ─► HRTIM fault ─► outputs off                nothing
+//! 1          sample source's interrupt (DMA half or complete)        nothing
+//! 2          [`sampling`]: interrupt executor, one poll per block    the above, critical sections
+//! 3          link peripherals (USB, serial)                          the above
+//! thread     [`link`]: housekeeping, control, link                   everything
+//! ```
+//!
+//! Budget at the highest frequency, 80 kHz, 170 MHz: a block is 37.5 µs or 6 375 cycles, at 70 kHz
+//! 7 286. The sampling task takes the instructions that docs/performance.md states per pair, per
+//! phasor and per half-cycle; `cargo xtask cycles` measures them and checks the sum against 35 % of
+//! the block. A critical section of the thread is at most one copy of a 960-byte chunk.
+//!
+//! What decides anything is in the `ihd_firmware` library; a board moves bytes and sets registers.
+
+mod crash;
+#[cfg(not(feature = "instruction-counts"))]
+mod link;
+mod sampling;
+
+#[cfg(feature = "mps2-an386")]
+mod mps2_an386;

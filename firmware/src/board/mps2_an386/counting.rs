@@ -1,0 +1,208 @@
+//! Counts instructions: under `-icount shift=0` the emulator's clock advances 1 ns each, and
+//! SysTick, at 25 MHz, once every 40. Prints one line a subject over semihosting, and ends.
+
+use core::hint::black_box;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SYST;
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m_semihosting::{debug, hprintln};
+use ihd_firmware::demod::{Demodulator, Phasors, correlate};
+use ihd_firmware::ekf::{Ekf, Noise};
+use ihd_firmware::fixed::Complex;
+use ihd_firmware::housekeeping::{Access, Housekeeping};
+use ihd_firmware::realtime::{Block, RealTime};
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::{Raw, WindowChunk};
+
+use super::float_filter::FloatEkf;
+use crate::board::sampling;
+
+/// Times each subject runs: 40 instructions of resolution over 200 runs are 0.2.
+const RUNS: u32 = 200;
+
+/// Instructions per tick of SysTick: 1 ns each, at 25 MHz.
+const PER_TICK: u32 = 40;
+
+const TOP: u32 = 0x00FF_FFFF;
+
+/// Tenths of an instruction per run of `subject`, the loop around it taken off.
+fn tenths(mut subject: impl FnMut(u32)) -> u32 {
+    let ticks = |f: &mut dyn FnMut()| {
+        let before = SYST::get_current();
+        f();
+        // Counts down, 24 bit.
+        before.wrapping_sub(SYST::get_current()) & TOP
+    };
+    let all = ticks(&mut || {
+        for k in 0..RUNS {
+            subject(black_box(k));
+        }
+    });
+    let empty = ticks(&mut || {
+        for k in 0..RUNS {
+            black_box(k);
+        }
+    });
+    all.saturating_sub(empty) * PER_TICK * 10 / RUNS
+}
+
+fn report(name: &str, tenths: u32) {
+    hprintln!("count {} {}.{}", name, tenths / 10, tenths % 10);
+}
+
+/// A pot at 70 kHz: a triangle for the voltage, a lagging one for the current.
+fn block() -> [Pair; ADC_LOCK_P] {
+    core::array::from_fn(|n| {
+        let turn = (n as i32 * 3 * 1_024 / ADC_LOCK_P as i32) % 1_024;
+        let wave = |at: i32| {
+            let at = at.rem_euclid(1_024);
+            (if at < 512 { at - 256 } else { 768 - at }) as i16
+        };
+        Pair {
+            v: 3 * wave(turn),
+            i: 2 * wave(turn - 200),
+        }
+    })
+}
+
+/// No interrupt is ever unmasked here; link.x insists on a table.
+#[unsafe(link_section = ".vector_table.interrupts")]
+#[unsafe(no_mangle)]
+pub static __INTERRUPTS: [usize; 1] = [0];
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    if let Some(peripherals) = Peripherals::take() {
+        let mut clock = peripherals.SYST;
+        clock.set_clock_source(SystClkSource::Core);
+        clock.set_reload(TOP);
+        clock.clear_current();
+        clock.enable_counter();
+        estimator();
+        sampling_path();
+        lookup_and_link();
+        debug::exit(debug::EXIT_SUCCESS);
+    }
+    debug::exit(debug::EXIT_FAILURE);
+    unreachable!("the emulator has ended")
+}
+
+fn estimator() {
+    let pairs = block();
+    let correlated = tenths(|_| {
+        black_box(correlate(black_box(&pairs)));
+    });
+    report("pair", correlated / ADC_LOCK_P as u32);
+    let sums = correlate(&pairs);
+    let mut demod = Demodulator::new(70_000);
+    report(
+        "boxcars",
+        tenths(|_| {
+            black_box(demod.push(black_box(&sums)));
+        }),
+    );
+    let mut ekf = Ekf::new(
+        70_000,
+        MicroOhm(4_000_000),
+        PicoHenry(25_000_000),
+        Noise::TUNED,
+    );
+    report(
+        "ekf",
+        tenths(|k| {
+            ekf.step(black_box(&phasors(k)));
+        }),
+    );
+    let mut float = FloatEkf::new(70_000.0, 4.0, 25e-6);
+    report(
+        "ekf-f32",
+        tenths(|k| {
+            let z = phasors(k);
+            float.step(black_box([
+                z.v.re as f32 * FloatEkf::VOLT,
+                z.v.im as f32 * FloatEkf::VOLT,
+                z.i.re as f32 * FloatEkf::AMPERE,
+                z.i.im as f32 * FloatEkf::AMPERE,
+            ]));
+        }),
+    );
+    // Both filters see the same phasors: they must have come to the same load.
+    hprintln!("check r {} {}", ekf.r().0, (float.r_ohm() * 1e6) as i32);
+    hprintln!("check l {} {}", ekf.l().0, (float.l_h() * 1e12) as i32);
+}
+
+/// Phasors of 4.4 ohm and 25 µH at 70 kHz under an envelope that rises and falls.
+fn phasors(k: u32) -> Phasors {
+    let rise = (k % 100).min(100 - k % 100) as i32 + 20;
+    let i = 1_200_000 * rise;
+    // V = (4.4 + j·11.0) ohm · I in units of 32 V and 16 A: 2.2 + j·5.5.
+    Phasors {
+        v: Complex {
+            re: (i64::from(i) * 22 / 10) as i32,
+            im: (i64::from(i) * 55 / 10) as i32,
+        },
+        i: Complex { re: i, im: 0 },
+    }
+}
+
+/// The whole path, as the interrupt runs it: replayed, so that the estimator runs, with a window
+/// being recorded.
+fn sampling_path() {
+    let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+    let Some((_, mut path)) = sampling::split(r, l) else {
+        return;
+    };
+    let pairs = block();
+    path.with(|rt| {
+        rt.set_windows_every(1);
+        rt.set_replay(true, 70_000, r, l);
+        take(rt, &pairs, Some(0));
+        report("block", tenths(|_| take(rt, &pairs, None)));
+        // 200 blocks of 42.9 µs have passed: the next crossing counts. One run is all there is.
+        let before = SYST::get_current();
+        take(rt, &pairs, Some(30));
+        let ticks = before.wrapping_sub(SYST::get_current()) & TOP;
+        report("block-at-crossing", ticks * PER_TICK * 10);
+    });
+}
+
+fn take(rt: &mut RealTime, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option<u8>) {
+    black_box(rt.replay_block(&Block {
+        pairs,
+        zero_crossing,
+        bus_dv: 3_000,
+        lost: 0,
+    }));
+}
+
+fn lookup_and_link() {
+    let lookup = prior();
+    report(
+        "lookup",
+        tenths(|k| {
+            black_box(lookup.interpolate(black_box(40_000 + 100 * k), black_box(150 * k)));
+        }),
+    );
+    let data = [0xA5; CHUNK_BYTES];
+    let mut frame = [0; MAX_ENCODED];
+    report(
+        "window-chunk",
+        tenths(|k| {
+            let chunk = WindowChunk {
+                seq: k,
+                offset: 240,
+                data: Raw(black_box(&data)),
+            };
+            black_box(encode(&chunk, k as u16, &mut frame).is_ok());
+        }),
+    );
+    // Once per half-cycle below the sampling path: control on a summary.
+    let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 0, "", "");
+    black_box(Housekeeping::new(hello));
+}

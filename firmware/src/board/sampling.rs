@@ -1,0 +1,109 @@
+//! The sampling path's owner: one task on the interrupt executor, and the thread's claim on it.
+
+#![cfg_attr(
+    feature = "instruction-counts",
+    expect(dead_code, reason = "counts what the task does, without the task")
+)]
+
+use core::cell::UnsafeCell;
+use core::future::Future;
+use core::pin::Pin;
+use core::sync::atomic::{AtomicBool, Ordering};
+use core::task::{Context, Poll};
+
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
+use embassy_sync::waitqueue::AtomicWaker;
+use ihd_firmware::housekeeping::Access;
+use ihd_firmware::realtime::{Block, Drive, RealTime};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+
+/// The one sampling path. Its window alone is 64 KiB, so it is never moved.
+struct Place(UnsafeCell<RealTime>);
+
+// SAFETY: reached only through `InterruptSide` and `ThreadSide`, of which `split` makes one each.
+// The former runs at an interrupt's priority and is never preempted by the latter; the latter masks
+// interrupts for as long as it holds its reference.
+unsafe impl Sync for Place {}
+
+static PLACE: Place = Place(UnsafeCell::new(RealTime::blank()));
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// Wakes the sampling task; for the sample source's interrupt.
+pub static SAMPLES_READY: AtomicWaker = AtomicWaker::new();
+
+/// Set after each block, for the link task: faults, summaries and windows may be there.
+pub static BLOCK_DONE: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// The sampling task's hold on the path.
+pub struct InterruptSide(());
+
+/// The thread's hold on the path.
+pub struct ThreadSide(());
+
+/// Builds the sampling path with the load it expects. `None` the second time.
+pub fn split(r: MicroOhm, l: PicoHenry) -> Option<(InterruptSide, ThreadSide)> {
+    if TAKEN.swap(true, Ordering::AcqRel) {
+        return None;
+    }
+    // SAFETY: the flag lets one caller through, before either side exists; nobody else has a
+    // reference.
+    unsafe { (*PLACE.0.get()).begin(r, l) };
+    Some((InterruptSide(()), ThreadSide(())))
+}
+
+impl InterruptSide {
+    /// Takes one block; returns the drive for the bridge.
+    #[inline(always)]
+    fn on_block(&mut self, block: &Block<'_>) -> Drive {
+        // SAFETY: begun by `split`, which made this side. The thread's side masks interrupts
+        // while it holds its reference, and the task that owns this side is no thread.
+        let realtime = unsafe { &mut *PLACE.0.get() };
+        realtime.on_block(block)
+    }
+}
+
+impl Access for ThreadSide {
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
+        critical_section::with(|_| {
+            // SAFETY: begun by `split`. Interrupts are masked, so the other side does not
+            // run; `&mut self` keeps `f` from coming back here.
+            f(unsafe { &mut *PLACE.0.get() })
+        })
+    }
+}
+
+/// Where blocks come from and the drive goes to.
+pub trait SampleSource: Unpin {
+    /// Hands the oldest block that was not handed out yet to `take`, and its answer to the bridge.
+    /// Returns whether there was one.
+    fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool;
+}
+
+/// The sampling task. Written out, because an `async fn` carries a panic for being polled after its
+/// end.
+pub struct SamplingTask<S> {
+    source: S,
+    path: InterruptSide,
+}
+
+impl<S: SampleSource> SamplingTask<S> {
+    /// A task that moves blocks from `source` into the path.
+    pub fn new(source: S, path: InterruptSide) -> Self {
+        Self { source, path }
+    }
+}
+
+impl<S: SampleSource> Future for SamplingTask<S> {
+    type Output = ();
+
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let this = self.get_mut();
+        SAMPLES_READY.register(cx.waker());
+        let path = &mut this.path;
+        while this.source.next(|block| path.on_block(block)) {
+            BLOCK_DONE.signal(());
+        }
+        Poll::Pending
+    }
+}

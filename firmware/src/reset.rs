@@ -1,0 +1,163 @@
+//! Why the controller started: what the reset flags say, and the last words it left in memory that
+//! a reset does not clear.
+
+/// Reason in [`ihd_shared::wire::messages::Hello::reset_reason`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Reason {
+    /// Power came on.
+    PowerOn = 0,
+    /// The watchdog was not fed.
+    Watchdog = 1,
+    /// A panic, or a fault of the processor that is no stack overflow.
+    Panic = 2,
+    /// The supply sagged.
+    BrownOut = 3,
+    /// The reset pin.
+    Pin = 4,
+    /// Software asked for it.
+    Software = 5,
+    /// The stack left its memory.
+    StackOverflow = 6,
+}
+
+/// The hardware's reset flags, whatever register they come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Flags {
+    /// Independent or window watchdog.
+    pub watchdog: bool,
+    /// Software reset.
+    pub software: bool,
+    /// Power-on or brown-out.
+    pub brown_out: bool,
+    /// Reset pin.
+    pub pin: bool,
+}
+
+/// Words in memory that survives a reset but not the loss of power.
+pub const WORDS: usize = 4;
+
+const MAGIC: u32 = u32::from_le_bytes(*b"last");
+
+/// What was left there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LastWords {
+    /// Set by whoever ends the program.
+    pub reason: Option<Reason>,
+    /// Number of the fault that was active, 0 for none.
+    pub fault: u16,
+    /// Starts since power came on.
+    pub starts: u16,
+}
+
+impl LastWords {
+    /// As words; the last one checks the others.
+    pub fn to_words(self) -> [u32; WORDS] {
+        let reason = self.reason.map_or(0xFF, |reason| reason as u32);
+        let counts = u32::from(self.fault) << 16 | u32::from(self.starts);
+        [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
+    }
+
+    /// From words; `None` for anything that [`LastWords::to_words`] did not write.
+    pub fn from_words(words: [u32; WORDS]) -> Option<Self> {
+        let [magic, reason, counts, check] = words;
+        if magic != MAGIC || check != !(magic ^ reason ^ counts) {
+            return None;
+        }
+        let reason = match reason {
+            2 => Some(Reason::Panic),
+            6 => Some(Reason::StackOverflow),
+            5 => Some(Reason::Software),
+            _ => None,
+        };
+        Some(Self {
+            reason,
+            fault: (counts >> 16) as u16,
+            starts: counts as u16,
+        })
+    }
+}
+
+/// The reason to report: the program's own last words count above the flags, and a watchdog above
+/// the reset that software asked for.
+pub fn reason(flags: Flags, last: Option<LastWords>) -> Reason {
+    let said = last.and_then(|words| words.reason);
+    match (flags, said) {
+        // Memory that lost its power may hold anything, even last words.
+        (
+            Flags {
+                brown_out: true, ..
+            },
+            _,
+        ) if last.is_none() => Reason::PowerOn,
+        (
+            Flags {
+                brown_out: true, ..
+            },
+            _,
+        ) => Reason::BrownOut,
+        (_, Some(reason)) => reason,
+        (Flags { watchdog: true, .. }, None) => Reason::Watchdog,
+        (Flags { software: true, .. }, None) => Reason::Software,
+        (Flags { pin: true, .. }, None) => Reason::Pin,
+        (_, None) => Reason::PowerOn,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PANICKED: LastWords = LastWords {
+        reason: Some(Reason::Panic),
+        fault: 4,
+        starts: 3,
+    };
+
+    #[test]
+    fn last_words_survive_and_noise_does_not_count() {
+        let words = PANICKED.to_words();
+        assert_eq!(LastWords::from_words(words), Some(PANICKED));
+        for word in 0..WORDS {
+            for bit in 0..32 {
+                let mut damaged = words;
+                damaged[word] ^= 1 << bit;
+                assert_eq!(
+                    LastWords::from_words(damaged),
+                    None,
+                    "word {word} bit {bit}"
+                );
+            }
+        }
+        assert_eq!(LastWords::from_words([0; WORDS]), None);
+        assert_eq!(LastWords::from_words([u32::MAX; WORDS]), None);
+    }
+
+    #[test]
+    fn each_reason_is_told() {
+        let none = Flags::default();
+        let watchdog = Flags {
+            watchdog: true,
+            pin: true,
+            ..none
+        };
+        let software = Flags {
+            software: true,
+            pin: true,
+            ..none
+        };
+        let brown_out = Flags {
+            brown_out: true,
+            pin: true,
+            ..none
+        };
+        let quiet = Some(LastWords::default());
+        assert_eq!(reason(watchdog, quiet), Reason::Watchdog);
+        assert_eq!(reason(software, quiet), Reason::Software);
+        assert_eq!(reason(software, Some(PANICKED)), Reason::Panic);
+        assert_eq!(reason(Flags { pin: true, ..none }, quiet), Reason::Pin);
+        assert_eq!(reason(brown_out, None), Reason::PowerOn);
+        assert_eq!(reason(brown_out, quiet), Reason::BrownOut);
+        assert_eq!(reason(none, None), Reason::PowerOn);
+    }
+}
