@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use self::event::event;
-use self::quantity::quantity;
+use self::quantity::{list, quantity};
 use crate::sim::pot::Pot;
 use crate::sim::recording::sensing::Rate;
 use crate::sim::recording::settings::{Event, LoadKind, Settings};
@@ -55,8 +55,8 @@ pub struct SimulateArgs {
     #[arg(long, value_parser = quantity)]
     mains: Option<f64>,
     /// Mains distortion: third, fifth and seventh harmonic in percent, as in 4,-2,1
-    #[arg(long, value_delimiter = ',', num_args = 3, value_name = "PCT")]
-    distortion: Option<Vec<f64>>,
+    #[arg(long, value_parser = list::<3>, value_name = "PCT,PCT,PCT")]
+    distortion: Option<[f64; 3]>,
     /// Bus capacitance in F; 0: the bus is the rectified mains
     #[arg(long, value_parser = quantity)]
     bus_capacitance: Option<f64>,
@@ -129,11 +129,11 @@ struct SensingArgs {
     #[arg(long)]
     snr: Option<f64>,
     /// Gains of the voltage and current channel, as in 1.01,0.99
-    #[arg(long, value_delimiter = ',', num_args = 2, value_name = "V,I")]
-    gain: Option<Vec<f64>>,
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    gain: Option<[f64; 2]>,
     /// Offsets of the channels in V and A
-    #[arg(long, value_delimiter = ',', num_args = 2, value_name = "V,I")]
-    offsets: Option<Vec<f64>>,
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    offsets: Option<[f64; 2]>,
     /// Corner of the anti-alias filter in Hz; 0: none
     #[arg(long, value_parser = quantity)]
     pole: Option<f64>,
@@ -169,9 +169,10 @@ impl SimulateArgs {
         let mut s = Settings::preset(&self.preset)?;
         set(&mut s.f_sw_hz, self.fsw);
         set(&mut s.mains_hz, self.mains);
-        if let Some([third, fifth, seventh]) = self.distortion.as_deref() {
-            s.mains_harmonics = [third / 100.0, fifth / 100.0, seventh / 100.0];
-        }
+        set(
+            &mut s.mains_harmonics,
+            self.distortion.map(|d| d.map(|pct| pct / 100.0)),
+        );
         set(&mut s.bus_capacitance_f, self.bus_capacitance);
         set(&mut s.dead_s, self.dead_time);
         set(&mut s.pot, self.pot);
@@ -223,11 +224,11 @@ impl SensingArgs {
         sensing.allow_aliasing = self.allow_aliasing;
         set(&mut sensing.bits, self.bits);
         sensing.snr_db = self.snr;
-        if let Some([v, i]) = self.gain.as_deref() {
-            (sensing.v_gain, sensing.i_gain) = (*v, *i);
+        if let Some([v, i]) = self.gain {
+            (sensing.v_gain, sensing.i_gain) = (v, i);
         }
-        if let Some([v, i]) = self.offsets.as_deref() {
-            (sensing.v_offset_v, sensing.i_offset_a) = (*v, *i);
+        if let Some([v, i]) = self.offsets {
+            (sensing.v_offset_v, sensing.i_offset_a) = (v, i);
         }
         set(&mut sensing.pole_hz, self.pole);
         set(&mut sensing.skew_s, self.skew);

@@ -2,12 +2,18 @@
 
 /// A number that could not be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
-pub struct NotANumber(String);
+pub enum NotANumber {
+    /// Not one number.
+    #[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
+    One(String),
+    /// Not as many numbers as wanted.
+    #[error("`{0}` must be {1} numbers with commas between them")]
+    List(String, usize),
+}
 
 /// Reads a number with an optional SI prefix and an optional unit after it, which is ignored.
 pub fn quantity(text: &str) -> Result<f64, NotANumber> {
-    let wrong = || NotANumber(text.to_owned());
+    let wrong = || NotANumber::One(text.to_owned());
     let digits = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-' | '+');
     let mut end = text.find(|c| !digits(c)).unwrap_or(text.len());
     // An exponent counts to the number only if digits follow it.
@@ -41,6 +47,14 @@ pub fn quantity(text: &str) -> Result<f64, NotANumber> {
     }
 }
 
+/// Reads `N` numbers with commas between them.
+pub fn list<const N: usize>(text: &str) -> Result<[f64; N], NotANumber> {
+    let numbers: Vec<f64> = text.split(',').map(quantity).collect::<Result<_, _>>()?;
+    numbers
+        .try_into()
+        .map_err(|_| NotANumber::List(text.to_owned(), N))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -64,6 +78,18 @@ mod tests {
             let got = quantity(text).unwrap();
             assert!((got / value - 1.0).abs() < 1e-12, "{text}: {got}");
         }
+    }
+
+    #[test]
+    fn lists_have_their_length() {
+        assert_eq!(list::<2>("1.01,-2m"), Ok([1.01, -2e-3]));
+        assert!(
+            list::<2>("1,2,3")
+                .unwrap_err()
+                .to_string()
+                .contains("2 numbers")
+        );
+        assert!(list::<2>("1,x").is_err());
     }
 
     #[test]

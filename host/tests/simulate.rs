@@ -1,0 +1,91 @@
+//! `ihd simulate` as a user calls it.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use ihd::sim::recording::file;
+
+fn simulate(dir: &Path, args: &[&str]) -> std::process::Output {
+    let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");
+    command
+        .current_dir(dir)
+        .env_remove("RUST_BACKTRACE")
+        .arg("simulate")
+        .args(args);
+    command.output().expect("ihd runs")
+}
+
+#[test]
+fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "--fsw 45k --mains 60 --pot ferritic-18 --snr 30 --rate 50M --seed 1 --duration 1ms";
+    for name in ["a", "b"] {
+        let out = format!("{name}.safetensors");
+        let mut all: Vec<_> = args.split(' ').collect();
+        all.extend(["--out", &out, "--plot", "a.svg"]);
+        let result = simulate(dir.path(), &all);
+        let stdout = String::from_utf8_lossy(&result.stdout);
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        assert!(stdout.contains("resonance"), "{stdout}");
+    }
+    let read = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+    assert_eq!(read("a.safetensors"), read("b.safetensors"));
+    let stored = file::read(&dir.path().join("a.safetensors")).unwrap();
+    assert_eq!(stored.v_v.len(), 50_000);
+    assert_eq!(stored.settings.mains_hz, 60.0);
+    assert_eq!(stored.settings.pot.diameter_m, 0.18);
+    assert!(String::from_utf8(read("a.svg")).unwrap().contains("<svg"));
+}
+
+#[test]
+fn the_clipped_range_shows_as_saturated_codes() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "--load behavioural --start 5ms --duration 1ms --bits 8 --gain 4,4 --spikes 1k -o a.safetensors";
+    let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
+    assert!(
+        result.status.success(),
+        "{}",
+        String::from_utf8_lossy(&result.stderr)
+    );
+    let stored = file::read(&dir.path().join("a.safetensors")).unwrap();
+    let top = stored
+        .i_a
+        .iter()
+        .filter(|i| **i >= 80.0 * 127.0 / 128.0)
+        .count();
+    assert!(top > 1000, "{top}");
+    assert!(stored.i_a.iter().all(|i| i.abs() <= 80.0));
+}
+
+#[test]
+fn bad_input_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    for (args, word) in [
+        ("--rate 1M", "rate_hz"),
+        ("--fsw NaN", "--fsw"),
+        ("--fsw 5k", "f_sw_hz"),
+        ("--pot wood-18", "unknown pot"),
+        ("--offset 500mm", "offset_m"),
+        ("--lift=-1mm", "lift_m"),
+        ("--temperature NaN", "temperature_c"),
+        ("--bits 20", "bits"),
+        ("--step 1us", "dt_s"),
+        ("--preset paper-55", "paper-60"),
+        ("--at 3ms:pot=x", "unknown pot"),
+        ("--at 30ms:off", "event time_s"),
+        ("--bus-capacitance=-1", "bus_capacitance_f"),
+        ("--dead-time 5us", "dead_s"),
+        ("--snr NaN", "snr_db"),
+        ("--duration 0", "duration_s"),
+    ] {
+        let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
+        let stderr = String::from_utf8_lossy(&result.stderr);
+        assert!(!result.status.success(), "{args} was accepted");
+        assert!(stderr.contains(word), "{args}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+    }
+}
