@@ -262,6 +262,7 @@ impl<const N: usize> FieldLoad<N> {
     }
 
     /// Rings, gap and coil: solves for A = a0 + a1 i.
+    #[expect(clippy::needless_range_loop, reason = "one index for the lanes of all arrays")]
     #[inline(always)]
     fn couple(&mut self) -> FluxLine {
         let cell = self.storage[0] * self.dt_over_sigma;

@@ -289,7 +289,14 @@ impl<'a> Assembly<'a> {
         s_direct: &DMatrix<f64>,
     ) -> GapOperator {
         let two_pi = 2.0 * core::f64::consts::PI;
-        let energy = rhs.transpose() * psi;
+        // Written out: a library product may sum in another order on another processor.
+        let energy = DMatrix::from_fn(rings + 1, rings + 1, |m, n| {
+            rhs.column(m)
+                .iter()
+                .zip(psi.column(n).iter())
+                .map(|(a, b)| a * b)
+                .sum::<f64>()
+        });
         let mut s = Vec::with_capacity(rings * rings);
         for m in 0..rings {
             for n in 0..rings {

@@ -45,7 +45,7 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
                 .map(|j| a[j] * model.gap.p_m[j])
                 .sum::<Complex<f64>>();
         let z = Complex::new(model.winding_r_ohm, 0.0) + Complex::i() * omega * lambda;
-        change = (z - last).norm() / z.norm();
+        change = magnitude(z - last) / magnitude(z);
         if change < SETTLED {
             return Ok(Impedance {
                 r_ohm: z.re,
@@ -59,7 +59,7 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
                 if n > 0 {
                     h *= column.down[n];
                 }
-                mu[(n, j)] = curve.describing_h_per_m(h.norm());
+                mu[(n, j)] = curve.describing_h_per_m(magnitude(h));
             }
         }
     }
@@ -69,6 +69,11 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
         change,
         iterations: MAX_ITERATIONS,
     })
+}
+
+/// |z| with IEEE operations only; `hypot` differs between platforms.
+fn magnitude(z: Complex<f64>) -> f64 {
+    z.norm_sqr().sqrt()
 }
 
 /// Linear diffusion under one ring.

@@ -88,6 +88,12 @@ fn radial_moment(k: f64, inner: f64, outer: f64) -> f64 {
     sum * dr / 3.0
 }
 
+/// √(re + j im) for positive parts, with IEEE operations only.
+fn root(re: f64, im: f64) -> Complex<f64> {
+    let real = ((re + (re * re + im * im).sqrt()) / 2.0).sqrt();
+    Complex::new(real, im / (2.0 * real))
+}
+
 struct Stack<'a> {
     geometry: &'a Geometry,
     material: &'a Material,
@@ -117,7 +123,7 @@ impl Stack<'_> {
     /// −(dA/dz)/A looking into the load, in 1/m.
     fn above(&self, k: f64) -> Complex<f64> {
         let mu = self.material.mu_initial_h_per_m();
-        let q = Complex::new(k * k, self.omega * mu * self.material.sigma_s_per_m()).sqrt();
+        let q = root(k * k, self.omega * mu * self.material.sigma_s_per_m());
         q * (MU_0 / mu)
     }
 
@@ -129,7 +135,7 @@ impl Stack<'_> {
         let behind_ferrite = match self.shield {
             Shield::Perfect => Complex::new(k / tanh, 0.0),
             Shield::Conductor(sigma) => {
-                let y = Complex::new(k * k, self.omega * MU_0 * sigma).sqrt();
+                let y = root(k * k, self.omega * MU_0 * sigma);
                 (y + k * tanh) / (Complex::new(k, 0.0) + y * tanh) * k
             }
         };

@@ -109,10 +109,10 @@ mod tests {
     fn lagging_current_commutates_at_once_and_hides_the_dead_time() {
         // Inductive load: negative at the start of the period, positive at its middle.
         let lagging = |t: f64| {
-            if t < 0.2 * T || t > 0.7 * T {
-                -5.0
-            } else {
+            if (0.2 * T..0.7 * T).contains(&t) {
                 5.0
+            } else {
+                -5.0
             }
         };
         let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
@@ -130,10 +130,10 @@ mod tests {
     #[test]
     fn leading_current_waits_for_the_gate() {
         let leading = |t: f64| {
-            if t < 0.3 * T || t > 0.8 * T {
-                5.0
-            } else {
+            if (0.3 * T..0.8 * T).contains(&t) {
                 -5.0
+            } else {
+                5.0
             }
         };
         let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();

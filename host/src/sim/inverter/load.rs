@@ -31,7 +31,7 @@ pub enum Law {
     /// Closed formulas.
     Behavioural(behavioural::Load),
     /// A table fitted to the field model.
-    Reduced(ReducedLoad),
+    Reduced(Box<ReducedLoad>),
 }
 
 impl Law {

@@ -90,7 +90,7 @@ impl PeriodMeter {
             f_sw_hz,
             r_ohm: [0.0; ORDERS.len()],
             l_h: [0.0; ORDERS.len()],
-            i_a: self.i[0].norm() * 2.0 / steps,
+            i_a: self.i[0].norm_sqr().sqrt() * 2.0 / steps,
             r_power_ohm: self.power / self.square,
             p_w: self.power / steps,
         };

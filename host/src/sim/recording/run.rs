@@ -92,7 +92,7 @@ impl PreparedLoad {
     ) -> Result<LoadState, InverterError> {
         let law = match self {
             Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
-            Self::Reduced(pot) => Law::Reduced(pot.at(f_sw_hz)),
+            Self::Reduced(pot) => Law::Reduced(Box::new(pot.at(f_sw_hz))),
             Self::Behavioural(kind) => Law::Behavioural(behavioural::Load::new(*kind, f_sw_hz)),
         };
         Ok(match before {
