@@ -1,7 +1,8 @@
 //! The controller's state machine: idle, probing, heating, faulted.
 //!
 //! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
-//! effect at the next zero crossing but one, so the summary in between still shows the old one.
+//! effect at the next zero crossing, so the summary after that one still shows the old one and is
+//! passed over.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, RATED_POWER_W};
@@ -39,6 +40,8 @@ pub struct Control {
     asked_w: u16,
     half_cycles_in_state: u8,
     doubt: u8,
+    /// Frequency of the last drive asked for; summaries of another one are of the past.
+    requested_hz: u32,
     power: PowerControl,
 }
 
@@ -72,6 +75,7 @@ impl Control {
                 self.enter(State::Probing);
                 self.pot = Pot::Unknown;
                 self.power.restart();
+                self.requested_hz = F_SW_MAX_HZ;
                 Action::Drive(Drive {
                     f_sw_hz: F_SW_MAX_HZ,
                     on: true,
@@ -104,8 +108,8 @@ impl Control {
     pub fn on_half_cycle(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
         match self.state {
             State::Idle | State::Faulted => Action::Keep,
-            // The drive has not taken effect yet.
-            _ if summary.f_sw_hz == 0 => Action::Keep,
+            // The drive asked for has not taken effect yet.
+            _ if summary.f_sw_hz != self.requested_hz => Action::Keep,
             State::Probing => self.probe(summary, lookup),
             State::Heating => self.heat(summary, lookup),
         }
@@ -156,6 +160,7 @@ impl Control {
         if f_sw_hz == summary.f_sw_hz {
             return Action::Keep;
         }
+        self.requested_hz = f_sw_hz;
         Action::Drive(Drive { f_sw_hz, on: true })
     }
 }
@@ -186,7 +191,11 @@ mod tests {
     fn run(control: &mut Control, load: (f64, f64, f64), half_cycles: usize) -> Action {
         let mut action = Action::Keep;
         for _ in 0..half_cycles {
-            action = control.on_half_cycle(&summary(load.0, load.1, load.2), &prior());
+            let seen = Summary {
+                f_sw_hz: control.requested_hz,
+                ..summary(load.0, load.1, load.2)
+            };
+            action = control.on_half_cycle(&seen, &prior());
         }
         action
     }

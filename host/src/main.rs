@@ -1,7 +1,15 @@
 //! The `ihd` command.
 
+use std::process::ExitCode;
+
 use clap::Parser;
 
-fn main() -> anyhow::Result<()> {
-    ihd::cli::Cli::parse().run()
+fn main() -> ExitCode {
+    match ihd::cli::Cli::parse().run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("ihd: {error:#}");
+            ihd::cli::exit_code(&error).into()
+        }
+    }
 }

@@ -1,9 +1,17 @@
 //! The `ihd` command.
 
+pub mod hob;
+pub mod interrupt;
 pub mod simulate;
+pub mod simulated;
+#[cfg(feature = "pinn")]
+pub mod trainer;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+
+use crate::link::LinkError;
+use crate::sim::server::ServerError;
 
 /// Identifies an induction hob's load and teaches its controller.
 #[derive(Debug, Parser)]
@@ -15,14 +23,43 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[cfg(feature = "pinn")]
+    Trainer(trainer::TrainerArgs),
+    Hob(hob::HobArgs),
     Simulate(Box<simulate::SimulateArgs>),
 }
 
 impl Cli {
     /// Runs the chosen subcommand.
+    ///
+    /// # Errors
+    /// Whatever ends it early, with the context that a person needs.
     pub fn run(&self) -> Result<()> {
         match &self.command {
+            #[cfg(feature = "pinn")]
+            Command::Trainer(args) => args.run(),
+            Command::Hob(args) => args.run(),
             Command::Simulate(args) => args.run(),
         }
+    }
+}
+
+/// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
+/// 1 anything else. Wrong usage is 2, by clap.
+pub fn exit_code(error: &anyhow::Error) -> u8 {
+    #[cfg(feature = "pinn")]
+    if let Some(error) = error.downcast_ref::<crate::trainer::TrainerError>() {
+        use crate::trainer::TrainerError as E;
+        return match error {
+            E::Link(_) | E::Silent { .. } => 3,
+            E::Fault { .. } => 4,
+            E::NotSettled { .. } | E::Pinn { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
+            E::Store(_) | E::Write { .. } => 1,
+        };
+    }
+    if error.is::<LinkError>() || error.is::<ServerError>() {
+        3
+    } else {
+        1
     }
 }

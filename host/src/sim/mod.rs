@@ -18,6 +18,7 @@ pub mod plant;
 pub mod pot;
 pub mod recording;
 pub mod reduced;
+pub mod server;
 pub mod transport;
 pub mod truth;
 pub mod warming;

@@ -7,8 +7,9 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
 use crate::sim::field::approximation;
 use crate::sim::inverter::meter::{ORDERS, PeriodTruth};
-use crate::sim::recording::run::{PreparedLoad, Recording};
-use crate::sim::recording::settings::LoadKind;
+use crate::sim::recording::comparison;
+use crate::sim::recording::run::{self, Recording};
+use crate::sim::recording::settings::{LoadKind, PRESETS, Settings};
 
 /// Smallest current amplitude whose R and L are told, in ampere.
 const SMALLEST_A: f64 = 0.5;
@@ -93,15 +94,12 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
 
 fn table_error(recording: &Recording) -> Result<()> {
     let s = &recording.settings;
-    let field = PreparedLoad::new(LoadKind::Field, &s.pot, s.winding_r_ohm)?;
-    let table = PreparedLoad::new(LoadKind::Reduced, &s.pot, s.winding_r_ohm)?;
-    if let (PreparedLoad::Field(models), PreparedLoad::Reduced(table)) = (field, table) {
-        let error = table.error(&models)?;
-        println!(
-            "table      off its describing function by up to {:.2} % of R, {:.2} % of L",
-            error.r_pct, error.l_pct
-        );
-    }
+    let models = run::field_models(&s.pot, s.winding_r_ohm)?;
+    let error = run::reduced_pot(&s.pot, s.winding_r_ohm)?.error(&models)?;
+    println!(
+        "table      off its describing function by up to {:.2} % of R, {:.2} % of L",
+        error.r_pct, error.l_pct
+    );
     Ok(())
 }
 
@@ -119,6 +117,18 @@ pub fn approximations() -> Result<()> {
             c.i_a,
             c.r_pct,
             c.l_pct
+        );
+    }
+    println!("\nfield model in the circuit, second half-cycle, above 2 A, mean deviation in %:");
+    println!(
+        "{:<10} {:>12} {:>12} {:>12} {:>12}",
+        "preset", "table R", "table L", "current", "P/I2 - R"
+    );
+    for (name, _) in PRESETS {
+        let d = comparison::reduced_against_field(&Settings::preset(name)?)?;
+        println!(
+            "{name:<10} {:>12.2} {:>12.2} {:>12.2} {:>12.2}",
+            d.r_pct, d.l_pct, d.i_pct, d.power_r_pct
         );
     }
     Ok(())

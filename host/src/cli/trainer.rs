@@ -1,0 +1,177 @@
+//! `ihd trainer`: teaches a hob its load.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use ihd_pinn::{Backend, Config};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::interrupt;
+use super::simulated::SimulatedHobArgs;
+use crate::link::{Client, DeviceSpec};
+use crate::report::{figure, training};
+use crate::sim::hob::SimHob;
+use crate::sim::transport::SharedHob;
+use crate::trainer::{Progress, Settings, run};
+
+/// Identifies the load of a hob with a PINN and pushes the R, L lookup to its controller.
+///
+/// The default device is a simulated hob whose controller is the firmware itself.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd trainer\n  \
+    ihd trainer --power 1500 --backend ndarray --json\n  \
+    ihd trainer --device tcp:127.0.0.1:4711 --follow\n\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 fault on the device,\n\
+    5 nothing fit for the lookup")]
+pub struct TrainerArgs {
+    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH.
+    #[arg(long, value_name = "DEVICE", default_value = "sim")]
+    device: DeviceSpec,
+    /// Powers to heat with, in watt, one operating point each.
+    #[arg(
+        long,
+        value_name = "W,W,…",
+        value_delimiter = ',',
+        default_value = "1500,2000,1000,700,1500"
+    )]
+    power: Vec<u16>,
+    /// burn backend of the network: flex or ndarray.
+    #[arg(long, value_name = "NAME")]
+    backend: Option<Backend>,
+    /// TOML file with the network's settings; what it leaves out keeps its default.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder for the recording, the lookups and the figure.
+    #[arg(long, value_name = "DIR", default_value = "ihd-store")]
+    store: PathBuf,
+    /// Write nothing to disk.
+    #[arg(long)]
+    no_store: bool,
+    /// Go on at the last power until ^C, and push a lookup whenever the load has changed.
+    #[arg(long)]
+    follow: bool,
+    /// Print the report as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    simulated: SimulatedHobArgs,
+}
+
+impl TrainerArgs {
+    /// Connects, trains, reports.
+    pub fn run(&self) -> Result<()> {
+        ensure!(
+            !self.power.contains(&0),
+            "--power holds a 0: name powers above zero"
+        );
+        let pinn = self.pinn_config()?;
+        let stop = if self.follow {
+            Some(interrupt::flag().context("cannot catch ^C")?)
+        } else {
+            None
+        };
+        let bar = progress_bar();
+        let mut truth = None;
+        let config = self.simulated.config()?;
+        let transport = self.device.open(|| {
+            let hob = SharedHob::new(SimHob::new(&config));
+            truth = Some(hob.clone());
+            Box::new(hob)
+        })?;
+        let client = Client::connect(transport)?;
+        let settings = Settings {
+            powers_w: self.power.clone(),
+            pinn,
+            store: (!self.no_store).then(|| self.store.clone()),
+            follow: stop,
+        };
+        let report = run(client, truth, &settings, &mut |p| {
+            show(&bar, self.follow, p)
+        });
+        bar.finish_and_clear();
+        let report = report?;
+        if let Some(store) = &settings.store {
+            figure::write(&report, &store.join("identified.svg"))?;
+        }
+        if self.json {
+            println!(
+                "{}",
+                serde_json::to_string_pretty(&training::json(&report))?
+            );
+        } else {
+            print!("{}", training::text(&report));
+            if let Some(store) = &settings.store {
+                println!(
+                    "kept     {0}/session.frames, lookup-v*.json, identified.svg",
+                    store.display()
+                );
+            }
+        }
+        Ok(())
+    }
+
+    fn pinn_config(&self) -> Result<Config> {
+        let mut config = match &self.config {
+            None => Config::default(),
+            Some(path) => {
+                let text = std::fs::read_to_string(path)
+                    .with_context(|| format!("cannot read {}", path.display()))?;
+                toml::from_str(&text)
+                    .with_context(|| format!("{} is no configuration", path.display()))?
+            }
+        };
+        if let Some(backend) = self.backend {
+            config.backend = backend;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    // The template is a constant; a broken one would show in every test of this command.
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed:>4} {wide_msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}
+
+fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
+    match progress {
+        Progress::Settling {
+            asked_w,
+            telemetry: t,
+        } => bar.set_message(format!(
+            "{asked_w} W: {:?}, {:.0} W at {:.2} kHz, pot {:?}",
+            t.state,
+            f64::from(t.power_mw) * 1e-3,
+            f64::from(t.f_sw_hz) * 1e-3,
+            t.pot
+        )),
+        Progress::AwaitingWindow { asked_w } => {
+            bar.set_message(format!("{asked_w} W: settled, waiting for a window"));
+        }
+        Progress::Training { seq, step } => bar.set_message(format!(
+            "window {seq}: step {}, loss {:.3e}, change of R, L {:.1e}",
+            step.iteration, step.loss, step.change
+        )),
+        Progress::Rejected { seq, why } => bar.println(format!("window {seq} not used: {why}")),
+        Progress::Taught {
+            version,
+            observed_cells,
+        } => {
+            let text =
+                format!("lookup {version} active on the device, {observed_cells} cells observed");
+            if follow {
+                bar.println(text);
+            } else {
+                bar.set_message(text);
+            }
+        }
+    }
+}

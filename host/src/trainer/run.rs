@@ -1,0 +1,323 @@
+//! A whole training run: the operating points, the lookup, the report.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use ihd_pinn::{Config, Identified, Parameters, identify};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::plausible;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::messages::Status;
+use serde::Serialize;
+
+use super::TrainerError;
+use super::gate::{GateVerdict, judge};
+use super::point::{self, Point};
+use super::session::{Progress, Session, TruthSource};
+use crate::capture::frames::FrameLog;
+use crate::link::{Client, Counters, Window};
+use crate::lookup::{Built, LookupBuilder};
+
+/// Windows tried at one operating point before it is given up.
+const TRIES: usize = 3;
+
+/// Relative change of R or L against the active lookup from which `--follow` pushes a new one.
+const WORTH_PUSHING: f64 = 5e-3;
+
+/// What a run does.
+pub struct Settings<'a> {
+    /// Operating points, in watt, in order.
+    pub powers_w: Vec<u16>,
+    /// The network's settings.
+    pub pinn: Config,
+    /// Folder for the recording, the lookups and the figure; `None` keeps nothing.
+    pub store: Option<PathBuf>,
+    /// Go on after the last point until this becomes true.
+    pub follow: Option<&'a AtomicBool>,
+}
+
+/// What a run found.
+pub struct Report {
+    /// The device, in words.
+    pub device: String,
+    /// One entry per operating point.
+    pub points: Vec<Point>,
+    /// The last lookup.
+    pub built: Option<Built>,
+    /// The device at the end.
+    pub status: Status,
+    /// What the link counted.
+    pub counters: Counters,
+    /// Windows that the gate refused.
+    pub refused: u32,
+    /// Wall time from the start to the first lookup active on the device, in seconds.
+    pub first_lookup_s: Option<f64>,
+    /// Device time at which the first lookup was active, in half-cycles since the run began.
+    pub total_s: f64,
+    /// The last window and its identification, for the figure.
+    pub last: Option<(Box<Window>, Identified, Option<crate::sim::truth::Truth>)>,
+}
+
+struct Run<'s, 'p> {
+    session: Session<'p>,
+    settings: &'s Settings<'s>,
+    builder: LookupBuilder,
+    version: u32,
+    warm: Option<Parameters>,
+    report: Report,
+    started: Instant,
+}
+
+/// Runs the trainer on a connected device; switches the hob off at the end, whatever happened.
+///
+/// # Errors
+/// The first [`TrainerError`]; the device then keeps the last lookup it accepted.
+pub fn run(
+    mut client: Client,
+    truth: TruthSource,
+    settings: &Settings<'_>,
+    progress: &mut dyn FnMut(Progress<'_>),
+) -> Result<Report, TrainerError> {
+    let started = Instant::now();
+    if let Some(store) = &settings.store {
+        create_dir(store)?;
+        client.record_to(FrameLog::create(
+            &store.join("session.frames"),
+            client.hello(),
+        )?);
+    }
+    let device = format!("{} ({})", client.describe(), client.hello().build);
+    let status = client.status()?;
+    if status.fault != ihd_shared::fault::Fault::None {
+        client.clear_fault()?;
+    }
+    let version = status.lookup_version;
+    let session = Session::start(client, truth, progress)?;
+    let mut run = Run {
+        session,
+        settings,
+        // A run describes the pot that stands on the coil now, so it starts from the built-in
+        // prior, whatever the device was taught before.
+        builder: LookupBuilder::new(prior()),
+        version,
+        warm: None,
+        report: Report {
+            device,
+            points: Vec::new(),
+            built: None,
+            counters: Counters::default(),
+            status,
+            refused: 0,
+            first_lookup_s: None,
+            total_s: 0.0,
+            last: None,
+        },
+        started,
+    };
+    let outcome = run.all_points();
+    if outcome.is_ok() {
+        run.report.status = run.session.client.status()?;
+    }
+    let off = run.session.finish();
+    outcome?;
+    off?;
+    run.report.counters = run.session.client.counters();
+    run.report.total_s = run.started.elapsed().as_secs_f64();
+    Ok(run.report)
+}
+
+fn create_dir(path: &Path) -> Result<(), TrainerError> {
+    fs::create_dir_all(path).map_err(|source| TrainerError::Write {
+        path: path.display().to_string(),
+        source,
+    })
+}
+
+impl Run<'_, '_> {
+    fn all_points(&mut self) -> Result<(), TrainerError> {
+        for &asked_w in &self.settings.powers_w {
+            let since = self.session.settle(asked_w)?;
+            self.point(asked_w, since)?;
+        }
+        if let (Some(stop), Some(&asked_w)) = (self.settings.follow, self.settings.powers_w.last())
+        {
+            self.follow(asked_w, stop)?;
+        }
+        Ok(())
+    }
+
+    /// One window that passes the gate, identified, taught and reported.
+    fn point(&mut self, asked_w: u16, since: u32) -> Result<(), TrainerError> {
+        let mut why = String::new();
+        for _ in 0..TRIES {
+            let window = self.session.window_after(since, asked_w)?;
+            let identified = self.identify(&window)?;
+            if let GateVerdict::Reject(reason) = judge(&identified) {
+                self.report.refused += 1;
+                self.session.report(Progress::Rejected {
+                    seq: window.seq,
+                    why: &reason,
+                });
+                why = reason;
+                continue;
+            }
+            self.learn(window, identified, asked_w, true)?;
+            return Ok(());
+        }
+        Err(TrainerError::NoFit { asked_w, why })
+    }
+
+    fn identify(&mut self, window: &Window) -> Result<Identified, TrainerError> {
+        let (v_volt, i_ampere) = (window.v_volt(), window.i_ampere());
+        let waveform = ihd_pinn::Waveform {
+            f_sw_hz: f64::from(window.f_sw_hz),
+            f_mains_hz: window.f_mains_hz(),
+            t0_s: f64::from(window.first_pair_ns) * 1e-9,
+            dt_s: window.dt_s(),
+            v_volt: &v_volt,
+            i_ampere: &i_ampere,
+        };
+        let config = Config {
+            start: self.warm.take(),
+            ..self.settings.pinn.clone()
+        };
+        let seq = window.seq;
+        let session = &mut self.session;
+        identify(&waveform, &config, &mut |step| {
+            session.report(Progress::Training { seq, step });
+        })
+        .map_err(|source| TrainerError::Pinn { seq, source })
+    }
+
+    /// Adds a window to the lookup; pushes it when it says something new.
+    fn learn(
+        &mut self,
+        window: Box<Window>,
+        identified: Identified,
+        asked_w: u16,
+        always: bool,
+    ) -> Result<(), TrainerError> {
+        let truth = self.session.truth_of(&window);
+        let delivered_w = self
+            .session
+            .last
+            .as_ref()
+            .map_or(0.0, |t| f64::from(t.power_mw) * 1e-3);
+        let mut point = point::compare(&window, &identified, truth.as_ref(), asked_w, delivered_w);
+        let curve = point::curve(&window, &identified);
+        self.warm = Some(identified.parameters.clone());
+        let news = always
+            || self.report.built.as_ref().is_none_or(|built| {
+                curve
+                    .points
+                    .iter()
+                    .any(|p| differs(&built.lookup, window.f_sw_hz, p))
+            });
+        self.builder.observe(&curve, 1.0);
+        if news {
+            self.push()?;
+        }
+        point.lookup_version = self.version;
+        self.report.points.push(point);
+        self.report.last = Some((window, identified, truth));
+        Ok(())
+    }
+
+    fn push(&mut self) -> Result<(), TrainerError> {
+        let version = self.version + 1;
+        let built = self
+            .builder
+            .build(version)
+            .ok_or_else(|| TrainerError::Lookup("its least-squares problem is singular".into()))?;
+        // The device would refuse it for the same reason, with less to say.
+        plausible::check(&built.lookup).map_err(|why| TrainerError::Lookup(why.to_string()))?;
+        self.session.teach(&built.lookup)?;
+        self.version = version;
+        if self.report.first_lookup_s.is_none() {
+            self.report.first_lookup_s = Some(self.started.elapsed().as_secs_f64());
+        }
+        if let Some(store) = &self.settings.store {
+            save(store, &built)?;
+        }
+        self.report.built = Some(built);
+        Ok(())
+    }
+
+    /// Identifies every window until told to stop.
+    fn follow(&mut self, asked_w: u16, stop: &AtomicBool) -> Result<(), TrainerError> {
+        while !stop.load(Ordering::Relaxed) {
+            let since = self
+                .report
+                .last
+                .as_ref()
+                .map_or(0, |(w, _, _)| w.half_cycle);
+            let window = self.session.window_after(since, asked_w)?;
+            let identified = self.identify(&window)?;
+            match judge(&identified) {
+                GateVerdict::Pass => self.learn(window, identified, asked_w, false)?,
+                GateVerdict::Reject(why) => {
+                    self.report.refused += 1;
+                    self.session.report(Progress::Rejected {
+                        seq: window.seq,
+                        why: &why,
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn differs(lookup: &RlLookup, f_sw_hz: u32, p: &crate::lookup::curve::LoadPoint) -> bool {
+    let (r, l) = lookup.interpolate(f_sw_hz, (p.i_a * 1e3) as u32);
+    (p.r_ohm / r.ohm() - 1.0).abs() > WORTH_PUSHING
+        || (p.l_h / l.henry() - 1.0).abs() > WORTH_PUSHING
+}
+
+/// A lookup in the store: its bytes as they were pushed, and the same for people.
+fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
+    #[derive(Serialize)]
+    struct Readable<'a> {
+        version: u32,
+        observed_cells: u32,
+        f_sw_hz: Vec<f64>,
+        i_a: Vec<f64>,
+        r_ohm: Vec<Vec<f64>>,
+        l_h: Vec<Vec<f64>>,
+        confidence: &'a [[f64; ihd_shared::lookup::grid::CURRENTS]],
+    }
+    use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
+    use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
+    let cells = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
+        cells
+            .iter()
+            .map(|row| row.iter().map(|&c| f64::from(c) * unit).collect())
+            .collect()
+    };
+    let lookup = &built.lookup;
+    let readable = Readable {
+        version: lookup.version,
+        observed_cells: lookup.observed_cells(),
+        f_sw_hz: (0..FREQUENCIES).map(frequency_hz).collect(),
+        i_a: (0..CURRENTS).map(current_a).collect(),
+        r_ohm: cells(&lookup.r, OHM_PER_CODE),
+        l_h: cells(&lookup.l, HENRY_PER_CODE),
+        confidence: &built.confidence,
+    };
+    let write = |name: String, bytes: &[u8]| {
+        let path = store.join(name);
+        fs::write(&path, bytes).map_err(|source| TrainerError::Write {
+            path: path.display().to_string(),
+            source,
+        })
+    };
+    write(
+        format!("lookup-v{}.bin", lookup.version),
+        &lookup.to_bytes(),
+    )?;
+    let json = serde_json::to_vec_pretty(&readable)
+        .map_err(|e| TrainerError::Lookup(format!("cannot be written as JSON: {e}")))?;
+    write(format!("lookup-v{}.json", lookup.version), &json)
+}
