@@ -11,6 +11,7 @@ use ihd::sim::adc::{Adc, Noise};
 use ihd::sim::behavioural::PotKind;
 use ihd::sim::field::model::Settings as FieldSettings;
 use ihd::sim::field::{FieldModel, harmonic};
+use ihd::sim::hob::{HobConfig, SimHob};
 use ihd::sim::mains::Mains;
 use ihd::sim::plant::Plant;
 use ihd::sim::recording::run::record;
@@ -66,5 +67,25 @@ fn plant(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, recordings, field_model, plant);
+/// Plant, firmware and link of an idle hob, which probes for a pot.
+fn hob(c: &mut Criterion) {
+    let mut group = c.benchmark_group("hob, 10 ms at the probe frequency");
+    group.sample_size(10);
+    for load in [LoadKind::Field, LoadKind::Behavioural] {
+        let mut hob = SimHob::new(&HobConfig {
+            load,
+            ..HobConfig::default()
+        });
+        group.bench_function(format!("{load:?}"), |b| {
+            b.iter(|| {
+                let end_s = hob.t_s() + 10e-3;
+                while hob.t_s() < end_s {
+                    hob.step();
+                }
+            });
+        });
+    }
+}
+
+criterion_group!(benches, recordings, field_model, plant, hob);
 criterion_main!(benches);

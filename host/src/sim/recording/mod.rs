@@ -1,5 +1,6 @@
 //! A simulated recording: what an oscilloscope or the board would have captured, and the truth.
 
+pub mod comparison;
 pub mod figure;
 pub mod file;
 pub mod run;

@@ -65,21 +65,10 @@ impl PreparedLoad {
         if kind == LoadKind::Behavioural {
             return Ok(Self::Behavioural(behavioural_kind(pot)));
         }
-        let mut models = Vec::new();
-        for (weight, settings) in pot.field_settings(winding_r_ohm)? {
-            models.push((weight, FieldModel::new(&settings)?));
-        }
-        if models.is_empty() {
-            // Nothing nonlinear is left: the coil over its ferrite is a constant.
-            let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
-            return Ok(Self::Reduced(Box::new(ReducedPot::constant(
-                winding_r_ohm,
-                l_h,
-            ))));
-        }
-        Ok(match kind {
-            LoadKind::Field => Self::Field(models),
-            _ => Self::Reduced(Box::new(ReducedPot::new(&models)?)),
+        Ok(match field_models(pot, winding_r_ohm)? {
+            // Nothing nonlinear is left without a pot.
+            models if kind == LoadKind::Field && !models.is_empty() => Self::Field(models),
+            _ => Self::Reduced(Box::new(reduced_pot(pot, winding_r_ohm)?)),
         })
     }
 
@@ -100,6 +89,28 @@ impl PreparedLoad {
             None => LoadState::law(law, steps),
         })
     }
+}
+
+/// Field models of a pot with their weights; empty without a pot.
+pub fn field_models(
+    pot: &Pot,
+    winding_r_ohm: f64,
+) -> Result<Vec<(f64, FieldModel)>, InverterError> {
+    let mut models = Vec::new();
+    for (weight, settings) in pot.field_settings(winding_r_ohm)? {
+        models.push((weight, FieldModel::new(&settings)?));
+    }
+    Ok(models)
+}
+
+/// Table of a pot; the coil over its ferrite alone is a constant.
+pub fn reduced_pot(pot: &Pot, winding_r_ohm: f64) -> Result<ReducedPot, InverterError> {
+    let models = field_models(pot, winding_r_ohm)?;
+    if models.is_empty() {
+        let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
+        return Ok(ReducedPot::constant(winding_r_ohm, l_h));
+    }
+    Ok(ReducedPot::new(&models)?)
 }
 
 /// The formulas know five loads; sizes go to the nearer of the two ferromagnetic ones.

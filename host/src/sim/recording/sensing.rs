@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::sim::adc::{Noise, code};
 use crate::sim::inverter::{Instant, InverterError, in_range};
+use crate::sim::pole::Pole;
 
 /// When the converters sample.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,7 +141,7 @@ impl Sensing {
 pub struct Sampler {
     sensing: Sensing,
     last: Instant,
-    filtered: [f64; 2],
+    filters: [Pole; 2],
     ring: (f64, f64),
     next_v_s: f64,
     next_i_s: f64,
@@ -158,7 +159,7 @@ impl Sampler {
         Self {
             sensing: sensing.clone(),
             last: start,
-            filtered: [start.coil_v, start.i_a],
+            filters: [start.coil_v, start.i_a].map(|x| Pole::settled(sensing.pole_hz, x)),
             ring: (0.0, 0.0),
             next_v_s: start.t_s,
             next_i_s: start.t_s + sensing.skew_s,
@@ -171,20 +172,11 @@ impl Sampler {
     /// Takes the next instant of the simulation.
     pub fn push(&mut self, now: Instant, f_sw_hz: f64) {
         let dt_s = now.t_s - self.last.t_s;
-        let before = self.filtered;
-        let v_before = self.last.coil_v + self.ring.1;
+        let before = self.filters.map(|f| f.output());
         self.advance_ringing(now.bridge_v - self.last.bridge_v, dt_s);
-        let inputs = [
-            (v_before, now.coil_v + self.ring.1),
-            (self.last.i_a, now.i_a),
-        ];
-        for (y, (x0, x1)) in self.filtered.iter_mut().zip(inputs) {
-            *y = if self.sensing.pole_hz == 0.0 {
-                x1
-            } else {
-                let g = 0.5 * TAU * self.sensing.pole_hz * dt_s;
-                ((1.0 - g) * *y + g * (x0 + x1)) / (1.0 + g)
-            };
+        let inputs = [now.coil_v + self.ring.1, now.i_a];
+        for (filter, input) in self.filters.iter_mut().zip(inputs) {
+            filter.advance(input, dt_s);
         }
         let interval_s = match self.sensing.rate {
             Rate::Locked => f64::from(ADC_LOCK_Q) / (ADC_LOCK_P as f64 * f_sw_hz),
@@ -192,7 +184,7 @@ impl Sampler {
         };
         let at = |t_s: f64, k: usize| {
             let w = ((t_s - self.last.t_s) / dt_s).clamp(0.0, 1.0);
-            before[k] + w * (self.filtered[k] - before[k])
+            before[k] + w * (self.filters[k].output() - before[k])
         };
         while self.next_v_s <= now.t_s {
             self.v_v.push(at(self.next_v_s, 0));
