@@ -15,7 +15,7 @@ pub struct SimulatedHobArgs {
     /// What stands on the coil: ferromagnetic, small, aluminium, stainless or none.
     #[arg(long, value_name = "POT", default_value = "ferromagnetic")]
     pot: PotKind,
-    /// How the load is modelled: field is the electromagnetic model (some 40 times slower than
+    /// How the load is modelled: field is the electromagnetic model (35 to 70 times slower than
     /// real time), reduced a table fitted to it.
     #[arg(long, value_name = "MODEL", default_value = "behavioural")]
     load: LoadWord,
