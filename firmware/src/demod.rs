@@ -254,7 +254,8 @@ impl Demodulator {
         let length = ((f_sw_hz + 7_500) / (5_000 * ADC_LOCK_Q)).clamp(1, MAX_BOXCAR as u32);
         // Amplitude = 2/p · mean over N² sums; units per code are 25/4096 (v) and 5/2048 (i), and
         // the table's 14 bits fall short of the state's 26 by 12: gains 50/(p·N²) and 20/(p·N²).
-        let divisor = u64::from(ADC_LOCK_P as u32 * length * length);
+        // Never 0, which the compiler would otherwise provide for.
+        let divisor = u64::from(ADC_LOCK_P as u32 * length * length).max(1);
         let gain = |numerator: u64| (((numerator << GAIN_BITS) + divisor / 2) / divisor) as i32;
         Self {
             length: length as usize,
@@ -278,11 +279,14 @@ impl Demodulator {
     pub fn push(&mut self, block: &BlockSums) -> Option<Phasors> {
         let new = [block.v.re, block.v.im, block.i.re, block.i.im];
         let at = self.at;
-        for (k, &new) in new.iter().enumerate() {
-            self.first_sum[k] += i64::from(new) - self.first[at][k];
-            self.first[at][k] = i64::from(new);
-            self.second_sum[k] += self.first_sum[k] - self.second[at][k];
-            self.second[at][k] = self.first_sum[k];
+        // `at` is below the length, which the compiler cannot see: no branch to a panic.
+        if let (Some(first), Some(second)) = (self.first.get_mut(at), self.second.get_mut(at)) {
+            for (k, &new) in new.iter().enumerate() {
+                self.first_sum[k] += i64::from(new) - first[k];
+                first[k] = i64::from(new);
+                self.second_sum[k] += self.first_sum[k] - second[k];
+                second[k] = self.first_sum[k];
+            }
         }
         self.at = if at + 1 == self.length { 0 } else { at + 1 };
         // The first sum is complete after N blocks, the second after N more, less the shared one.

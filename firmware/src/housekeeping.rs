@@ -32,6 +32,10 @@ impl Access for RealTime {
     }
 }
 
+/// Half-cycles without a frame from the host after which it no longer answers for the power it
+/// asked for: 10 s at 50 Hz.
+pub const HOST_UNHEARD_HALF_CYCLES: u32 = 1_000;
+
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
     deframer: Deframer,
@@ -42,6 +46,7 @@ pub struct Housekeeping {
     active: RlLookup,
     pending: Option<RlLookup>,
     reported_fault: Fault,
+    half_cycles_unheard: u32,
     last: Summary,
     replay: Replay,
 }
@@ -58,9 +63,15 @@ impl Housekeeping {
             active: prior(),
             pending: None,
             reported_fault: Fault::None,
+            half_cycles_unheard: 0,
             last: Summary::default(),
             replay: Replay::default(),
         }
+    }
+
+    /// Starts from a lookup that was kept, in place of the prior.
+    pub fn restore(&mut self, lookup: RlLookup) {
+        self.active = lookup;
     }
 
     /// The lookup in use.
@@ -84,6 +95,7 @@ impl Housekeeping {
                 continue;
             };
             let id = frame.id;
+            self.half_cycles_unheard = 0;
             match AnyMessage::decode(id, frame.payload) {
                 // These two borrow from the deframer; the rest may borrow all of self.
                 Ok(AnyMessage::PushLookup(push)) if self.paired => {
@@ -142,6 +154,8 @@ impl Housekeeping {
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
         self.session.restart(access);
         self.telemetry_every = 0;
+        // Whoever comes must hear of an active fault, even if it was told to somebody before.
+        self.reported_fault = Fault::None;
         access.with(|rt| rt.set_windows_every(0));
         self.paired = check(self.session.hello(), theirs).is_ok();
         self.session.answer(Answer::Hello);
@@ -211,8 +225,10 @@ impl Housekeeping {
         let (summary, fault) = access.with(|rt| (rt.take_summary(), rt.fault()));
         if let Some(summary) = summary {
             if let Some(lookup) = self.pending.take() {
+                access.with(|rt| rt.set_lookup_version(lookup.version));
                 self.active = lookup;
             }
+            self.watch_host(access);
             self.last = summary;
             let action = self.control.on_half_cycle(&summary, &self.active);
             self.act(access, action);
@@ -227,6 +243,15 @@ impl Housekeeping {
             let half_cycle = self.last.half_cycle;
             self.session
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
+        }
+    }
+
+    /// Power that was asked for over the link lapses with the link.
+    fn watch_host(&mut self, access: &mut impl Access) {
+        self.half_cycles_unheard = self.half_cycles_unheard.saturating_add(1);
+        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES && self.control.asked_w() > 0 {
+            let action = self.control.set_power(0);
+            self.act(access, action);
         }
     }
 

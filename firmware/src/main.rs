@@ -9,6 +9,8 @@ mod board;
 
 #[cfg(not(target_os = "none"))]
 fn main() -> std::process::ExitCode {
-    eprintln!("this program runs on a controller board; build its image with `cargo xtask firmware`");
+    eprintln!(
+        "this program runs on a controller board; build its image with `cargo xtask firmware`"
+    );
     std::process::ExitCode::FAILURE
 }

@@ -67,8 +67,14 @@ pub struct RealTime {
     summary: Option<Summary>,
     fault: Fault,
     saturated_pairs: u32,
+    /// Blocks since boot.
+    blocks: u32,
+    /// The board's frequencies: the nearest to one asked for.
+    nearest_hz: Option<fn(u32) -> u32>,
     /// Samples come from a host; the bridge is off whatever `drive` says.
     replaying: bool,
+    /// Version of the active lookup, for the windows' headers.
+    lookup_version: u32,
 }
 
 impl RealTime {
@@ -101,7 +107,10 @@ impl RealTime {
             summary: None,
             fault: Fault::None,
             saturated_pairs: 0,
+            blocks: 0,
+            nearest_hz: None,
             replaying: false,
+            lookup_version: 0,
         }
     }
 
@@ -117,6 +126,7 @@ impl RealTime {
     /// Takes one block from the ADC; returns what the bridge is to do from the next block on. In
     /// replay mode the block is ignored and the bridge is off.
     pub fn on_block(&mut self, block: &Block<'_>) -> Drive {
+        self.blocks = self.blocks.wrapping_add(1);
         if !self.replaying {
             self.take_block(block);
         }
@@ -193,8 +203,12 @@ impl RealTime {
                 .half_cycle
                 .is_multiple_of(u32::from(self.windows_every));
         if due && self.drive.on && self.wanted == self.drive {
-            self.recorder
-                .begin(self.half_cycle, self.drive.f_sw_hz, -offset_ns);
+            self.recorder.begin(
+                self.half_cycle,
+                self.drive.f_sw_hz,
+                self.lookup_version,
+                -offset_ns,
+            );
             self.recorder.push(after, false);
         }
     }
@@ -232,6 +246,21 @@ impl RealTime {
     /// a fault is active.
     pub fn request(&mut self, drive: Drive) {
         self.wanted = drive;
+        if drive.on
+            && let Some(nearest_hz) = self.nearest_hz
+        {
+            self.wanted.f_sw_hz = nearest_hz(drive.f_sw_hz);
+        }
+    }
+
+    /// Tells which frequencies the board can make. Without this it can make any.
+    pub fn set_grid(&mut self, nearest_hz: fn(u32) -> u32) {
+        self.nearest_hz = Some(nearest_hz);
+    }
+
+    /// Blocks from the ADC since boot.
+    pub fn blocks(&self) -> u32 {
+        self.blocks
     }
 
     /// The drive in force at the bridge.
@@ -304,6 +333,11 @@ impl RealTime {
     /// A window every this many half-cycles; 0 for none.
     pub fn set_windows_every(&mut self, half_cycles: u8) {
         self.windows_every = half_cycles;
+    }
+
+    /// Another lookup is active from the next window on.
+    pub fn set_lookup_version(&mut self, version: u32) {
+        self.lookup_version = version;
     }
 
     /// The window recorder, for the link to read.

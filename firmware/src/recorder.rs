@@ -40,6 +40,8 @@ pub struct Header {
     pub track: u16,
     /// Pairs at the end of the ADC's range.
     pub saturated: u16,
+    /// Version of the lookup that was active when the half-cycle began.
+    pub lookup_version: u32,
 }
 
 /// Counters since boot.
@@ -89,6 +91,7 @@ impl Recorder {
                 pairs: 0,
                 track: 0,
                 saturated: 0,
+                lookup_version: 0,
             },
             counters: Counters {
                 due: 0,
@@ -108,7 +111,13 @@ impl Recorder {
 
     /// A window is due. The sequence number counts before the slot is claimed, so that a drop shows
     /// as a gap. `block_start_ns` is the time of the current block's first pair (≤ 0).
-    pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
+    pub fn begin(
+        &mut self,
+        half_cycle: u32,
+        f_sw_hz: u32,
+        lookup_version: u32,
+        block_start_ns: i64,
+    ) {
         let seq = self.counters.due;
         self.counters.due = seq.wrapping_add(1);
         if self.stage != Stage::Free {
@@ -121,6 +130,7 @@ impl Recorder {
             seq,
             half_cycle,
             f_sw_hz,
+            lookup_version,
             ..Header::default()
         };
     }
@@ -229,11 +239,19 @@ impl Recorder {
         copied
     }
 
-    /// Frees the slot after the window was sent, or because nobody wants it.
+    /// Frees the slot after the window was sent.
     pub fn release(&mut self) {
         if self.stage == Stage::Ready {
             self.stage = Stage::Free;
         }
+    }
+
+    /// Frees the slot whatever is in it: who asked for the window is gone.
+    pub fn abandon(&mut self) {
+        if matches!(self.stage, Stage::Recording | Stage::Tail) {
+            self.counters.dropped = self.counters.dropped.wrapping_add(1);
+        }
+        self.stage = Stage::Free;
     }
 }
 
@@ -259,7 +277,7 @@ mod tests {
     #[test]
     fn a_half_cycle_goes_in_and_comes_out() {
         let mut r = recorder();
-        r.begin(5, 45_000, -10_000);
+        r.begin(5, 45_000, 0, -10_000);
         let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
             v: k as i16,
             i: 2047,
@@ -291,11 +309,11 @@ mod tests {
     #[test]
     fn a_busy_slot_counts_and_drops() {
         let mut r = recorder();
-        r.begin(0, 45_000, 0);
+        r.begin(0, 45_000, 0, 0);
         r.end(1);
         r.interrupt();
-        r.begin(1, 45_000, 0);
-        r.begin(2, 45_000, 0);
+        r.begin(1, 45_000, 0, 0);
+        r.begin(2, 45_000, 0, 0);
         assert_eq!(
             r.counters(),
             Counters {
@@ -306,7 +324,7 @@ mod tests {
         );
         assert_eq!(r.ready().map(|h| h.seq), Some(0));
         r.release();
-        r.begin(3, 45_000, 0);
+        r.begin(3, 45_000, 0, 0);
         r.end(1);
         r.interrupt();
         assert_eq!(
@@ -319,7 +337,7 @@ mod tests {
     #[test]
     fn a_frequency_step_in_the_middle_drops_the_window() {
         let mut r = recorder();
-        r.begin(0, 45_000, 0);
+        r.begin(0, 45_000, 0, 0);
         r.interrupt();
         assert_eq!(r.counters().dropped, 1);
         assert!(r.ready().is_none());
@@ -328,7 +346,7 @@ mod tests {
     #[test]
     fn an_endless_half_cycle_fills_up_and_stops() {
         let mut r = recorder();
-        r.begin(0, 80_000, 0);
+        r.begin(0, 80_000, 0, 0);
         for _ in 0..400 {
             r.push(&[Pair::default(); ADC_LOCK_P], true);
             r.estimate(entry(1), 37_500, 0);

@@ -44,7 +44,6 @@ pub enum Answer {
 /// How far a window has been sent.
 struct Cursor {
     header: Header,
-    lookup_version: u32,
     stage: Stage,
     digest: Digest,
 }
@@ -129,7 +128,7 @@ impl Session {
         self.answers.clear();
         self.telemetry.clear();
         self.cursor = None;
-        access.with(|rt| rt.recorder().release());
+        access.with(|rt| rt.recorder().abandon());
     }
 
     /// Writes the next frame, if there is one; returns its length, 0 for none.
@@ -166,7 +165,6 @@ impl Session {
             let header = access.with(|rt| rt.recorder().ready().copied());
             self.cursor = header.map(|header| Cursor {
                 header,
-                lookup_version: lookup.version,
                 stage: Stage::Start,
                 digest: CRC32.digest(),
             });
@@ -199,7 +197,7 @@ impl Session {
                     pairs: h.pairs,
                     track: h.track,
                     saturated: h.saturated,
-                    lookup_version: cursor.lookup_version,
+                    lookup_version: h.lookup_version,
                 };
                 (self.frame(&start, out), Stage::Pairs(0))
             }

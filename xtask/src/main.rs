@@ -1,9 +1,14 @@
 //! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
 
 mod arrows;
+mod budget;
+mod call_graph;
 mod count;
+mod cycles;
 mod house;
+mod images;
 mod licences;
+mod limits;
 mod setup;
 mod source;
 mod steps;
@@ -16,11 +21,12 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use images::Image;
 use setup::Wanted;
 use steps::{Session, Step};
 use workspace::Workspace;
 
-/// ihd's chores: set-up and tests.
+/// ihd's chores: set-up, tests, the firmware's images and what they may take.
 #[derive(Parser)]
 #[command(
     name = "cargo xtask",
@@ -37,6 +43,26 @@ struct Cli {
 enum Chore {
     Test(TestArgs),
     Setup(SetupArgs),
+    /// Build the firmware's images: for the board, for the emulator, and to count instructions.
+    #[command(after_help = "Example:\n  cargo xtask firmware")]
+    Firmware(SetupArgs),
+    /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
+    ///
+    /// Also shows that no call from the sampling path leads to a panic.
+    #[command(after_help = "Example:\n  cargo xtask budget")]
+    Budget(SetupArgs),
+    Cycles(CyclesArgs),
+}
+
+/// Count the firmware's instructions on an emulated Cortex-M4F, against firmware/budget.toml.
+#[derive(Args)]
+#[command(after_help = "Example:\n  cargo xtask cycles --write")]
+struct CyclesArgs {
+    /// Put the table into docs/performance.md
+    #[arg(long)]
+    write: bool,
+    #[command(flatten)]
+    firmware: SetupArgs,
 }
 
 /// Run every check of the project; CI runs exactly this.
@@ -80,6 +106,9 @@ fn main() -> ExitCode {
     let done = match Cli::parse().chore {
         Chore::Test(args) => test(&args),
         Chore::Setup(args) => set_up(&args),
+        Chore::Firmware(args) => build_firmware(&args),
+        Chore::Budget(args) => check_budget(&args),
+        Chore::Cycles(args) => count_cycles(&args),
     };
     match done {
         Ok(true) => ExitCode::SUCCESS,
@@ -97,6 +126,24 @@ fn test(args: &TestArgs) -> anyhow::Result<bool> {
     let outcomes = steps::run_all(&mut session, &chosen, args.fail_fast);
     print!("{}", summary::render(&outcomes));
     Ok(outcomes.iter().all(|outcome| !outcome.failed()))
+}
+
+fn build_firmware(args: &SetupArgs) -> anyhow::Result<bool> {
+    let mut session = Session::new(Workspace::find()?, args.toolchain);
+    for image in Image::ALL {
+        println!("{}: {}", image.name(), session.image(image)?.display());
+    }
+    Ok(true)
+}
+
+fn check_budget(args: &SetupArgs) -> anyhow::Result<bool> {
+    Session::new(Workspace::find()?, args.toolchain).budget()?;
+    Ok(true)
+}
+
+fn count_cycles(args: &CyclesArgs) -> anyhow::Result<bool> {
+    Session::new(Workspace::find()?, args.firmware.toolchain).cycles(args.write)?;
+    Ok(true)
 }
 
 fn set_up(args: &SetupArgs) -> anyhow::Result<bool> {

@@ -10,6 +10,9 @@ use crate::toolchain::{FirmwareToolchain, Found, TARGET, first_line, on_path};
 use crate::workspace::{Workspace, spelled};
 
 const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
+const EMULATOR: &str = "qemu-system-arm";
+/// Debian's package of it, and Ubuntu's.
+const EMULATOR_PACKAGE: &str = "qemu-system-arm";
 
 /// Which compiler the user wants for the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -31,6 +34,7 @@ pub fn run(workspace: &Workspace, wanted: Wanted) -> anyhow::Result<FirmwareTool
     } else {
         "tests: cargo test (faster with `cargo install cargo-nextest --locked`)"
     });
+    let qemu = emulator();
     let firmware = firmware_toolchain(wanted);
     if let Ok(toolchain) = &firmware {
         say(&format!("firmware: {}", toolchain.describe()));
@@ -39,7 +43,21 @@ pub fn run(workspace: &Workspace, wanted: Wanted) -> anyhow::Result<FirmwareTool
     components
         .into_iter()
         .collect::<anyhow::Result<Vec<()>>>()?;
+    qemu?;
     firmware
+}
+
+/// The emulator that runs the firmware's image, installed if need be.
+pub fn emulator() -> anyhow::Result<()> {
+    let version = || first_line(Command::new(EMULATOR).arg("--version"));
+    if version().is_none() {
+        apt_get(&[EMULATOR_PACKAGE]).with_context(|| {
+            format!("{EMULATOR} is missing: install QEMU's Arm system emulator")
+        })?;
+    }
+    let version = version().with_context(|| format!("{EMULATOR} does not start"))?;
+    say(&format!("emulator: {version}"));
+    Ok(())
 }
 
 /// Whether `cargo nextest` is installed.
@@ -101,18 +119,22 @@ fn add_target() -> anyhow::Result<()> {
 fn install_debian() -> anyhow::Result<()> {
     let why_not = Found::on_this_machine().debian_web();
     let lacks = why_not.err().unwrap_or_default();
+    apt_get(&DEBIAN_PACKAGES).with_context(|| lacks)
+}
+
+fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
     let has_apt = on_path("apt-get").iter().any(|path| path.is_file());
     if !has_apt || !Path::new("/etc/debian_version").exists() {
-        bail!("{lacks}, and this is not Debian");
+        bail!("this is not Debian, so nothing was installed");
     }
     if first_line(Command::new("id").arg("-u")).as_deref() != Some("0") {
-        bail!("{lacks}, and only root may install it");
+        bail!("only root may run `apt-get install {}`", packages.join(" "));
     }
     install(Command::new("apt-get").arg("update"))?;
     // --no-remove: these packages conflict with Debian's other rustc, which may be somebody's choice.
     let mut apt = Command::new("apt-get");
     apt.args(["install", "--yes", "--no-install-recommends", "--no-remove"])
-        .args(DEBIAN_PACKAGES)
+        .args(packages)
         .env("DEBIAN_FRONTEND", "noninteractive");
     install(&mut apt)
 }

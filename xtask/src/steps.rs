@@ -1,6 +1,7 @@
 //! The steps of `cargo xtask test`, in the order in which they run: the cheap ones first.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
@@ -8,11 +9,13 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 
 use crate::count::{Counts, Runner};
+use crate::images::Image;
+use crate::limits::Limits;
 use crate::setup::{self, Wanted};
 use crate::stream::run_and_count;
 use crate::toolchain::FirmwareToolchain;
 use crate::workspace::{Workspace, spelled};
-use crate::{arrows, house, licences};
+use crate::{arrows, budget, cycles, house, licences};
 
 /// One check of the project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -33,8 +36,14 @@ pub enum Step {
     Doctests,
     /// The documentation builds, without broken links
     Rustdoc,
-    /// What runs on the board builds for it, without std
+    /// The firmware's images build, for the board and for the emulator
     Firmware,
+    /// Flash, RAM and panic paths of the board's image against firmware/budget.toml
+    Budget,
+    /// Instruction counts on an emulated Cortex-M4F against firmware/budget.toml
+    Cycles,
+    /// The image on an emulated Cortex-M4F, talked to by the host's own client
+    Emulator,
 }
 
 impl fmt::Display for Step {
@@ -97,6 +106,8 @@ impl Session {
                 "clippy",
                 "--workspace",
                 "--all-targets",
+                "--features",
+                "ihd-tests/emulator",
                 "--",
                 "-D",
                 "warnings",
@@ -105,6 +116,9 @@ impl Session {
             Step::Doctests => return self.doctests(),
             Step::Rustdoc => self.rustdoc(),
             Step::Firmware => self.firmware(),
+            Step::Budget => self.budget(),
+            Step::Cycles => self.cycles(false),
+            Step::Emulator => return self.emulator(),
         };
         (result, None)
     }
@@ -155,7 +169,14 @@ impl Session {
     }
 
     fn run_tests(&self, args: &[&str], runner: Runner) -> (anyhow::Result<()>, Option<Counts>) {
-        let mut command = self.workspace.cargo(args);
+        self.run_command(self.workspace.cargo(args), runner)
+    }
+
+    fn run_command(
+        &self,
+        mut command: Command,
+        runner: Runner,
+    ) -> (anyhow::Result<()>, Option<Counts>) {
         announce(&command);
         match run_and_count(&mut command, runner) {
             Ok((status, counts)) => (check(status, &command), Some(counts)),
@@ -168,23 +189,79 @@ impl Session {
         succeed(command.env("RUSTDOCFLAGS", "-D warnings"))
     }
 
-    fn firmware(&mut self) -> anyhow::Result<()> {
+    fn toolchain(&mut self) -> anyhow::Result<FirmwareToolchain> {
         let wanted = self.wanted;
         let toolchain = self
             .firmware
             .get_or_insert_with(|| as_text(&setup::firmware_toolchain(wanted)));
-        let toolchain = toolchain.as_ref().map_err(|why| anyhow::anyhow!("{why}"))?;
-        println!("built by {}", toolchain.describe());
-        let mut build = toolchain.cargo(&self.workspace, "build");
-        build.args([
-            "--package",
-            "ihd-shared",
-            "--package",
-            "ihd-firmware",
-            "--lib",
-        ]);
-        succeed(&mut build)
+        toolchain.clone().map_err(anyhow::Error::msg)
     }
+
+    /// The file of an image, built in this session.
+    pub fn image(&mut self, image: Image) -> anyhow::Result<PathBuf> {
+        let toolchain = self.toolchain()?;
+        image.build(&self.workspace, &toolchain)
+    }
+
+    fn firmware(&mut self) -> anyhow::Result<()> {
+        let toolchain = self.toolchain()?;
+        println!("built by {}", toolchain.describe());
+        for image in Image::ALL {
+            self.image(image)?;
+            // Clippy of the host's workspace does not see what only a board compiles.
+            if image != Image::InstructionCounts {
+                succeed(&mut image.lint(&self.workspace, &toolchain))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Prints what the board's image takes; an error where it takes more than it may.
+    pub fn budget(&mut self) -> anyhow::Result<()> {
+        let limits = Limits::read(&self.workspace)?;
+        let image = self.image(Image::Stm32g474)?;
+        none_broken(budget::check(&image, &limits)?)
+    }
+
+    /// Counts instructions; `write` puts them into docs/performance.md.
+    pub fn cycles(&mut self, write: bool) -> anyhow::Result<()> {
+        setup::emulator()?;
+        let limits = Limits::read(&self.workspace)?;
+        let counts = cycles::count(&self.image(Image::InstructionCounts)?)?;
+        let table = cycles::table(&counts, &limits);
+        println!("{table}");
+        let mut broken = cycles::check(&counts, &limits);
+        broken.extend(cycles::document(&self.workspace, &table, write)?);
+        none_broken(broken)
+    }
+
+    fn emulator(&mut self) -> (anyhow::Result<()>, Option<Counts>) {
+        let image = setup::emulator().and_then(|()| self.image(Image::Mps2An386));
+        let image = match image {
+            Ok(image) => image,
+            Err(why) => return (Err(why), None),
+        };
+        let args = [
+            "test",
+            "--package",
+            "ihd-tests",
+            "--features",
+            "emulator",
+            "--test",
+            "emulated_board",
+            "--no-fail-fast",
+        ];
+        let mut command = self.workspace.cargo(args);
+        command.env("IHD_EMULATED_IMAGE", image);
+        self.run_command(command, Runner::Libtest)
+    }
+}
+
+fn none_broken(broken: Vec<String>) -> anyhow::Result<()> {
+    if !broken.is_empty() {
+        bail!("outside firmware/budget.toml:\n  {}", broken.join("\n  "));
+    }
+    Ok(())
 }
 
 /// The steps to run: those of `only`, or all, without those of `skip`; always in their own order.

@@ -23,3 +23,5 @@ mod sampling;
 
 #[cfg(feature = "mps2-an386")]
 mod mps2_an386;
+#[cfg(feature = "stm32g474")]
+mod stm32g474;

@@ -1,0 +1,130 @@
+//! Blocks of pairs from the circular DMA, bus and mains beside them, and the drive to the bridge.
+
+use core::cell::UnsafeCell;
+use core::ptr;
+
+use embassy_stm32::interrupt;
+use ihd_firmware::mains::ZeroCrossing;
+use ihd_firmware::pwm::Periods;
+use ihd_firmware::realtime::{Block, Drive};
+use ihd_firmware::ring::Ring;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+
+use super::registers;
+use super::start::SAMPLING_EXECUTOR;
+use crate::board::sampling::{SAMPLES_READY, SampleSource};
+
+/// Channels of the pins in the module's table.
+const VOLTAGE: u8 = 1;
+const CURRENT: u8 = 2;
+const BUS: u8 = 1;
+const MAINS: u8 = 12;
+
+/// Decivolt of the bus per code: 500 V over 12 bit.
+const BUS_DV_FULL_SCALE: u32 = 5_000;
+
+const WORDS: usize = 2 * ADC_LOCK_P;
+
+/// Memory that a DMA writes.
+struct DmaMemory<T>(UnsafeCell<T>);
+
+// SAFETY: the processor only reads it, word by word and volatile, in one task.
+unsafe impl<T> Sync for DmaMemory<T> {}
+
+static PAIRS: DmaMemory<[u32; WORDS]> = DmaMemory(UnsafeCell::new([0; WORDS]));
+static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
+
+/// Half or all of the double block is filled. The executor runs in this interrupt, so nothing else
+/// of its priority comes between the flag and the task.
+#[interrupt]
+fn DMA1_CHANNEL1() {
+    SAMPLES_READY.wake();
+    // SAFETY: this is the interrupt that the executor was started with.
+    unsafe { SAMPLING_EXECUTOR.on_interrupt() }
+}
+
+/// The ADCs, and the bridge they are locked to.
+pub struct Adc {
+    ring: Ring,
+    mains: ZeroCrossing,
+    drive: Drive,
+    pairs: [Pair; ADC_LOCK_P],
+}
+
+impl Adc {
+    /// Starts the timers with the bridge off, then the conversions they trigger.
+    pub fn start() -> Self {
+        registers::start_timers(Periods::nearest(Drive::OFF.f_sw_hz));
+        // SAFETY: both are static, and nobody writes them but the DMA.
+        unsafe {
+            registers::start_slow(BUS, MAINS, SLOW.0.get().cast());
+            registers::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
+        }
+        Self {
+            ring: Ring::default(),
+            mains: ZeroCrossing::default(),
+            drive: Drive::OFF,
+            pairs: [Pair::default(); ADC_LOCK_P],
+        }
+    }
+
+    /// Copies a half; the DMA is a block away unless this task came late, which the ring finds out.
+    fn copy(&mut self, half: usize) {
+        let begin = PAIRS.0.get().cast::<Pair>().wrapping_add(half * ADC_LOCK_P);
+        for (k, pair) in self.pairs.iter_mut().enumerate() {
+            // SAFETY: `half` is 0 or 1, so this is inside PAIRS; a Pair is any 32 bits.
+            *pair = unsafe { ptr::read_volatile(begin.wrapping_add(k)) };
+        }
+    }
+
+    fn slow(&self) -> (u16, i32) {
+        let codes = SLOW.0.get().cast::<i16>();
+        // SAFETY: both are inside SLOW, and a half-word is read as a whole.
+        let (bus, mains) = unsafe {
+            (
+                ptr::read_volatile(codes),
+                ptr::read_volatile(codes.wrapping_add(1)),
+            )
+        };
+        let bus = u32::from(bus.unsigned_abs()) * BUS_DV_FULL_SCALE / 4_096;
+        (bus as u16, i32::from(mains))
+    }
+
+    fn apply(&mut self, drive: Drive) {
+        if drive == self.drive {
+            return;
+        }
+        if !drive.on {
+            registers::bridge_off();
+        }
+        if drive.f_sw_hz != self.drive.f_sw_hz {
+            registers::set_periods(Periods::nearest(drive.f_sw_hz));
+        }
+        if drive.on && !self.drive.on {
+            registers::bridge_on();
+        }
+        self.drive = drive;
+    }
+}
+
+impl SampleSource for Adc {
+    fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool {
+        let Some(half) = self.ring.take(registers::filled()) else {
+            return false;
+        };
+        self.copy(half);
+        let at = WORDS.saturating_sub(usize::from(registers::words_left()));
+        if !self.ring.is_whole(half, at) {
+            return true;
+        }
+        let (bus_dv, mains) = self.slow();
+        let drive = take(&Block {
+            pairs: &self.pairs,
+            zero_crossing: self.mains.on_block(mains),
+            bus_dv,
+            lost: self.ring.take_lost(),
+        });
+        self.apply(drive);
+        true
+    }
+}

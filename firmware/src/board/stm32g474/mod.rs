@@ -1,0 +1,28 @@
+//! STM32G474RE, as on a NUCLEO-G474RE or a B-G474E-DPOW1.
+//!
+//! ```text
+//! PA8, PA9    HRTIM CHA1, CHA2    upper and lower switch of the half-bridge
+//! PA0         ADC1 IN1            coil voltage
+//! PA1         ADC2 IN2, COMP1+    coil current; COMP1 trips on its positive peak
+//! PA7         COMP2+              coil current inverted; COMP2 trips on the other peak
+//! PB1, PB0    ADC3 IN1, IN12      bus voltage, mains voltage
+//! PA2, PA3    LPUART1             the ST-LINK's serial port of a NUCLEO
+//! PA11, PA12  USB                 vendor bulk interface
+//! ```
+//!
+//! Coil voltage is ADC1 and current ADC2, so that the common data register holds them in the order
+//! of a [`ihd_shared::sampling::Pair`], and the DMA writes pairs.
+//!
+//! This module is compiled and its image linked and measured; it has not run on hardware yet.
+
+mod adc;
+mod registers;
+mod serial;
+mod slots;
+mod start;
+mod usb;
+
+/// Both switches off, at once, whatever else goes on.
+pub fn outputs_off() {
+    registers::bridge_off();
+}

@@ -1,0 +1,260 @@
+//! Wires the board to the app.
+
+use defmt_rtt as _;
+use embassy_executor::raw::TaskStorage;
+use embassy_executor::{Executor, InterruptExecutor, Spawner};
+use embassy_stm32::dac::{Dac, Value};
+use embassy_stm32::flash::Flash;
+use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
+use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::mode::Blocking;
+use embassy_stm32::peripherals::{IWDG, LPUART1, USB};
+use embassy_stm32::rcc::{self, mux};
+use embassy_stm32::usart::{self, BufferedUart};
+use embassy_stm32::usb::Driver;
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Config, Peripherals, bind_interrupts, interrupt, peripherals, uid};
+use embassy_usb::UsbDevice;
+use ihd_firmware::health::Heartbeat;
+use ihd_firmware::housekeeping::{Access, Housekeeping};
+use ihd_firmware::protection::TRIP_CODE;
+use ihd_firmware::{pwm, reset, store};
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::F_SW_MAX_HZ;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::{Hello, State};
+use static_cell::StaticCell;
+
+use super::adc::Adc;
+use super::slots::Slots;
+use super::{registers, serial, usb};
+use crate::board::link::NoPort;
+use crate::board::sampling::{self, SamplingTask, ThreadSide};
+use crate::board::{crash, link};
+
+bind_interrupts!(struct Irqs {
+    USB_LP => embassy_stm32::usb::InterruptHandler<USB>;
+    LPUART1 => usart::BufferedInterruptHandler<LPUART1>;
+});
+
+/// A control loop that stands still this long is reset. The outputs are off from then on.
+const WATCHDOG_US: u32 = 20_000;
+
+pub(super) static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
+static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
+
+type UsbDriver = Driver<'static, USB>;
+
+/// What the link task owns besides the link itself.
+struct Board {
+    watchdog: IndependentWatchdog<'static, IWDG>,
+    heartbeat: Heartbeat,
+    slots: Slots,
+    kept_version: u32,
+}
+
+/// 170 MHz from HSI16 in boost mode: 16 / 4 · 85 / 2. USB runs from HSI48, trimmed by the start of
+/// each USB frame.
+fn clocks() -> Config {
+    let mut config = Config::default();
+    config.rcc.hsi = true;
+    config.rcc.pll = Some(rcc::Pll {
+        source: rcc::PllSource::HSI,
+        prediv: rcc::PllPreDiv::DIV4,
+        mul: rcc::PllMul::MUL85,
+        divp: None,
+        divq: None,
+        divr: Some(rcc::PllRDiv::DIV2),
+    });
+    config.rcc.sys = rcc::Sysclk::PLL1_R;
+    config.rcc.boost = true;
+    config.rcc.hsi48 = Some(rcc::Hsi48Config {
+        sync_from_usb: true,
+    });
+    config.rcc.mux.clk48sel = mux::Clk48sel::HSI48;
+    config.rcc.mux.adc12sel = mux::Adcsel::SYS;
+    config.rcc.mux.adc345sel = mux::Adcsel::SYS;
+    config
+}
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    let flags = registers::reset_flags();
+    let last = crash::read_last_words();
+    let p = embassy_stm32::init(clocks());
+    defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
+    let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+    let Some((interrupt_side, mut thread_side)) = sampling::split(r, l) else {
+        unreachable!("main runs once");
+    };
+    thread_side.with(|rt| rt.set_grid(pwm::nearest_hz));
+    EXECUTOR.init(Executor::new()).run(|spawner| {
+        let hello = hello(flags, last);
+        start(spawner, p, hello, interrupt_side, thread_side);
+    })
+}
+
+fn hello(flags: reset::Flags, last: Option<reset::LastWords>) -> Hello {
+    let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
+    // Starts since power-on, told apart from other boards by the chip's number.
+    let starts = last.map_or(0, |words| u32::from(words.starts) + 1);
+    let boot_id = uid::uid().iter().fold(starts, |id, &byte| {
+        id.wrapping_mul(0x0100_0193) ^ u32::from(byte)
+    });
+    let mut hello = ours(ROLE_DEVICE, 0, boot_id, build, "stm32g474");
+    hello.reset_reason = reset::reason(flags, last) as u8;
+    hello.fault_before_reset = last.map_or(0, |words| words.fault);
+    hello
+}
+
+fn start(
+    spawner: Spawner,
+    p: Peripherals,
+    hello: Hello,
+    interrupt_side: sampling::InterruptSide,
+    thread_side: ThreadSide,
+) {
+    let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
+    let mut slots = Slots(Flash::new_blocking(p.FLASH));
+    let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
+    if let Some(lookup) = store::load(&mut slots) {
+        housekeeping.restore(lookup);
+    }
+    // The thresholds first, then what compares with them, then what could switch on.
+    start_protection(p.DAC1);
+    for pin in [
+        Flex::new(p.PA0),
+        Flex::new(p.PA1),
+        Flex::new(p.PA7),
+        Flex::new(p.PB0),
+        Flex::new(p.PB1),
+    ] {
+        analog(pin);
+    }
+    enable_clocks();
+    // Only now: until HRTIM drives them low, the gate driver's pull-downs hold them.
+    bridge_pin(Flex::new(p.PA8));
+    bridge_pin(Flex::new(p.PA9));
+    interrupt::DMA1_CHANNEL1.set_priority(Priority::P1);
+    interrupt::USB_LP.set_priority(Priority::P3);
+    interrupt::LPUART1.set_priority(Priority::P3);
+    let sampling_spawner = SAMPLING_EXECUTOR.start(interrupt::DMA1_CHANNEL1);
+    if let Ok(token) = SAMPLING_TASK.spawn(|| SamplingTask::new(Adc::start(), interrupt_side)) {
+        sampling_spawner.spawn(token);
+    }
+    let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
+    let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
+    let uart = serial_port(p.LPUART1, p.PA3, p.PA2);
+    watchdog.unleash();
+    let board = Board {
+        watchdog,
+        heartbeat: Heartbeat::default(),
+        kept_version: housekeeping.lookup().version,
+        slots,
+    };
+    if let Ok(token) = usb_task(device) {
+        spawner.spawn(token);
+    }
+    let usb = (usb_receiver, usb_sender);
+    if let Ok(token) = link_task(usb, uart, housekeeping, thread_side, board) {
+        spawner.spawn(token);
+    }
+}
+
+/// DAC1 holds the trip level on both comparators; the sensor's zero is at mid-scale. Codes are the
+/// ADC's, so the hardware trips where the software does, a block earlier.
+fn start_protection(dac: embassy_stm32::Peri<'static, peripherals::DAC1>) {
+    let mut dac = Dac::<'static, Blocking>::new_internal(dac);
+    let level = Value::Bit12Right(2_048 + TRIP_CODE);
+    dac.ch1().set(level);
+    dac.ch2().set(level);
+    // The DAC must go on when its driver is dropped.
+    core::mem::forget(dac);
+    registers::start_comparators();
+}
+
+/// The clocks of what [`registers`] drives.
+fn enable_clocks() {
+    rcc::enable_and_reset::<peripherals::HRTIM1>();
+    rcc::enable_and_reset::<peripherals::ADC1>();
+    rcc::enable_and_reset::<peripherals::ADC3>();
+    rcc::enable_and_reset::<peripherals::DMA1>();
+    rcc::enable_and_reset::<peripherals::DMAMUX1>();
+}
+
+fn analog(mut pin: Flex<'static>) {
+    pin.set_as_analog();
+    // Dropped, it would be disconnected.
+    core::mem::forget(pin);
+}
+
+/// HRTIM's alternate function on port A is 13 (DS12288, table "Alternate function").
+fn bridge_pin(mut pin: Flex<'static>) {
+    pin.set_as_af_unchecked(13, AfType::output(OutputType::PushPull, Speed::VeryHigh));
+    core::mem::forget(pin);
+}
+
+fn serial_port(
+    uart: embassy_stm32::Peri<'static, LPUART1>,
+    receive: embassy_stm32::Peri<'static, peripherals::PA3>,
+    transmit: embassy_stm32::Peri<'static, peripherals::PA2>,
+) -> Option<(serial::Receiver, serial::Sender)> {
+    static BUFFERS: StaticCell<([u8; 256], [u8; 256])> = StaticCell::new();
+    let (out, inbound) = BUFFERS.init(([0; 256], [0; 256]));
+    let mut config = usart::Config::default();
+    config.baudrate = serial::BAUD;
+    let uart = BufferedUart::new(uart, receive, transmit, out, inbound, Irqs, config).ok()?;
+    let (sender, receiver) = uart.split();
+    Some((serial::Receiver(receiver), serial::Sender(sender)))
+}
+
+#[embassy_executor::task]
+async fn usb_task(mut device: UsbDevice<'static, UsbDriver>) -> ! {
+    device.run().await
+}
+
+#[embassy_executor::task]
+async fn link_task(
+    usb: (usb::Receiver, usb::Sender),
+    serial: Option<(serial::Receiver, serial::Sender)>,
+    housekeeping: &'static mut Housekeeping,
+    path: ThreadSide,
+    mut board: Board,
+) -> ! {
+    let tick = |housekeeping: &Housekeeping, path: &mut ThreadSide| {
+        board.after_block(housekeeping, path);
+    };
+    match serial {
+        Some(serial) => link::run(usb, serial, housekeeping, path, tick).await,
+        None => link::run(usb, (NoPort, NoPort), housekeeping, path, tick).await,
+    }
+}
+
+impl Board {
+    /// What the hardware has to say, and what it has to know, after each block.
+    fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
+        let tripped = registers::hardware_tripped();
+        let (fault, blocks) = path.with(|rt| {
+            // A trip counts while the bridge should run: switching on clears what is left of it.
+            if tripped && rt.drive().on {
+                rt.raise(Fault::OverCurrent);
+            }
+            (rt.fault(), rt.blocks())
+        });
+        crash::note_fault(fault.number());
+        if self.heartbeat.beat(blocks) {
+            self.watchdog.pet();
+        }
+        let version = housekeeping.lookup().version;
+        if version != self.kept_version && housekeeping.control().state() == State::Idle {
+            // Not tried again when it fails: the lookup is still active, and is pushed again.
+            self.kept_version = version;
+            if store::save(&mut self.slots, housekeeping.lookup()).is_err() {
+                defmt::warn!("lookup {=u32} was not kept", version);
+            }
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! The link over USB: one vendor interface with a bulk endpoint each way, and the descriptors by
+//! which Windows binds WinUSB to it without a driver.
+
+use embassy_stm32::peripherals::USB;
+use embassy_stm32::usb::{Driver, Endpoint, In, Out};
+use embassy_usb::driver::{Endpoint as _, EndpointIn as _, EndpointOut as _};
+use embassy_usb::msos::{self, windows_version};
+use embassy_usb::{Builder, Config, UsbDevice};
+use static_cell::StaticCell;
+
+use crate::board::link::Port;
+
+/// pid.codes' number for tests and prototypes: a product needs one of its own.
+const VENDOR: u16 = 0x1209;
+const PRODUCT: u16 = 0x0001;
+
+/// By this GUID host programs find the interface on Windows.
+const GUIDS: &[&str] = &["{5A7D8C5E-6C0B-4C57-9F5F-0E6B1C1D4B21}"];
+
+/// bRequest by which Windows asks for its descriptors.
+const VENDOR_CODE: u8 = 0x20;
+
+/// A full-speed bulk packet.
+const PACKET: u16 = 64;
+
+/// The receiving half.
+pub struct Receiver(Endpoint<'static, USB, Out>);
+
+/// The sending half.
+pub struct Sender {
+    endpoint: Endpoint<'static, USB, In>,
+}
+
+struct Buffers {
+    configuration: [u8; 128],
+    bos: [u8; 64],
+    msos: [u8; 256],
+    control: [u8; 64],
+}
+
+/// The device, to be run by a task of its own, and the two halves of the link.
+pub fn start(
+    driver: Driver<'static, USB>,
+    serial: &'static str,
+) -> (UsbDevice<'static, Driver<'static, USB>>, Receiver, Sender) {
+    static BUFFERS: StaticCell<Buffers> = StaticCell::new();
+    let buffers = BUFFERS.init(Buffers {
+        configuration: [0; 128],
+        bos: [0; 64],
+        msos: [0; 256],
+        control: [0; 64],
+    });
+    let mut config = Config::new(VENDOR, PRODUCT);
+    config.manufacturer = Some("ihd");
+    config.product = Some("ihd induction-hob controller");
+    config.serial_number = Some(serial);
+    config.device_class = 0xFF;
+    config.device_sub_class = 0;
+    config.device_protocol = 0;
+    config.composite_with_iads = false;
+    let mut builder = Builder::new(
+        driver,
+        config,
+        &mut buffers.configuration,
+        &mut buffers.bos,
+        &mut buffers.msos,
+        &mut buffers.control,
+    );
+    builder.msos_descriptor(windows_version::WIN8_1, VENDOR_CODE);
+    builder.msos_feature(msos::CompatibleIdFeatureDescriptor::new("WINUSB", ""));
+    builder.msos_feature(msos::RegistryPropertyFeatureDescriptor::new(
+        "DeviceInterfaceGUIDs",
+        msos::PropertyData::RegMultiSz(GUIDS),
+    ));
+    let mut function = builder.function(0xFF, 0, 0);
+    let mut interface = function.interface();
+    let mut setting = interface.alt_setting(0xFF, 0, 0, None);
+    let receiver = Receiver(setting.endpoint_bulk_out(None, PACKET));
+    let sender = Sender {
+        endpoint: setting.endpoint_bulk_in(None, PACKET),
+    };
+    drop(function);
+    (builder.build(), receiver, sender)
+}
+
+impl Port for Receiver {
+    async fn receive(&mut self, buf: &mut [u8]) -> usize {
+        self.0.wait_enabled().await;
+        self.0.read(buf).await.unwrap_or(0)
+    }
+    async fn send(&mut self, _: &[u8]) -> usize {
+        core::future::pending().await
+    }
+}
+
+impl Port for Sender {
+    async fn receive(&mut self, _: &mut [u8]) -> usize {
+        core::future::pending().await
+    }
+    /// One packet, never a full one: the short packet tells the host at once that it is all there
+    /// is for now, without a zero-length packet behind a full one.
+    async fn send(&mut self, bytes: &[u8]) -> usize {
+        self.endpoint.wait_enabled().await;
+        let packet = bytes.get(..usize::from(PACKET) - 1).unwrap_or(bytes);
+        match self.endpoint.write(packet).await {
+            Ok(()) => packet.len(),
+            Err(_) => 0,
+        }
+    }
+}

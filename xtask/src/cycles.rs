@@ -1,0 +1,183 @@
+//! `cargo xtask cycles`: instruction counts of the firmware on an emulated Cortex-M4F, against their
+//! ceilings and into docs/performance.md.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, bail};
+
+use crate::limits::{Limits, verdict};
+use crate::workspace::{Workspace, spelled};
+
+/// The part of docs/performance.md that this writes.
+const BEGIN: &str = "<!-- cargo xtask cycles: begin -->\n";
+const END: &str = "<!-- cargo xtask cycles: end -->\n";
+
+/// A block at 70 kHz in cycles of 170 MHz: 3 / 70 000 s.
+const BLOCK_CYCLES: f64 = 3.0 / 70e3 * 170e6;
+
+/// Subjects, in the order of the table, and what one count of each is.
+const SUBJECTS: [(&str, &str); 8] = [
+    ("pair", "demodulating one sample pair"),
+    ("boxcars", "both boxcars, per phasor pair"),
+    ("ekf", "one EKF update, fixed point"),
+    ("ekf-f32", "one EKF update, f32 (comparison only)"),
+    (
+        "block",
+        "the whole sampling path, per block, window recorded",
+    ),
+    (
+        "block-at-crossing",
+        "the same for the block with the zero crossing",
+    ),
+    ("lookup", "one lookup, bilinear"),
+    ("window-chunk", "encoding one window chunk of 960 bytes"),
+];
+
+/// Counts, by subject.
+pub type Counts = BTreeMap<String, f64>;
+
+/// Runs the counting image.
+pub fn count(image: &Path) -> anyhow::Result<Counts> {
+    let mut qemu = Command::new("qemu-system-arm");
+    qemu.args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
+        .args(["-serial", "null", "-monitor", "none", "-icount", "shift=0"])
+        .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
+        .arg(image)
+        .stdin(Stdio::null());
+    let output = qemu
+        .output()
+        .context("could not start qemu-system-arm; `cargo xtask setup` installs it")?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    if !output.status.success() {
+        bail!("`{}` failed ({}):\n{text}", spelled(&qemu), output.status);
+    }
+    let counts = parse(&text);
+    for (subject, _) in SUBJECTS {
+        if !counts.contains_key(subject) {
+            bail!("the image did not count {subject}:\n{text}");
+        }
+    }
+    agree(&text)?;
+    Ok(counts)
+}
+
+fn parse(text: &str) -> Counts {
+    text.lines()
+        .filter_map(|line| {
+            let (name, count) = line.strip_prefix("count ")?.split_once(' ')?;
+            Some((name.to_owned(), count.parse().ok()?))
+        })
+        .collect()
+}
+
+/// What is compared must do the same work: both filters have to end at the same load, within 0.1 %.
+fn agree(text: &str) -> anyhow::Result<()> {
+    let mut compared = 0;
+    for line in text.lines().filter_map(|line| line.strip_prefix("check ")) {
+        let values: Vec<f64> = line.split(' ').filter_map(|v| v.parse().ok()).collect();
+        if let [fixed, float] = values[..] {
+            compared += 1;
+            if (float / fixed - 1.0).abs() > 1e-3 {
+                bail!("the f32 filter ends elsewhere than the fixed-point one: {line}");
+            }
+        }
+    }
+    if compared != 2 {
+        bail!("the image did not compare its filters");
+    }
+    Ok(())
+}
+
+/// Every count outside its limits.
+pub fn check(counts: &Counts, limits: &Limits) -> Vec<String> {
+    SUBJECTS
+        .iter()
+        .filter_map(|(subject, _)| {
+            let ceiling = limits.instructions.get(*subject).copied();
+            match ceiling {
+                Some(ceiling) => verdict(
+                    &format!("{subject} instructions"),
+                    counts[*subject],
+                    ceiling,
+                ),
+                None => Some(format!("firmware/budget.toml has no ceiling for {subject}")),
+            }
+        })
+        .collect()
+}
+
+/// The table in docs/performance.md.
+pub fn table(counts: &Counts, limits: &Limits) -> String {
+    let mut table = String::from("| subject | instructions | ceiling |\n|---|---:|---:|\n");
+    for (subject, what) in SUBJECTS {
+        let ceiling = limits.instructions.get(subject).copied().unwrap_or(0.0);
+        table += &format!(
+            "| {what} | {} | {} |\n",
+            short(counts[subject]),
+            short(ceiling)
+        );
+    }
+    let share = |count: f64| 100.0 * count / BLOCK_CYCLES;
+    let block = counts["block"];
+    table += &format!(
+        "\nA block of 61 pairs at f_sw = 70 kHz has {BLOCK_CYCLES:.0} cycles of 170 MHz. The sampling \
+         path takes {block:.0} instructions of it: {:.1} % at one instruction a cycle.\n",
+        share(block),
+    );
+    table
+}
+
+fn short(count: f64) -> String {
+    if count < 100.0 {
+        format!("{count:.1}")
+    } else {
+        format!("{count:.0}")
+    }
+}
+
+/// Puts the table into the document, or says that it is not the one there.
+pub fn document(workspace: &Workspace, table: &str, write: bool) -> anyhow::Result<Option<String>> {
+    let path = workspace.root().join("docs/performance.md");
+    let text = fs::read_to_string(&path).with_context(|| format!("{}", path.display()))?;
+    let Some((before, rest)) = text.split_once(BEGIN) else {
+        bail!("docs/performance.md has no line {}", BEGIN.trim());
+    };
+    let Some((kept, after)) = rest.split_once(END) else {
+        bail!("docs/performance.md has no line {}", END.trim());
+    };
+    if kept == table {
+        return Ok(None);
+    }
+    if write {
+        fs::write(&path, format!("{before}{BEGIN}{table}{END}{after}"))?;
+        return Ok(None);
+    }
+    Ok(Some(
+        "docs/performance.md states other counts: run `cargo xtask cycles --write`".into(),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PRINTED: &str = "count pair 15.6\ncount ekf 1471.0\ncheck r 4426887 4426900\n\
+                           check l 25010061 25010060\n";
+
+    #[test]
+    fn counts_are_read() {
+        let counts = parse(PRINTED);
+        assert_eq!((counts["pair"], counts["ekf"]), (15.6, 1471.0));
+        assert!(agree(PRINTED).is_ok());
+    }
+
+    #[test]
+    fn filters_that_disagree_are_no_comparison() {
+        assert!(agree("check r 100 200\ncheck l 1 1\n").is_err());
+        assert!(agree("check r 100 100\n").is_err());
+    }
+}
