@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use ihd::link::{Client, Event, LinkError, Transport};
+use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::LEN;
@@ -340,4 +341,86 @@ proptest! {
         prop_assert!(!link.hob().collect().is_empty());
         prop_assert!(Client::connect(Box::new(link)).is_ok());
     }
+}
+
+#[test]
+fn a_host_that_falls_silent_no_longer_heats() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) - 10);
+    assert_eq!(
+        client.status().unwrap().asked_w,
+        1_000,
+        "it was heard in time"
+    );
+    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) + 2);
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.asked_w, status.f_sw_hz),
+        (State::Idle, 0, 0)
+    );
+}
+
+#[test]
+fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
+    let (mut client, link) = connected();
+    link.hob().load_ohm = 0.0;
+    client.set_power(1_000).unwrap();
+    link.hob().run(10);
+    for _ in 0..100 {
+        client.status().unwrap();
+    }
+    drop(client);
+    let mut second = Client::connect(Box::new(link.clone())).unwrap();
+    link.hob().run(2);
+    let event = second.next_event(Duration::from_millis(50)).unwrap();
+    assert!(
+        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::NoPot),
+        "{event:?}"
+    );
+    assert_eq!(second.status().unwrap().frames_lost, 0);
+}
+
+#[test]
+fn a_window_under_way_is_not_sent_to_the_next_host() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    client.stream(0, 1).unwrap();
+    // Into the middle of a half-cycle that is recorded.
+    link.hob().run(60);
+    for _ in 0..60 {
+        link.hob().step();
+    }
+    drop(client);
+    let mut second = Client::connect(Box::new(link.clone())).unwrap();
+    link.hob().run(20);
+    assert_eq!(second.next_event(Duration::from_millis(50)).unwrap(), None);
+    assert_eq!(second.counters().window_messages_stray, 0);
+}
+
+#[test]
+fn a_window_names_the_lookup_it_was_recorded_under() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    client.stream(0, 1).unwrap();
+    link.hob().run(60);
+    client.push_lookup(&newer(5)).unwrap();
+    link.hob().run(200);
+    let mut versions = Vec::new();
+    while let Some(event) = client.next_event(Duration::from_millis(1)).unwrap() {
+        if let Event::Window(w) = event {
+            versions.push((w.half_cycle, w.lookup_version));
+        }
+        if versions.len() > 100 {
+            break;
+        }
+    }
+    // Pushed within half-cycle 60 or just after it: what began before names 0.
+    assert!(
+        versions
+            .iter()
+            .all(|&(h, v)| v == if h <= 60 { 0 } else { 5 }),
+        "{versions:?}"
+    );
+    assert!(versions.iter().any(|&(_, v)| v == 0) && versions.iter().any(|&(_, v)| v == 5));
 }

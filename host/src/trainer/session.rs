@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::{State, Telemetry};
@@ -19,6 +20,10 @@ const SETTLE_WITHIN: u32 = 600;
 
 /// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
 const WINDOWS_EVERY: u8 = 20;
+
+/// Half-cycles after which the device hears from us, whether we need anything or not: it switches
+/// off when it does not.
+const HEARD_EVERY: u32 = HOST_UNHEARD_HALF_CYCLES / 4;
 
 /// Device time to wait for anything, in seconds.
 const PATIENCE_S: u64 = 10;
@@ -199,6 +204,11 @@ impl<'a> Session<'a> {
 
     fn next_event(&mut self, what: &'static str) -> Result<Event, TrainerError> {
         let event = self.client.next_event(Duration::from_secs(PATIENCE_S))?;
+        if let Some(Event::Telemetry(t)) = &event
+            && t.half_cycle.is_multiple_of(HEARD_EVERY)
+        {
+            self.client.status()?;
+        }
         event.ok_or_else(|| self.silent(what))
     }
 

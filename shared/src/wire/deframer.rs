@@ -1,6 +1,7 @@
 //! Finds frames in a byte stream, whatever stands between them.
 
 use super::frame::{Frame, FrameError, MAX_ENCODED, decode};
+use super::messages::{Hello, Message};
 
 /// Collects bytes up to a zero and hands out the frame they make. After garbage, a cut frame or an
 /// overlong one it is in step again at the next zero; every well-formed frame is found.
@@ -84,7 +85,8 @@ impl Deframer {
             }
         };
         self.counters.good = self.counters.good.wrapping_add(1);
-        if let Some(expected) = self.expected_seq {
+        // A hello begins a conversation, and a sequence: whoever sent before is gone.
+        if let Some(expected) = self.expected_seq.filter(|_| frame.id != Hello::ID) {
             let gap = frame.seq.wrapping_sub(expected);
             // A gap of more than half the range is a repeated or reordered frame, not a loss.
             if gap < 0x8000 {

@@ -176,7 +176,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Asks for power; 0 switches off.
+    /// Asks for power; 0 switches off. A device that hears no frame for 10 s switches off by itself.
     0x02 "to device" SetPower {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
