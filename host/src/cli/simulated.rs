@@ -29,6 +29,9 @@ pub struct SimulatedHobArgs {
     /// power (179 V, 27.7 A rms); without it half an ADC step.
     #[arg(long, value_name = "DB")]
     snr: Option<f64>,
+    /// Corner of the anti-alias filters in hertz; 0 for none.
+    #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().anti_alias_hz)]
+    anti_alias: f64,
     /// Seed of the noise; the same seed gives the same digits.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -54,6 +57,11 @@ impl SimulatedHobArgs {
             "--mains is {} Hz, but must lie between 45 and 65",
             self.mains
         );
+        ensure!(
+            self.anti_alias == 0.0 || (1e5..=1e7).contains(&self.anti_alias),
+            "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
+            self.anti_alias
+        );
         let noise = match self.snr {
             None => HobConfig::default().noise,
             Some(db) => {
@@ -69,6 +77,7 @@ impl SimulatedHobArgs {
             pot: self.pot,
             load: self.load.into(),
             warming: self.warming,
+            anti_alias_hz: self.anti_alias,
             noise,
             seed: self.seed,
             ..HobConfig::default()

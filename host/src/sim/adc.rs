@@ -1,9 +1,11 @@
-//! The two ADC channels: noise, 12-bit codes, saturation.
+//! The two ADC channels: anti-alias filter, noise, 12-bit codes, saturation.
 
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+use super::pole::Pole;
 
 /// Resolution of the board's converters.
 const BITS: u32 = 12;
@@ -36,6 +38,7 @@ impl Noise {
 pub struct Adc {
     noise: Noise,
     rng: ChaCha8Rng,
+    filters: [Pole; 2],
 }
 
 impl Adc {
@@ -44,11 +47,31 @@ impl Adc {
         Self {
             noise,
             rng: ChaCha8Rng::seed_from_u64(seed),
+            filters: [Pole::settled(0.0, 0.0); 2],
         }
     }
 
-    /// Converts one pair of coil voltage in volt and coil current in ampere.
-    pub fn convert(&mut self, v_v: f64, i_a: f64) -> Pair {
+    /// The same with a first-order anti-alias filter of a corner in hertz on both channels, at rest.
+    pub fn with_filter(self, corner_hz: f64) -> Self {
+        Self {
+            filters: [Pole::settled(corner_hz, 0.0); 2],
+            ..self
+        }
+    }
+
+    /// The coil's voltage in volt and current in ampere at an instant, `dt_s` after the last one.
+    pub fn advance(&mut self, v_v: f64, i_a: f64, dt_s: f64) {
+        self.filters[0].advance(v_v, dt_s);
+        self.filters[1].advance(i_a, dt_s);
+    }
+
+    /// Converts what stands behind the filters now.
+    pub fn sample(&mut self) -> Pair {
+        self.convert(self.filters[0].output(), self.filters[1].output())
+    }
+
+    /// Converts one pair of voltage in volt and current in ampere.
+    fn convert(&mut self, v_v: f64, i_a: f64) -> Pair {
         let mut noisy = |value: f64, sigma: f64| {
             if sigma > 0.0 {
                 let normal: f64 = StandardNormal.sample(&mut self.rng);

@@ -15,6 +15,7 @@ pub mod hob;
 pub mod inverter;
 pub mod mains;
 pub mod plant;
+pub mod pole;
 pub mod pot;
 pub mod recording;
 pub mod reduced;

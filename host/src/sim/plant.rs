@@ -204,9 +204,8 @@ impl Plant {
     pub fn block(&mut self, mut seen: impl FnMut(&LoadPoint)) -> [Pair; ADC_LOCK_P] {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
         for pair in &mut pairs {
-            let now = self.inverter.instant();
             seen(&self.load_point());
-            *pair = self.adc.convert(now.coil_v, now.i_a);
+            *pair = self.adc.sample();
             for _ in 0..STEPS_PER_SAMPLE {
                 self.step();
             }
@@ -263,8 +262,10 @@ impl Plant {
     }
 
     fn step(&mut self) {
+        let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
-            self.inverter.advance(self.drive.on);
+            let now = self.inverter.advance(self.drive.on);
+            self.adc.advance(now.coil_v, now.i_a, dt_s);
             return;
         }
         let n = self.inverter.step_in_period();
@@ -273,6 +274,7 @@ impl Plant {
             self.meter.push(0, start.coil_v, start.i_a);
         }
         let now = self.inverter.advance(self.drive.on);
+        self.adc.advance(now.coil_v, now.i_a, dt_s);
         self.meter.push(n + 1, now.coil_v, now.i_a);
         if n + 1 == STEPS_PER_PERIOD {
             let truth = self.meter.truth(now.t_s, self.inverter.f_sw_hz(), now.i_a);
