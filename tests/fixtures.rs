@@ -3,3 +3,4 @@
 pub mod desk_hob;
 pub mod half_cycle;
 pub mod oracle;
+pub mod simulated_hob;
