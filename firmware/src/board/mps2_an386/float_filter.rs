@@ -142,9 +142,9 @@ impl FloatEkf {
         self.ii[2 * k] = own * shrink;
         self.ii[1] = cross * shrink;
         self.ii[2 * other] -= to_other * cross;
-        for theta in 0..2 {
-            self.it[other][theta] -= to_other * row[theta];
-            self.it[k][theta] = row[theta] * shrink;
+        for (theta, from) in row.into_iter().enumerate() {
+            self.it[other][theta] -= to_other * from;
+            self.it[k][theta] = from * shrink;
         }
         self.tt[0] = (self.tt[0] - to_theta[0] * row[0]).max(FLOOR);
         self.tt[1] -= to_theta[0] * row[1];
