@@ -13,7 +13,7 @@ use super::inverter::meter::PeriodMeter;
 use super::inverter::{Inverter, InverterError};
 use super::mains::Mains;
 use super::pot::{Metal, Pot};
-use super::recording::run::PreparedLoad;
+use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
 use super::warming::Warming;
 

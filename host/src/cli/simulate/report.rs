@@ -8,7 +8,8 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use crate::sim::field::approximation;
 use crate::sim::inverter::meter::{ORDERS, PeriodTruth};
 use crate::sim::recording::comparison;
-use crate::sim::recording::run::{self, Recording};
+use crate::sim::recording::prepared;
+use crate::sim::recording::run::Recording;
 use crate::sim::recording::settings::{LoadKind, PRESETS, Settings};
 
 /// Smallest current amplitude whose R and L are told, in ampere.
@@ -94,8 +95,8 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
 
 fn table_error(recording: &Recording) -> Result<()> {
     let s = &recording.settings;
-    let models = run::field_models(&s.pot, s.winding_r_ohm)?;
-    let error = run::reduced_pot(&s.pot, s.winding_r_ohm)?.error(&models)?;
+    let models = prepared::field_models(&s.pot, s.winding_r_ohm)?;
+    let error = prepared::reduced_pot(&s.pot, s.winding_r_ohm)?.error(&models)?;
     println!(
         "table      off its describing function by up to {:.2} % of R, {:.2} % of L",
         error.r_pct, error.l_pct

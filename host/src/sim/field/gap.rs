@@ -15,8 +15,7 @@ use nalgebra_sparse::{CooMatrix, CscMatrix, factorization::CscCholesky};
 
 use super::error::FieldError;
 use super::geometry::Geometry;
-use super::grid::Grid;
-use super::material::MU_0;
+use super::reluctance::{Network, Node};
 
 /// The condensed gap; see the module's equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,29 +30,18 @@ pub struct GapOperator {
     pub w_m2: Vec<f64>,
 }
 
-/// What a grid node is to the solver.
-#[derive(Clone, Copy, PartialEq)]
-enum Node {
-    /// Unknown with its number.
-    Free(usize),
-    /// On the load's surface, with its number.
-    Surface(usize),
-    /// ψ = 0.
-    Zero,
-}
-
 impl GapOperator {
     /// Solves the gap for a load of `rings` rings of equal width. `refinement` 1 is the standard
     /// grid, 2 halves its cells.
     pub fn new(geometry: &Geometry, rings: usize, refinement: f64) -> Result<Self, FieldError> {
         geometry.check()?;
-        Assembly::new(geometry, refinement, true).condense(rings)
+        condense(&Network::new(geometry, refinement, true), rings)
     }
 
     /// Inductance of the coil over its ferrite without a load, in henry.
     pub fn bare_coil_h(geometry: &Geometry, refinement: f64) -> Result<f64, FieldError> {
         geometry.check()?;
-        Ok(Assembly::new(geometry, refinement, false).condense(0)?.l0_h)
+        Ok(condense(&Network::new(geometry, refinement, false), 0)?.l0_h)
     }
 
     /// Number of rings.
@@ -71,262 +59,110 @@ impl GapOperator {
     }
 }
 
-/// Grid, node classes and coefficients of one arrangement.
-struct Assembly<'a> {
-    geometry: &'a Geometry,
-    grid: Grid,
-    nodes: Vec<Node>,
-    /// (r, z) of each surface node and the length of load surface it stands for.
-    surface: Vec<(f64, f64, f64)>,
-    free: usize,
-    with_load: bool,
+/// Eliminates the free nodes.
+fn condense(network: &Network<'_>, rings: usize) -> Result<GapOperator, FieldError> {
+    let columns = rings + 1;
+    let mut shape = DMatrix::<f64>::zeros(network.surface.len(), rings);
+    for k in 0..network.surface.len() {
+        for ring in 0..rings {
+            shape[(k, ring)] = network.shape(k, ring, rings);
+        }
+    }
+    // Right-hand sides: coil turns, then −K_fs T for each ring. And T' K_ss T.
+    let mut matrix = CooMatrix::new(network.free, network.free);
+    let mut rhs = DMatrix::<f64>::zeros(network.free, columns);
+    let mut s = DMatrix::<f64>::zeros(rings, rings);
+    for (a, b, k) in network.edges() {
+        for (x, y) in [(a, b), (b, a)] {
+            match (network.nodes[x], network.nodes[y]) {
+                (Node::Free(f), other) => {
+                    matrix.push(f, f, k);
+                    match other {
+                        Node::Free(g) => matrix.push(f, g, -k),
+                        Node::Surface(g) => {
+                            for ring in 0..rings {
+                                rhs[(f, 1 + ring)] += k * shape[(g, ring)];
+                            }
+                        }
+                        Node::Zero => {}
+                    }
+                }
+                (Node::Surface(f), other) => {
+                    for m in 0..rings {
+                        for n in 0..rings {
+                            s[(m, n)] += k * shape[(f, m)] * shape[(f, n)];
+                            if let Node::Surface(g) = other {
+                                s[(m, n)] -= k * shape[(f, m)] * shape[(g, n)];
+                            }
+                        }
+                    }
+                }
+                (Node::Zero, _) => {}
+            }
+        }
+    }
+    let nz = network.grid.z_m.len();
+    for (index, node) in network.nodes.iter().enumerate() {
+        if let Node::Free(f) = *node {
+            rhs[(f, 0)] = network.turns(index / nz, index % nz);
+        }
+    }
+    let cholesky =
+        CscCholesky::factor(&CscMatrix::from(&matrix)).map_err(|_| FieldError::Singular {
+            nodes: network.free,
+        })?;
+    let psi = cholesky.solve(&rhs);
+    Ok(operator(network, rings, &shape, &rhs, &psi, &s))
 }
 
-impl<'a> Assembly<'a> {
-    fn new(geometry: &'a Geometry, refinement: f64, with_load: bool) -> Self {
-        let grid = Grid::new(geometry, refinement);
-        let mut a = Self {
-            geometry,
-            grid,
-            nodes: Vec::new(),
-            surface: Vec::new(),
-            free: 0,
-            with_load,
-        };
-        let (nr, nz) = (a.grid.r_m.len(), a.grid.z_m.len());
-        for i in 0..nr {
-            for j in 0..nz {
-                let edge = i == 0 || j == 0 || i == nr - 1 || j == nz - 1;
-                let node = if edge { Node::Zero } else { a.classify(i, j) };
-                a.nodes.push(node);
-            }
-        }
-        a
-    }
-
-    fn classify(&mut self, i: usize, j: usize) -> Node {
-        let inside = [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)]
+/// The condensed system in terms of the rings.
+fn operator(
+    network: &Network<'_>,
+    rings: usize,
+    shape: &DMatrix<f64>,
+    rhs: &DMatrix<f64>,
+    psi: &DMatrix<f64>,
+    s_direct: &DMatrix<f64>,
+) -> GapOperator {
+    let two_pi = 2.0 * core::f64::consts::PI;
+    // Written out: a library product may sum in another order on another processor.
+    let energy = DMatrix::from_fn(rings + 1, rings + 1, |m, n| {
+        rhs.column(m)
             .iter()
-            .filter(|&&(ci, cj)| self.in_load(ci, cj))
-            .count();
-        match inside {
-            0 => {
-                self.free += 1;
-                Node::Free(self.free - 1)
-            }
-            4 => Node::Zero,
-            _ if self.grid.z_m[j]
-                > self.geometry.load_surface_m() + self.geometry.load_rim_m - 1e-9 =>
-            {
-                Node::Zero
-            }
-            _ => {
-                let (r, z) = (self.grid.r_m[i], self.grid.z_m[j]);
-                let bottom = (z - self.geometry.load_surface_m()).abs() < 1e-9;
-                let length = if !bottom {
-                    0.0
-                } else if self.in_load(i, j) {
-                    (self.grid.r_m[i + 1] - self.grid.r_m[i - 1]) / 2.0
-                } else {
-                    (self.grid.r_m[i] - self.grid.r_m[i - 1]) / 2.0
-                };
-                self.surface.push((r, z, length));
-                Node::Surface(self.surface.len() - 1)
-            }
+            .zip(psi.column(n).iter())
+            .map(|(a, b)| a * b)
+            .sum::<f64>()
+    });
+    let mut s = Vec::with_capacity(rings * rings);
+    for m in 0..rings {
+        for n in 0..rings {
+            // Symmetric by construction up to rounding; made exactly so.
+            let direct = (s_direct[(m, n)] + s_direct[(n, m)]) / 2.0;
+            let schur = direct - (energy[(1 + m, 1 + n)] + energy[(1 + n, 1 + m)]) / 2.0;
+            s.push(two_pi * schur);
         }
     }
-
-    /// Middle of the cell whose lower left node is (i, j).
-    fn middle(&self, i: usize, j: usize) -> (f64, f64) {
-        let (r, z) = (&self.grid.r_m, &self.grid.z_m);
-        ((r[i] + r[i + 1]) / 2.0, (z[j] + z[j + 1]) / 2.0)
-    }
-
-    fn in_load(&self, i: usize, j: usize) -> bool {
-        let (r, z) = self.middle(i, j);
-        let bottom = self.geometry.load_surface_m();
-        self.with_load
-            && r < self.geometry.load_radius_m
-            && (bottom..bottom + self.geometry.load_rim_m).contains(&z)
-    }
-
-    /// Reluctivity of a cell in m/H; none inside the load.
-    fn reluctivity(&self, i: usize, j: usize) -> f64 {
-        let (r, z) = self.middle(i, j);
-        let g = self.geometry;
-        if self.in_load(i, j) {
-            0.0
-        } else if r < g.ferrite_radius_m && (g.ferrite_bottom_m()..g.ferrite_top_m()).contains(&z) {
-            1.0 / (MU_0 * g.ferrite_mu_r)
-        } else {
-            1.0 / MU_0
-        }
-    }
-
-    /// Coil turns in the dual cell of node (i, j).
-    fn turns(&self, i: usize, j: usize) -> f64 {
-        let g = self.geometry;
-        let mut turns = 0.0;
-        for (ci, cj) in [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)] {
-            let (r, z) = self.middle(ci, cj);
-            if (g.coil_inner_m..g.coil_outer_m).contains(&r)
-                && (g.coil_bottom_m()..g.coil_top_m()).contains(&z)
-            {
-                let dr = self.grid.r_m[ci + 1] - self.grid.r_m[ci];
-                let dz = self.grid.z_m[cj + 1] - self.grid.z_m[cj];
-                turns += g.turn_density_per_m2() * dr * dz / 4.0;
-            }
-        }
-        turns
-    }
-
-    /// Every grid edge between inner nodes with its coefficient: (node, node, A per Wb).
-    fn edges(&self) -> Vec<(usize, usize, f64)> {
-        let (r, z) = (&self.grid.r_m, &self.grid.z_m);
-        let (nr, nz) = (r.len(), z.len());
-        let mut edges = Vec::with_capacity(2 * nr * nz);
-        for i in 0..nr - 1 {
-            for j in 1..nz - 1 {
-                // Radial: H_z along the two half cells above and below.
-                let (below, above) = (z[j] - z[j - 1], z[j + 1] - z[j]);
-                let nu =
-                    self.reluctivity(i, j - 1) * below / 2.0 + self.reluctivity(i, j) * above / 2.0;
-                let middle = (r[i] + r[i + 1]) / 2.0;
-                edges.push((
-                    i * nz + j,
-                    (i + 1) * nz + j,
-                    nu / (middle * (r[i + 1] - r[i])),
-                ));
-            }
-        }
-        for i in 1..nr - 1 {
-            for j in 0..nz - 1 {
-                // Axial: H_r along the two half cells inside and outside.
-                let (inner, outer) = (r[i] - r[i - 1], r[i + 1] - r[i]);
-                let nu =
-                    self.reluctivity(i - 1, j) * inner / 2.0 + self.reluctivity(i, j) * outer / 2.0;
-                edges.push((i * nz + j, i * nz + j + 1, nu / (r[i] * (z[j + 1] - z[j]))));
-            }
-        }
-        edges
-    }
-
-    /// ψ at surface node `k` for unit A of ring `ring`: a hat over the ring centres times r, and
-    /// on the side wall the outer ring's value, falling to zero over the rim.
-    fn shape(&self, k: usize, ring: usize, rings: usize) -> f64 {
-        let (r, z, _) = self.surface[k];
-        let width = self.geometry.load_radius_m / rings as f64;
-        let at = (r / width - 0.5).clamp(-0.5, (rings - 1) as f64);
-        let hat = if at < 0.0 {
-            // Towards the axis A falls in proportion to r.
-            if ring == 0 { (at + 0.5) / 0.5 } else { 0.0 }
-        } else {
-            (1.0 - (at - ring as f64).abs()).max(0.0)
-        };
-        let up = (z - self.geometry.load_surface_m()) / self.geometry.load_rim_m;
-        hat * r * (1.0 - up).clamp(0.0, 1.0)
-    }
-
-    fn condense(&self, rings: usize) -> Result<GapOperator, FieldError> {
-        let columns = rings + 1;
-        let mut shape = DMatrix::<f64>::zeros(self.surface.len(), rings);
-        for k in 0..self.surface.len() {
-            for ring in 0..rings {
-                shape[(k, ring)] = self.shape(k, ring, rings);
-            }
-        }
-        // Right-hand sides: coil turns, then −K_fs T for each ring. And T' K_ss T.
-        let mut matrix = CooMatrix::new(self.free, self.free);
-        let mut rhs = DMatrix::<f64>::zeros(self.free, columns);
-        let mut s = DMatrix::<f64>::zeros(rings, rings);
-        for (a, b, k) in self.edges() {
-            for (x, y) in [(a, b), (b, a)] {
-                match (self.nodes[x], self.nodes[y]) {
-                    (Node::Free(f), other) => {
-                        matrix.push(f, f, k);
-                        match other {
-                            Node::Free(g) => matrix.push(f, g, -k),
-                            Node::Surface(g) => {
-                                for ring in 0..rings {
-                                    rhs[(f, 1 + ring)] += k * shape[(g, ring)];
-                                }
-                            }
-                            Node::Zero => {}
-                        }
-                    }
-                    (Node::Surface(f), other) => {
-                        for m in 0..rings {
-                            for n in 0..rings {
-                                s[(m, n)] += k * shape[(f, m)] * shape[(f, n)];
-                                if let Node::Surface(g) = other {
-                                    s[(m, n)] -= k * shape[(f, m)] * shape[(g, n)];
-                                }
-                            }
-                        }
-                    }
-                    (Node::Zero, _) => {}
-                }
-            }
-        }
-        let nz = self.grid.z_m.len();
-        for (index, node) in self.nodes.iter().enumerate() {
-            if let Node::Free(f) = *node {
-                rhs[(f, 0)] = self.turns(index / nz, index % nz);
-            }
-        }
-        let cholesky = CscCholesky::factor(&CscMatrix::from(&matrix))
-            .map_err(|_| FieldError::Singular { nodes: self.free })?;
-        let psi = cholesky.solve(&rhs);
-        Ok(self.operator(rings, &shape, &rhs, &psi, &s))
-    }
-
-    fn operator(
-        &self,
-        rings: usize,
-        shape: &DMatrix<f64>,
-        rhs: &DMatrix<f64>,
-        psi: &DMatrix<f64>,
-        s_direct: &DMatrix<f64>,
-    ) -> GapOperator {
-        let two_pi = 2.0 * core::f64::consts::PI;
-        // Written out: a library product may sum in another order on another processor.
-        let energy = DMatrix::from_fn(rings + 1, rings + 1, |m, n| {
-            rhs.column(m)
-                .iter()
-                .zip(psi.column(n).iter())
-                .map(|(a, b)| a * b)
-                .sum::<f64>()
-        });
-        let mut s = Vec::with_capacity(rings * rings);
-        for m in 0..rings {
-            for n in 0..rings {
-                // Symmetric by construction up to rounding; made exactly so.
-                let direct = (s_direct[(m, n)] + s_direct[(n, m)]) / 2.0;
-                let schur = direct - (energy[(1 + m, 1 + n)] + energy[(1 + n, 1 + m)]) / 2.0;
-                s.push(two_pi * schur);
-            }
-        }
-        let w_m2 = (0..rings)
-            .map(|ring| {
-                (0..self.surface.len())
-                    .map(|k| two_pi * shape[(k, ring)] * self.surface[k].2)
-                    .sum()
-            })
-            .collect();
-        let turns = self.geometry.turns_calibration;
-        GapOperator {
-            l0_h: two_pi * energy[(0, 0)] * turns * turns,
-            p_m: (0..rings)
-                .map(|ring| two_pi * energy[(1 + ring, 0)] * turns)
-                .collect(),
-            s,
-            w_m2,
-        }
+    let w_m2 = (0..rings)
+        .map(|ring| {
+            (0..network.surface.len())
+                .map(|k| two_pi * shape[(k, ring)] * network.surface[k].2)
+                .sum()
+        })
+        .collect();
+    let turns = network.geometry.turns_calibration;
+    GapOperator {
+        l0_h: two_pi * energy[(0, 0)] * turns * turns,
+        p_m: (0..rings)
+            .map(|ring| two_pi * energy[(1 + ring, 0)] * turns)
+            .collect(),
+        s,
+        w_m2,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::material::MU_0;
     use super::*;
 
     #[test]

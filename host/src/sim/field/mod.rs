@@ -28,6 +28,7 @@ pub mod harmonic;
 pub mod layered;
 pub mod material;
 pub mod model;
+mod reluctance;
 pub mod spd;
 pub mod tank;
 

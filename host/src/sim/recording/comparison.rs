@@ -1,6 +1,7 @@
 //! The reduced model against the field model, over a mains half-cycle.
 
-use super::run::{record, reduced_pot};
+use super::prepared::reduced_pot;
+use super::run::record;
 use super::settings::{LoadKind, Settings};
 use crate::sim::inverter::InverterError;
 

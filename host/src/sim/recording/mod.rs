@@ -3,6 +3,7 @@
 pub mod comparison;
 pub mod figure;
 pub mod file;
+pub mod prepared;
 pub mod run;
 pub mod sensing;
 pub mod settings;

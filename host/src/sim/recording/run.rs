@@ -1,19 +1,13 @@
 //! Runs the power stage and records it.
 
+use super::prepared::PreparedLoad;
 use super::sensing::Sampler;
-use super::settings::{Change, LoadKind, Settings};
-use crate::sim::behavioural::{self, PotKind};
-use crate::sim::field::FieldModel;
-use crate::sim::field::gap::GapOperator;
-use crate::sim::field::geometry::Geometry;
+use super::settings::{Change, Settings};
 use crate::sim::inverter::bridge::HalfBridge;
 use crate::sim::inverter::bus::Bus;
-use crate::sim::inverter::load::{Law, LoadState};
 use crate::sim::inverter::meter::{PeriodMeter, PeriodTruth};
 use crate::sim::inverter::{Inverter, InverterError};
 use crate::sim::mains::Mains;
-use crate::sim::pot::{Metal, Pot};
-use crate::sim::reduced::ReducedPot;
 
 /// What came out.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,82 +39,6 @@ impl Recording {
     pub fn ampere_per_code(&self) -> f64 {
         let s = &self.settings.sensing;
         s.i_full_scale_a / f64::from(1u32 << (s.bits - 1))
-    }
-}
-
-/// A pot made ready for one kind of load model, at any frequency.
-#[derive(Clone, Debug)]
-pub enum PreparedLoad {
-    /// Field models with their weights.
-    Field(Vec<(f64, FieldModel)>),
-    /// Table.
-    Reduced(Box<ReducedPot>),
-    /// Formulas.
-    Behavioural(PotKind),
-}
-
-impl PreparedLoad {
-    /// Solves what has to be solved once for a pot: some 10 ms for the field, 100 ms for the table.
-    pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
-        if kind == LoadKind::Behavioural {
-            return Ok(Self::Behavioural(behavioural_kind(pot)));
-        }
-        Ok(match field_models(pot, winding_r_ohm)? {
-            // Nothing nonlinear is left without a pot.
-            models if kind == LoadKind::Field && !models.is_empty() => Self::Field(models),
-            _ => Self::Reduced(Box::new(reduced_pot(pot, winding_r_ohm)?)),
-        })
-    }
-
-    /// The load at rest for a switching frequency, or carrying on from `before`.
-    pub fn start(
-        &self,
-        f_sw_hz: f64,
-        steps: usize,
-        before: Option<&LoadState>,
-    ) -> Result<LoadState, InverterError> {
-        let law = match self {
-            Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
-            Self::Reduced(pot) => Law::Reduced(Box::new(pot.at(f_sw_hz))),
-            Self::Behavioural(kind) => Law::Behavioural(behavioural::Load::new(*kind, f_sw_hz)),
-        };
-        Ok(match before {
-            Some(state) => state.with_law(law, steps),
-            None => LoadState::law(law, steps),
-        })
-    }
-}
-
-/// Field models of a pot with their weights; empty without a pot.
-pub fn field_models(
-    pot: &Pot,
-    winding_r_ohm: f64,
-) -> Result<Vec<(f64, FieldModel)>, InverterError> {
-    let mut models = Vec::new();
-    for (weight, settings) in pot.field_settings(winding_r_ohm)? {
-        models.push((weight, FieldModel::new(&settings)?));
-    }
-    Ok(models)
-}
-
-/// Table of a pot; the coil over its ferrite alone is a constant.
-pub fn reduced_pot(pot: &Pot, winding_r_ohm: f64) -> Result<ReducedPot, InverterError> {
-    let models = field_models(pot, winding_r_ohm)?;
-    if models.is_empty() {
-        let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
-        return Ok(ReducedPot::constant(winding_r_ohm, l_h));
-    }
-    Ok(ReducedPot::new(&models)?)
-}
-
-/// The formulas know five loads; sizes go to the nearer of the two ferromagnetic ones.
-fn behavioural_kind(pot: &Pot) -> PotKind {
-    match pot.metal {
-        None => PotKind::None,
-        Some(Metal::Stainless) => PotKind::Stainless,
-        Some(Metal::Aluminium) => PotKind::Aluminium,
-        Some(Metal::Ferritic) if pot.diameter_m < 0.15 => PotKind::Small,
-        Some(Metal::Ferritic) => PotKind::Ferromagnetic,
     }
 }
 
@@ -237,8 +155,12 @@ fn change_frequency(
 
 #[cfg(test)]
 mod tests {
-    use super::super::settings::Event;
+    use super::super::settings::{Event, LoadKind};
     use super::*;
+    use crate::sim::behavioural::{self, PotKind};
+    use crate::sim::field::gap::GapOperator;
+    use crate::sim::field::geometry::Geometry;
+    use crate::sim::pot::Pot;
 
     fn behavioural(duration_s: f64) -> Settings {
         Settings {
@@ -348,5 +270,38 @@ mod tests {
         .unwrap();
         let (x, y) = (a.truth.last().unwrap(), b.truth.last().unwrap());
         assert!((x.i_a / y.i_a - 1.0).abs() < 0.01, "{x:?} {y:?}");
+    }
+
+    #[test]
+    fn a_bus_capacitor_keeps_current_flowing_at_the_zero_crossing() {
+        let with = |bus_capacitance_f| {
+            let s = Settings {
+                bus_capacitance_f,
+                f_sw_hz: 70e3,
+                ..behavioural(10.5e-3)
+            };
+            let r = record(&s, |_| ()).unwrap();
+            r.truth.iter().rfind(|t| t.t_s < 10e-3).unwrap().i_a
+        };
+        let (without, small, large) = (with(0.0), with(5e-6), with(50e-6));
+        assert!(
+            without < 0.2 && small > without && large > 3.0,
+            "{without} {small} {large}"
+        );
+    }
+
+    #[test]
+    fn a_distorted_mains_has_a_flatter_crest() {
+        let at_crest = |mains_harmonics| {
+            let s = Settings {
+                mains_harmonics,
+                ..behavioural(5.2e-3)
+            };
+            let r = record(&s, |_| ()).unwrap();
+            r.truth.iter().rfind(|t| t.t_s < 5e-3).unwrap().i_a
+        };
+        // 5 % of third harmonic take 5 % off the crest; the load is nonlinear, so about that.
+        let ratio = at_crest([0.05, 0.0, 0.0]) / at_crest([0.0; 3]);
+        assert!((0.90..0.98).contains(&ratio), "{ratio}");
     }
 }
