@@ -1,9 +1,10 @@
 //! `ihd trainer`: teaches a hob its load.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
+use std::{fs, io};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use ihd_pinn::{Backend, Config};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -15,6 +16,9 @@ use crate::report::{figure, training};
 use crate::sim::hob::SimHob;
 use crate::sim::transport::SharedHob;
 use crate::trainer::{Progress, Settings, run};
+
+/// Most runs in one store.
+const MAX_RUNS: u32 = 9_999;
 
 /// Identifies the load of a hob with a PINN and pushes the R, L lookup to its controller.
 ///
@@ -44,7 +48,8 @@ pub struct TrainerArgs {
     /// TOML file with the network's settings; what it leaves out keeps its default.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Folder for the recording, the lookups and the figure.
+    /// Folder in which each run gets a folder of its own, for the recording, the lookups and the
+    /// figure.
     #[arg(long, value_name = "DIR", default_value = "ihd-store")]
     store: PathBuf,
     /// Write nothing to disk.
@@ -85,7 +90,11 @@ impl TrainerArgs {
         let settings = Settings {
             powers_w: self.power.clone(),
             pinn,
-            store: (!self.no_store).then(|| self.store.clone()),
+            store: if self.no_store {
+                None
+            } else {
+                Some(new_run_folder(&self.store)?)
+            },
             follow: stop,
         };
         let report = run(client, truth, &settings, &mut |p| {
@@ -105,7 +114,7 @@ impl TrainerArgs {
             print!("{}", training::text(&report));
             if let Some(store) = &settings.store {
                 println!(
-                    "kept     {0}/session.frames, lookup-v*.json, identified.svg",
+                    "kept     session.frames, lookup-v*.json and identified.svg in {}",
                     store.display()
                 );
             }
@@ -129,6 +138,24 @@ impl TrainerArgs {
         config.validate()?;
         Ok(config)
     }
+}
+
+/// Makes the first `run-NNN` that does not exist yet, so that no run writes over another.
+fn new_run_folder(store: &Path) -> Result<PathBuf> {
+    let cannot = |path: &Path| format!("cannot make the folder {}", path.display());
+    fs::create_dir_all(store).with_context(|| cannot(store))?;
+    for n in 1..=MAX_RUNS {
+        let run = store.join(format!("run-{n:03}"));
+        match fs::create_dir(&run) {
+            Ok(()) => return Ok(run),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(e) => return Err(e).with_context(|| cannot(&run)),
+        }
+    }
+    bail!(
+        "{} holds {MAX_RUNS} runs already: move some away",
+        store.display()
+    )
 }
 
 fn progress_bar() -> ProgressBar {

@@ -32,7 +32,7 @@ pub struct Settings<'a> {
     pub powers_w: Vec<u16>,
     /// The network's settings.
     pub pinn: Config,
-    /// Folder for the recording, the lookups and the figure; `None` keeps nothing.
+    /// An existing folder for the recording, the lookups and the figure; `None` keeps nothing.
     pub store: Option<PathBuf>,
     /// Go on after the last point until this becomes true.
     pub follow: Option<&'a AtomicBool>,
@@ -54,7 +54,7 @@ pub struct Report {
     pub refused: u32,
     /// Wall time from the start to the first lookup active on the device, in seconds.
     pub first_lookup_s: Option<f64>,
-    /// Device time at which the first lookup was active, in half-cycles since the run began.
+    /// Wall time of the whole run, in seconds.
     pub total_s: f64,
     /// The last window and its identification, for the figure.
     pub last: Option<(Box<Window>, Identified, Option<crate::sim::truth::Truth>)>,
@@ -82,7 +82,6 @@ pub fn run(
 ) -> Result<Report, TrainerError> {
     let started = Instant::now();
     if let Some(store) = &settings.store {
-        create_dir(store)?;
         client.record_to(FrameLog::create(
             &store.join("session.frames"),
             client.hello(),
@@ -126,13 +125,6 @@ pub fn run(
     run.report.counters = run.session.client.counters();
     run.report.total_s = run.started.elapsed().as_secs_f64();
     Ok(run.report)
-}
-
-fn create_dir(path: &Path) -> Result<(), TrainerError> {
-    fs::create_dir_all(path).map_err(|source| TrainerError::Write {
-        path: path.display().to_string(),
-        source,
-    })
 }
 
 impl Run<'_, '_> {
@@ -232,7 +224,12 @@ impl Run<'_, '_> {
             .build(version)
             .ok_or_else(|| TrainerError::Lookup("its least-squares problem is singular".into()))?;
         // The device would refuse it for the same reason, with less to say.
-        plausible::check(&built.lookup).map_err(|why| TrainerError::Lookup(why.to_string()))?;
+        plausible::check(&built.lookup).map_err(|why| {
+            TrainerError::Lookup(format!(
+                "{why}; a load this far from a full-size pot (a small or off-centre one?) is not \
+                 taught"
+            ))
+        })?;
         self.session.teach(&built.lookup)?;
         self.version = version;
         if self.report.first_lookup_s.is_none() {
