@@ -8,7 +8,7 @@ fn main() -> ExitCode {
     match ihd::cli::Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("ihd: {error:#}");
+            eprintln!("ihd: {}", ihd::cli::message(&error));
             ihd::cli::exit_code(&error).into()
         }
     }

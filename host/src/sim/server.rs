@@ -107,7 +107,6 @@ impl Server {
         let mut wall = Instant::now();
         let mut simulated_s = self.hob.t_s();
         while !stop.load(Ordering::Relaxed) {
-            self.accept(&mut watch)?;
             simulated_s += SLICE.as_secs_f64() * speed;
             while self.hob.t_s() < simulated_s {
                 self.hob.step();
@@ -117,6 +116,8 @@ impl Server {
                 self.unsent.clear();
                 watch(ServerEvent::Disconnected);
             }
+            // After the exchange, which sees that the last client is gone: the next one may be here.
+            self.accept(&mut watch)?;
             wall += SLICE;
             let now = Instant::now();
             if let Some(early) = wall.checked_duration_since(now) {

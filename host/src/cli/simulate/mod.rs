@@ -43,7 +43,13 @@ impl From<LoadWord> for LoadKind {
 ///
 /// Numbers take SI prefixes: 45k, 50M, 20ms, 0.2us. What is not given comes from the preset.
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  \
+        ihd simulate --plot waveforms.svg\n  \
+        ihd simulate --fsw 50k --pot ferritic-18 --snr 30 --rate 50M --out half-cycle.safetensors\n  \
+        ihd simulate --load behavioural --rate locked --at 5ms:pot=none"
+)]
 pub struct SimulateArgs {
     /// Operating point of the paper to start from: paper-45, paper-50, paper-60 or paper-70
     #[arg(long, default_value = "paper-45")]
