@@ -20,6 +20,7 @@ pub mod pot;
 pub mod recording;
 pub mod reduced;
 pub mod server;
+mod shelf;
 pub mod transport;
 pub mod truth;
 pub mod warming;

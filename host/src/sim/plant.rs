@@ -8,13 +8,11 @@ use super::adc::Adc;
 use super::behavioural::PotKind;
 use super::inverter::bridge::HalfBridge;
 use super::inverter::bus::Bus;
-use super::inverter::load::LoadState;
 use super::inverter::meter::PeriodMeter;
 use super::inverter::{Inverter, InverterError};
 use super::mains::Mains;
-use super::pot::{Metal, Pot};
-use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
+use super::shelf::{Shelf, described};
 use super::warming::Warming;
 
 /// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
@@ -25,9 +23,6 @@ pub const STEPS_PER_SAMPLE: usize = 24;
 pub const STEPS_PER_PERIOD: usize = STEPS_PER_SAMPLE * ADC_LOCK_P / ADC_LOCK_Q as usize;
 
 const _: () = assert!(STEPS_PER_SAMPLE.is_multiple_of(ADC_LOCK_Q as usize));
-
-/// Resistance of the winding in ohm, beside a load from the field model.
-const WINDING_R_OHM: f64 = 0.1;
 
 /// Load and envelope at one ADC sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,47 +35,6 @@ pub struct LoadPoint {
     pub l_h: f64,
     /// Amplitude of the current's fundamental in ampere.
     pub i_a: f64,
-}
-
-/// Every pot, ready to be put on the coil.
-#[derive(Clone, Debug)]
-struct Shelf(Vec<(PotKind, PreparedLoad)>);
-
-impl Shelf {
-    fn new(kind: LoadKind) -> Result<Self, InverterError> {
-        let prepare = |pot: PotKind| {
-            let prepared = match kind {
-                LoadKind::Behavioural => PreparedLoad::Behavioural(pot),
-                _ => PreparedLoad::new(kind, &described(pot), WINDING_R_OHM)?,
-            };
-            Ok((pot, prepared))
-        };
-        let all: Result<_, InverterError> = PotKind::ALL.into_iter().map(prepare).collect();
-        Ok(Self(all?))
-    }
-
-    fn take(
-        &self,
-        pot: PotKind,
-        f_sw_hz: f64,
-        before: Option<&LoadState>,
-    ) -> Result<LoadState, InverterError> {
-        // `new` put every kind on the shelf.
-        let found = self.0.iter().find(|(kind, _)| *kind == pot);
-        let (_, prepared) = found.unwrap_or(&self.0[0]);
-        prepared.start(f_sw_hz, STEPS_PER_PERIOD, before)
-    }
-}
-
-/// The pots of the behavioural model as field models.
-fn described(pot: PotKind) -> Pot {
-    match pot {
-        PotKind::Ferromagnetic => Pot::new(Metal::Ferritic, 0.21),
-        PotKind::Small => Pot::new(Metal::Ferritic, 0.12),
-        PotKind::Aluminium => Pot::new(Metal::Aluminium, 0.21),
-        PotKind::Stainless => Pot::new(Metal::Stainless, 0.21),
-        PotKind::None => Pot::NONE,
-    }
 }
 
 /// Mains, half-bridge, capacitor, load and ADC.
@@ -232,10 +186,7 @@ impl Plant {
         let (Some(warming), Some(metal)) = (&self.warming, described(self.pot).metal) else {
             return;
         };
-        let winding_r_ohm = match self.shelf.0.first() {
-            Some((_, PreparedLoad::Behavioural(_))) => 0.0,
-            _ => WINDING_R_OHM,
-        };
+        let winding_r_ohm = self.shelf.winding_r_ohm();
         let (hot_c, f_sw_hz) = (warming.temperature_c(), self.inverter.f_sw_hz());
         // Refused only far beyond the temperatures that the cooling allows.
         let set = self

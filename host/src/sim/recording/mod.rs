@@ -5,5 +5,6 @@ pub mod figure;
 pub mod file;
 pub mod prepared;
 pub mod run;
+pub mod sampler;
 pub mod sensing;
 pub mod settings;

@@ -1,7 +1,7 @@
 //! Runs the power stage and records it.
 
 use super::prepared::PreparedLoad;
-use super::sensing::Sampler;
+use super::sampler::Sampler;
 use super::settings::{Change, Settings};
 use crate::sim::inverter::bridge::HalfBridge;
 use crate::sim::inverter::bus::Bus;
