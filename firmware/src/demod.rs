@@ -136,6 +136,7 @@ const SIGNS: u32 = 0x8000_8000;
 
 /// Correlates one block with the fundamental. The only loop that runs per sample; a second one
 /// follows for a block that holds a sample out of the ordinary.
+#[inline(never)]
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let words = Pair::words(pairs);
     let mut sums = Correlation::default();
@@ -175,6 +176,7 @@ impl Correlation {
 
 /// Whether any pair is out of the ordinary. A loop of its own: one for all would need more
 /// registers than there are.
+#[inline(never)]
 fn holds_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
     let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
     let alarm = words.iter().fold(0, |alarm, &word| alarm | look(word));

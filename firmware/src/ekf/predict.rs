@@ -80,8 +80,11 @@ impl Ekf {
     /// P ← F P Fᵀ with F = (A B; 0 1), in blocks: N = A P_It + B P_tt, W = A P_II + B P_tI,
     /// P_II ← W Aᵀ + N Bᵀ, P_It ← N.
     ///
+    /// Not inlined: with what surrounds it, it needs more registers than there are, and a tenth of the
+    /// step would be spent on the stack.
+    ///
     /// |A| < 1 and P_tt ≤ (1 ohm)² by their bounds, B and P_It by [`WITHIN`]: no sum overflows.
-    #[inline(always)]
+    #[inline(never)]
     fn propagate(&mut self, a: [[i32; 2]; 2], b: [[i32; 2]; 2]) {
         let p = &self.p;
         let r_x = within(p.tt[1]);
