@@ -1,7 +1,7 @@
 //! Host side of ihd: identifies an induction hob's load and teaches its controller.
 
-pub mod cli;
 pub mod capture;
+pub mod cli;
 pub mod link;
 pub mod lookup;
 pub mod report;
