@@ -12,5 +12,6 @@ pub mod hob;
 pub mod lookup;
 pub mod sampling;
 pub mod units;
+pub mod usb;
 pub mod window;
 pub mod wire;

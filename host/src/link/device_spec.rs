@@ -3,7 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::serial::SerialTransport;
 use super::tcp::TcpTransport;
+use super::usb::UsbTransport;
 use super::{LinkError, Transport};
 
 /// Which device to talk to.
@@ -69,8 +71,7 @@ impl DeviceSpec {
     /// knows nothing about.
     ///
     /// # Errors
-    /// [`LinkError::Connect`] when nothing answers there, [`LinkError::Unavailable`] for a kind of
-    /// device that comes later.
+    /// [`LinkError::Connect`] when nothing answers there.
     pub fn open(
         &self,
         sim: impl FnOnce() -> Box<dyn Transport>,
@@ -78,10 +79,8 @@ impl DeviceSpec {
         match self {
             Self::Sim => Ok(sim()),
             Self::Tcp(address) => Ok(Box::new(TcpTransport::connect(address)?)),
-            Self::Usb | Self::Serial(_) => Err(LinkError::Unavailable {
-                device: self.to_string(),
-                why: "comes with the firmware image; use sim or tcp:HOST:PORT",
-            }),
+            Self::Usb => Ok(Box::new(UsbTransport::open()?)),
+            Self::Serial(path) => Ok(Box::new(SerialTransport::open(path)?)),
         }
     }
 }
@@ -129,11 +128,15 @@ mod tests {
     }
 
     #[test]
-    fn devices_of_a_later_day_say_so() {
+    fn a_device_that_is_not_there_is_named() {
         let no_sim = || -> Box<dyn Transport> { unreachable!("not asked for") };
-        let Err(error) = DeviceSpec::Usb.open(no_sim) else {
-            panic!("usb must not open yet");
+        let spec = DeviceSpec::Serial("/dev/no-such-port".to_owned());
+        let Err(error) = spec.open(no_sim) else {
+            panic!("nothing is there");
         };
-        assert!(error.to_string().contains("firmware image"), "{error}");
+        assert!(
+            error.to_string().contains("serial:/dev/no-such-port"),
+            "{error}"
+        );
     }
 }

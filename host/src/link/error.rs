@@ -23,14 +23,6 @@ pub enum LinkError {
         /// What the operating system says.
         source: io::Error,
     },
-    /// A kind of device that this build cannot talk to yet.
-    #[error("{device}: {why}")]
-    Unavailable {
-        /// The device asked for.
-        device: String,
-        /// Why, and what to use instead.
-        why: &'static str,
-    },
     /// The device ended the link.
     #[error(
         "{device} closed the link: it ended, or another host has it; connect again once it is free"

@@ -18,9 +18,11 @@ pub mod error;
 pub mod incoming;
 pub mod protocol_doc;
 pub mod replay;
+pub mod serial;
 mod tap;
 pub mod tcp;
 pub mod transport;
+pub mod usb;
 pub mod window;
 
 pub use client::Client;

@@ -6,13 +6,10 @@ use embassy_stm32::usb::{Driver, Endpoint, In, Out};
 use embassy_usb::driver::{Endpoint as _, EndpointIn as _, EndpointOut as _};
 use embassy_usb::msos::{self, windows_version};
 use embassy_usb::{Builder, Config, UsbDevice};
+use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 use static_cell::StaticCell;
 
 use crate::board::link::Port;
-
-/// pid.codes' number for tests and prototypes: a product needs one of its own.
-const VENDOR: u16 = 0x1209;
-const PRODUCT: u16 = 0x0001;
 
 /// By this GUID host programs find the interface on Windows.
 const GUIDS: &[&str] = &["{5A7D8C5E-6C0B-4C57-9F5F-0E6B1C1D4B21}"];
@@ -50,9 +47,9 @@ pub fn start(
         msos: [0; 256],
         control: [0; 64],
     });
-    let mut config = Config::new(VENDOR, PRODUCT);
+    let mut config = Config::new(VENDOR_ID, PRODUCT_ID);
     config.manufacturer = Some("ihd");
-    config.product = Some("ihd induction-hob controller");
+    config.product = Some(PRODUCT);
     config.serial_number = Some(serial);
     config.device_class = 0xFF;
     config.device_sub_class = 0;

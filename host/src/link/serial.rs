@@ -1,0 +1,119 @@
+//! A board behind a serial port: the ST-LINK of a NUCLEO-G474RE, or any adapter on its LPUART1.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::time::Duration;
+
+use serialport::SerialPort;
+
+use super::{LinkError, Transport};
+
+/// What the board's serial port is set to (`firmware/src/board/stm32g474/serial.rs`).
+pub const BAUD: u32 = 921_600;
+
+/// A serial port.
+pub struct SerialTransport {
+    port: Box<dyn SerialPort>,
+    device: String,
+}
+
+impl SerialTransport {
+    /// Opens a port by its path.
+    ///
+    /// # Errors
+    /// [`LinkError::Connect`] with what the operating system said.
+    pub fn open(path: &str) -> Result<Self, LinkError> {
+        let device = format!("serial:{path}");
+        match serialport::new(path, BAUD).open() {
+            Ok(port) => Ok(Self { port, device }),
+            Err(why) => {
+                let hint = match why.kind() {
+                    serialport::ErrorKind::NoDevice => "; is the board plugged in?",
+                    serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => {
+                        "; join the group that owns it (dialout on Debian)"
+                    }
+                    _ => "",
+                };
+                Err(LinkError::Connect {
+                    device,
+                    hint: hint.to_owned(),
+                    source: why.into(),
+                })
+            }
+        }
+    }
+
+    /// Over a port that is open already.
+    pub fn over(port: Box<dyn SerialPort>, device: String) -> Self {
+        Self { port, device }
+    }
+
+    fn failed(&self, doing: &'static str, source: io::Error) -> LinkError {
+        let device = self.device.clone();
+        match source.kind() {
+            ErrorKind::BrokenPipe | ErrorKind::NotConnected => LinkError::Closed { device },
+            _ => LinkError::Io {
+                device,
+                doing,
+                source,
+            },
+        }
+    }
+}
+
+impl Transport for SerialTransport {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.port
+            .write_all(bytes)
+            .map_err(|e| self.failed("send", e))
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        let read = self
+            .port
+            .set_timeout(timeout)
+            .map_err(io::Error::from)
+            .and_then(|()| self.port.read(buf));
+        match read {
+            Ok(n) => Ok(n),
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => Ok(0),
+            Err(e) => Err(self.failed("receive", e)),
+        }
+    }
+
+    fn describe(&self) -> String {
+        self.device.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_port_is_named() {
+        let Err(error) = SerialTransport::open("/dev/no-such-port") else {
+            panic!("nothing is there");
+        };
+        assert!(error.to_string().contains("/dev/no-such-port"), "{error}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn bytes_pass_and_silence_is_a_time_out() {
+        let (ours, theirs) = serialport::TTYPort::pair().unwrap();
+        let mut ours = SerialTransport::over(Box::new(ours), "serial:ours".to_owned());
+        let mut theirs = SerialTransport::over(Box::new(theirs), "serial:theirs".to_owned());
+        let mut buf = [0; 16];
+        let moment = Duration::from_millis(20);
+        assert_eq!(theirs.receive(&mut buf, moment).unwrap(), 0);
+        // Every byte value a terminal might want to interpret.
+        ours.send(&[0, 3, 4, 10, 13, 17, 19, 0x7F, 0xFF]).unwrap();
+        let n = theirs.receive(&mut buf, Duration::from_secs(2)).unwrap();
+        assert_eq!(buf[..n], [0, 3, 4, 10, 13, 17, 19, 0x7F, 0xFF]);
+        drop(theirs);
+        assert!(matches!(
+            ours.receive(&mut buf, moment),
+            Ok(0) | Err(LinkError::Closed { .. } | LinkError::Io { .. })
+        ));
+    }
+}
