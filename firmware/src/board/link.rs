@@ -4,9 +4,10 @@
 //! port that was heard last is the one that is answered.
 
 use embassy_futures::select::{Either4, select4};
-use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::housekeeping::{Access, Housekeeping};
 use ihd_shared::wire::frame::MAX_ENCODED;
 
+use super::crash;
 use super::sampling::{BLOCK_DONE, ThreadSide};
 
 /// One way to the host. Both futures may be dropped before they are ready without losing bytes.
@@ -112,6 +113,7 @@ pub async fn run(
             Either4::Third(()) => {
                 housekeeping.poll(&mut path);
                 tick(housekeeping, &mut path);
+                crash::note_fault(path.with(|rt| rt.fault()).number());
             }
             Either4::Fourth(n) => out.sent += n,
         }

@@ -38,8 +38,9 @@ bind_interrupts!(struct Irqs {
     LPUART1 => usart::BufferedInterruptHandler<LPUART1>;
 });
 
-/// A control loop that stands still this long is reset. The outputs are off from then on.
-const WATCHDOG_US: u32 = 20_000;
+/// A control loop that stands still this long is reset. The outputs are off from then on. Longer
+/// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
+const WATCHDOG_US: u32 = 60_000;
 
 pub(super) static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
@@ -237,14 +238,13 @@ impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::hardware_tripped();
-        let (fault, blocks) = path.with(|rt| {
+        let blocks = path.with(|rt| {
             // A trip counts while the bridge should run: switching on clears what is left of it.
             if tripped && rt.drive().on {
                 rt.raise(Fault::OverCurrent);
             }
-            (rt.fault(), rt.blocks())
+            rt.blocks()
         });
-        crash::note_fault(fault.number());
         if self.heartbeat.beat(blocks) {
             self.watchdog.pet();
         }
