@@ -100,17 +100,18 @@ pub async fn run(
             out.length = housekeeping.transmit(&mut path, &mut out.frame);
         }
         let frame = out.frame.get(out.sent..out.length).unwrap_or(&[]);
+        // Blocks first: whatever the host sends, control gets its turn.
         let event = select4(
+            BLOCK_DONE.wait(),
             receive(&mut first.0, a.room()),
             receive(&mut second.0, b.room()),
-            BLOCK_DONE.wait(),
             send(&mut first.1, &mut second.1, heard, frame),
         )
         .await;
         match event {
-            Either4::First(n) => a.filled(n),
-            Either4::Second(n) => b.filled(n),
-            Either4::Third(()) => {
+            Either4::Second(n) => a.filled(n),
+            Either4::Third(n) => b.filled(n),
+            Either4::First(()) => {
                 housekeeping.poll(&mut path);
                 tick(housekeeping, &mut path);
                 crash::note_fault(path.with(|rt| rt.fault()).number());
