@@ -61,12 +61,16 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
         bail!("the image has no panic handler by name; are its symbols stripped?");
     }
     let is_panic = |name: &str| PANIC.iter().any(|part| name.contains(part));
-    let mut roots = vec![INTERRUPT];
-    roots.extend(graph.named(TASK));
-    roots.extend(graph.callers(TASK));
-    if graph.named(INTERRUPT).next().is_none() || roots.len() < 3 {
+    // By the readable name: compilers differ in how they write the other.
+    let polls = graph
+        .named(TASK)
+        .filter(|name| readable(name).ends_with("::poll"));
+    let polls: Vec<_> = polls.collect();
+    let callers: Vec<_> = graph.callers(&polls).collect();
+    if graph.named(INTERRUPT).next().is_none() || polls.is_empty() || callers.is_empty() {
         bail!("the image has no {INTERRUPT}, no {TASK}, or nobody who polls it");
     }
+    let roots = [&[INTERRUPT], &polls[..], &callers[..]].concat();
     let (way, functions) = graph.path(&roots, is_panic);
     if let Some(way) = way {
         let way: Vec<_> = way.iter().map(|name| readable(name)).collect();

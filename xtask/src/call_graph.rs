@@ -70,11 +70,13 @@ impl CallGraph {
         names.filter(move |name| name.contains(part))
     }
 
-    /// Functions that call one whose name holds `part`.
-    pub fn callers<'a>(&'a self, part: &'a str) -> impl Iterator<Item = &'a str> {
+    /// Functions that call one of those named.
+    pub fn callers<'a>(&'a self, named: &'a [&str]) -> impl Iterator<Item = &'a str> {
         let calls = self.calls.iter().filter(move |(_, called)| {
-            let mut called = called.iter().map(|start| &self.functions[start].name);
-            called.any(|name| name.contains(part))
+            let mut called = called
+                .iter()
+                .map(|start| self.functions[start].name.as_str());
+            called.any(|name| named.contains(&name))
         });
         calls.map(|(caller, _)| self.functions[caller].name.as_str())
     }
