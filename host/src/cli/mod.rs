@@ -53,7 +53,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         return match error {
             E::Link(_) | E::Silent { .. } => 3,
             E::Fault { .. } => 4,
-            E::NotSettled { .. } | E::Pinn { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
+            E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
             E::Store(_) | E::Write { .. } => 1,
         };
     }

@@ -7,6 +7,7 @@ use std::{fs, io};
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use ihd_pinn::{Backend, Config};
+use ihd_shared::hob::RATED_POWER_W;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt;
@@ -68,10 +69,12 @@ pub struct TrainerArgs {
 impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
-        ensure!(
-            !self.power.contains(&0),
-            "--power holds a 0: name powers above zero"
-        );
+        for &power_w in &self.power {
+            ensure!(
+                (1..=RATED_POWER_W).contains(&power_w),
+                "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
+            );
+        }
         let pinn = self.pinn_config()?;
         let stop = if self.follow {
             Some(interrupt::flag().context("cannot catch ^C")?)

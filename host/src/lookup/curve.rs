@@ -5,8 +5,16 @@ use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
 /// Points per step of the lookup's current axis.
 const POINTS_PER_STEP: usize = 8;
 
-/// Currents below this, in ampere, are left out: R and L are held or extrapolated there.
-const LOWEST_A: f64 = 1.0;
+/// Currents below this, in ampere, are left out: R and L are extrapolated there.
+const LOWEST_A: f64 = 0.5;
+
+/// A curve that reaches below this, in ampere, is continued to zero current. No half-cycle shows the
+/// load there, but the grid's first knot lies there, and without it the prior's would stay beside
+/// cells that know better.
+const CONTINUED_BELOW_A: f64 = 3.0;
+
+/// Largest relative change by which a curve is continued.
+const CONTINUED_BY: f64 = 0.15;
 
 /// One point: current amplitude in ampere, R in ohm, L in henry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +66,7 @@ impl LoadCurve {
             sum.l_h += p.l_h;
             *n += 1.0;
         }
-        let points = bins
+        let mut points: Vec<LoadPoint> = bins
             .into_iter()
             .filter(|(_, n)| *n > 0.0)
             .map(|(sum, n)| LoadPoint {
@@ -67,6 +75,9 @@ impl LoadCurve {
                 l_h: sum.l_h / n,
             })
             .collect();
+        if let Some(zero) = at_zero_current(&points) {
+            points.insert(0, zero);
+        }
         Self { f_sw_hz, points }
     }
 
@@ -74,6 +85,26 @@ impl LoadCurve {
     pub fn point_weight() -> f64 {
         1.0 / POINTS_PER_STEP as f64
     }
+}
+
+/// The straight line through the two lowest points, at zero current.
+fn at_zero_current(points: &[LoadPoint]) -> Option<LoadPoint> {
+    let [a, b, ..] = points else {
+        return None;
+    };
+    if a.i_a > CONTINUED_BELOW_A {
+        return None;
+    }
+    let back = a.i_a / (b.i_a - a.i_a);
+    let line = |a: f64, b: f64| {
+        let bound = CONTINUED_BY * a;
+        a + ((a - b) * back).clamp(-bound, bound)
+    };
+    Some(LoadPoint {
+        i_a: 0.0,
+        r_ohm: line(a.r_ohm, b.r_ohm),
+        l_h: line(a.l_h, b.l_h),
+    })
 }
 
 #[cfg(test)]
@@ -92,8 +123,24 @@ mod tests {
             .chain((0..80).rev().map(|k| flank(k, 5.0)));
         let curve = LoadCurve::from_half_cycle(45e3, samples);
         assert!(curve.points.iter().all(|p| (p.r_ohm - 4.0).abs() < 1e-12));
-        assert!(curve.points.iter().all(|p| p.i_a >= 1.0));
+        assert!(curve.points.iter().skip(1).all(|p| p.i_a >= LOWEST_A));
         assert!(curve.points.windows(2).all(|w| w[0].i_a < w[1].i_a));
+    }
+
+    #[test]
+    fn a_curve_is_continued_to_zero_current_by_its_slope() {
+        let line = |k: u32| LoadPoint {
+            i_a: 1.0 + f64::from(k),
+            r_ohm: 5.0 - 0.1 * f64::from(k),
+            l_h: 20e-6,
+        };
+        let curve = LoadCurve::from_half_cycle(45e3, (0..20).map(line));
+        let zero = curve.points[0];
+        assert_eq!((zero.i_a, zero.l_h), (0.0, 20e-6));
+        assert!((zero.r_ohm - 5.1).abs() < 1e-9, "{zero:?}");
+        // One that begins far up says nothing about zero.
+        let high = (0..20).map(|k| line(k + 10));
+        assert!(LoadCurve::from_half_cycle(45e3, high).points[0].i_a > 10.0);
     }
 
     #[test]

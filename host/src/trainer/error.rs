@@ -1,6 +1,5 @@
 //! What ends a training run.
 
-use ihd_pinn::PinnError;
 use ihd_shared::fault::Fault;
 
 use crate::capture::frames::FrameLogError;
@@ -44,14 +43,6 @@ pub enum TrainerError {
         seconds: u64,
         /// What the window counters say.
         windows: String,
-    },
-    /// The network refused a window.
-    #[error("window {seq}: {source}")]
-    Pinn {
-        /// The window's number.
-        seq: u32,
-        /// Why.
-        source: PinnError,
     },
     /// Several windows in a row were not fit for the lookup.
     #[error("no window at {asked_w} W was fit for the lookup; the last one: {why}")]

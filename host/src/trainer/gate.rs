@@ -38,8 +38,7 @@ pub fn judge(identified: &Identified) -> GateVerdict {
         ("current", identified.nmse_i_pct, MAX_NMSE_I_PCT),
         ("voltage", identified.nmse_v_pct, MAX_NMSE_V_PCT),
     ] {
-        // A NaN must not pass.
-        if !(nmse <= limit) {
+        if nmse.is_nan() || nmse > limit {
             return GateVerdict::Reject(format!(
                 "the {name} is reproduced to {nmse:.2} % only (limit {limit} %)"
             ));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use ihd_pinn::{Config, Identified, Parameters, identify};
+use ihd_pinn::{Config, Identified, Parameters, PinnError, identify};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::plausible;
 use ihd_shared::lookup::prior::prior;
@@ -18,13 +18,23 @@ use super::point::{self, Point};
 use super::session::{Progress, Session, TruthSource};
 use crate::capture::frames::FrameLog;
 use crate::link::{Client, Counters, Window};
-use crate::lookup::{Built, LookupBuilder};
+use crate::lookup::{Built, LoadCurve, LookupBuilder};
 
 /// Windows tried at one operating point before it is given up.
 const TRIES: usize = 3;
 
-/// Relative change of R or L against the active lookup from which `--follow` pushes a new one.
-const WORTH_PUSHING: f64 = 5e-3;
+/// Relative difference below which two switching frequencies count as the same.
+const SAME_FREQUENCY: f64 = 0.01;
+
+/// Curves that the lookup rests on at one frequency.
+const CURVES_PER_FREQUENCY: usize = 4;
+
+/// Relative change of R or L against the active lookup from which `--follow` pushes a new one: what
+/// noise of 30 dB alone does not reach, because a board keeps every lookup in its flash.
+const WORTH_PUSHING: f64 = 2e-2;
+
+/// Currents, in ampere, from which a change counts: below, noise makes it and no power depends on it.
+const WORTH_PUSHING_FROM_A: f64 = 5.0;
 
 /// What a run does.
 pub struct Settings<'a> {
@@ -63,7 +73,8 @@ pub struct Report {
 struct Run<'s, 'p> {
     session: Session<'p>,
     settings: &'s Settings<'s>,
-    builder: LookupBuilder,
+    /// What the lookup rests on; see [`Run::remember`].
+    curves: Vec<LoadCurve>,
     version: u32,
     warm: Option<Parameters>,
     report: Report,
@@ -97,9 +108,7 @@ pub fn run(
     let mut run = Run {
         session,
         settings,
-        // A run describes the pot that stands on the coil now, so it starts from the built-in
-        // prior, whatever the device was taught before.
-        builder: LookupBuilder::new(prior()),
+        curves: Vec::new(),
         version,
         warm: None,
         report: Report {
@@ -145,23 +154,30 @@ impl Run<'_, '_> {
         let mut why = String::new();
         for _ in 0..TRIES {
             let window = self.session.window_after(since, asked_w)?;
-            let identified = self.identify(&window)?;
-            if let GateVerdict::Reject(reason) = judge(&identified) {
-                self.report.refused += 1;
-                self.session.report(Progress::Rejected {
-                    seq: window.seq,
-                    why: &reason,
-                });
-                why = reason;
-                continue;
+            match self.identify(&window) {
+                Ok(identified) => return self.learn(window, identified, asked_w, true),
+                Err(reason) => why = reason,
             }
-            self.learn(window, identified, asked_w, true)?;
-            return Ok(());
         }
         Err(TrainerError::NoFit { asked_w, why })
     }
 
-    fn identify(&mut self, window: &Window) -> Result<Identified, TrainerError> {
+    /// R(t) and L(t) of a window that may teach; else why not, told and counted.
+    fn identify(&mut self, window: &Window) -> Result<Identified, String> {
+        let outcome = self.train(window).map_err(|e| e.to_string());
+        let outcome = outcome.and_then(|identified| match judge(&identified) {
+            GateVerdict::Pass => Ok(identified),
+            GateVerdict::Reject(why) => Err(why),
+        });
+        if let Err(why) = &outcome {
+            self.report.refused += 1;
+            let seq = window.seq;
+            self.session.report(Progress::Rejected { seq, why });
+        }
+        outcome
+    }
+
+    fn train(&mut self, window: &Window) -> Result<Identified, PinnError> {
         let (v_volt, i_ampere) = (window.v_volt(), window.i_ampere());
         let waveform = ihd_pinn::Waveform {
             f_sw_hz: f64::from(window.f_sw_hz),
@@ -180,7 +196,6 @@ impl Run<'_, '_> {
         identify(&waveform, &config, &mut |step| {
             session.report(Progress::Training { seq, step });
         })
-        .map_err(|source| TrainerError::Pinn { seq, source })
     }
 
     /// Adds a window to the lookup; pushes it when it says something new.
@@ -207,20 +222,42 @@ impl Run<'_, '_> {
                     .iter()
                     .any(|p| differs(&built.lookup, window.f_sw_hz, p))
             });
-        self.builder.observe(&curve, 1.0);
+        self.remember(curve);
         if news {
             self.push()?;
         }
         point.lookup_version = self.version;
+        if !news {
+            // Following an unchanged load: the newest window stands for all of them.
+            self.report.points.pop();
+        }
         self.report.points.push(point);
         self.report.last = Some((window, identified, truth));
         Ok(())
     }
 
+    /// Keeps the last few curves of each frequency: enough to average noise, few enough to follow a
+    /// load that changes, while what was seen at other frequencies stays.
+    fn remember(&mut self, curve: LoadCurve) {
+        let f_sw_hz = curve.f_sw_hz;
+        let alike = |c: &LoadCurve| (c.f_sw_hz / f_sw_hz - 1.0).abs() < SAME_FREQUENCY;
+        self.curves.push(curve);
+        if self.curves.iter().filter(|c| alike(c)).count() > CURVES_PER_FREQUENCY
+            && let Some(oldest) = self.curves.iter().position(alike)
+        {
+            self.curves.remove(oldest);
+        }
+    }
+
     fn push(&mut self) -> Result<(), TrainerError> {
         let version = self.version + 1;
-        let built = self
-            .builder
+        // A run describes the pot that stands on the coil now, so it starts from the built-in
+        // prior, whatever the device was taught before.
+        let mut builder = LookupBuilder::new(prior());
+        for curve in &self.curves {
+            builder.observe(curve, 1.0);
+        }
+        let built = builder
             .build(version)
             .ok_or_else(|| TrainerError::Lookup("its least-squares problem is singular".into()))?;
         // The device would refuse it for the same reason, with less to say.
@@ -244,23 +281,13 @@ impl Run<'_, '_> {
 
     /// Identifies every window until told to stop.
     fn follow(&mut self, asked_w: u16, stop: &AtomicBool) -> Result<(), TrainerError> {
+        let last = self.report.last.as_ref();
+        let mut since = last.map_or(0, |(window, _, _)| window.half_cycle);
         while !stop.load(Ordering::Relaxed) {
-            let since = self
-                .report
-                .last
-                .as_ref()
-                .map_or(0, |(w, _, _)| w.half_cycle);
             let window = self.session.window_after(since, asked_w)?;
-            let identified = self.identify(&window)?;
-            match judge(&identified) {
-                GateVerdict::Pass => self.learn(window, identified, asked_w, false)?,
-                GateVerdict::Reject(why) => {
-                    self.report.refused += 1;
-                    self.session.report(Progress::Rejected {
-                        seq: window.seq,
-                        why: &why,
-                    });
-                }
+            since = window.half_cycle;
+            if let Ok(identified) = self.identify(&window) {
+                self.learn(window, identified, asked_w, false)?;
             }
         }
         Ok(())
@@ -269,6 +296,9 @@ impl Run<'_, '_> {
 
 fn differs(lookup: &RlLookup, f_sw_hz: u32, p: &crate::lookup::curve::LoadPoint) -> bool {
     let (r, l) = lookup.interpolate(f_sw_hz, (p.i_a * 1e3) as u32);
+    if p.i_a < WORTH_PUSHING_FROM_A {
+        return false;
+    }
     (p.r_ohm / r.ohm() - 1.0).abs() > WORTH_PUSHING
         || (p.l_h / l.henry() - 1.0).abs() > WORTH_PUSHING
 }

@@ -19,6 +19,10 @@ pub const L_CODES: core::ops::RangeInclusive<u16> = 2_048..=65_433;
 /// Largest ratio of neighbouring cells, in 1/1024: 1.6.
 pub const MAX_RATIO_Q10: u32 = 1_638;
 
+/// Largest ratio where an observed cell meets one that keeps the prior, in 1/1024: 2.5. A field model
+/// of a full-size pot differs from the prior by 1.7 at small currents, a small pot by 4.
+pub const MAX_SEAM_RATIO_Q10: u32 = 2_560;
+
 /// How far a neighbour may run the wrong way, in 1/1024: 4 %.
 pub const WRONG_WAY_Q10: u32 = 1_065;
 
@@ -30,7 +34,8 @@ pub enum Implausible {
         /// Index of the cell.
         cell: u16,
     },
-    /// A neighbour with larger index differs by more than [`MAX_RATIO_Q10`].
+    /// A neighbour with larger index differs by more than [`MAX_RATIO_Q10`], or across a seam by more
+    /// than [`MAX_SEAM_RATIO_Q10`].
     Slope {
         /// Index of the cell.
         cell: u16,
@@ -46,7 +51,10 @@ impl fmt::Display for Implausible {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (cell, what) = match self {
             Self::Range { cell } => (cell, "is outside 0.02-15.9 ohm or 2-63.9 µH"),
-            Self::Slope { cell } => (cell, "differs from a neighbour by more than a factor 1.6"),
+            Self::Slope { cell } => (
+                cell,
+                "differs too much from a neighbour (factor 1.6; 2.5 where taught cells meet the prior)",
+            ),
             Self::NotMonotone { cell } => (
                 cell,
                 "runs the wrong way with frequency or current by more than 4 %",
@@ -117,7 +125,11 @@ enum Trend {
 
 fn step(from: u16, to: u16, trend: Trend, cell: u16) -> Result<(), Implausible> {
     let (low, high) = (u32::from(from.min(to)), u32::from(from.max(to)));
-    if high << 10 > low * MAX_RATIO_Q10 {
+    let limit = match trend {
+        Trend::Rises | Trend::Falls => MAX_RATIO_Q10,
+        Trend::Seam => MAX_SEAM_RATIO_Q10,
+    };
+    if high << 10 > low * limit {
         return Err(Implausible::Slope { cell });
     }
     let wrong_way = match trend {
@@ -157,6 +169,22 @@ mod tests {
             falling.r[1][i] = (f32::from(falling.r[0][i]) * 0.94) as u16;
         }
         assert_eq!(check(&falling), Err(Implausible::NotMonotone { cell: 0 }));
+    }
+
+    #[test]
+    fn a_seam_between_taught_cells_and_the_prior_may_be_steeper() {
+        let taught = |percent: u32| {
+            let mut lookup = prior();
+            for i in 0..9 {
+                for f in 0..FREQUENCIES {
+                    lookup.r[f][i] = (u32::from(lookup.r[f][i]) * percent / 100) as u16;
+                    lookup.mark_observed(f, i);
+                }
+            }
+            check(&lookup)
+        };
+        assert_eq!(taught(55), Ok(()));
+        assert_eq!(taught(25), Err(Implausible::Slope { cell: 8 }));
     }
 
     #[test]
