@@ -34,8 +34,9 @@ fn heat(load: LoadKind, half_cycles: usize) -> (SharedHob, Vec<Telemetry>) {
     (hob, seen)
 }
 
-fn regulates_to_1200_w(load: LoadKind) {
-    let (hob, seen) = heat(load, 150);
+#[test]
+fn the_firmware_regulates_power_into_the_reduced_field_model() {
+    let (hob, seen) = heat(LoadKind::Reduced, 150);
     let last = seen.last().unwrap();
     println!("{last:?}");
     assert_eq!((last.state, last.fault), (State::Heating, Fault::None));
@@ -54,17 +55,6 @@ fn regulates_to_1200_w(load: LoadKind) {
         "{r_ohm} {last:?}"
     );
     assert!((last.l.henry() / l_h - 1.0).abs() < 0.03, "{l_h} {last:?}");
-}
-
-#[test]
-fn the_firmware_regulates_power_into_the_reduced_field_model() {
-    regulates_to_1200_w(LoadKind::Reduced);
-}
-
-#[test]
-#[ignore = "one to two minutes: cargo test --release -p ihd --test closed_loop -- --ignored"]
-fn the_firmware_regulates_power_into_the_field_model() {
-    regulates_to_1200_w(LoadKind::Field);
 }
 
 #[test]
