@@ -19,7 +19,7 @@ impl ZeroCrossing {
     /// first pair after a zero crossing, if one fell into it.
     ///
     /// A crossing is where a straight line through the last two samples crosses zero. A half-cycle
-    /// that has not risen to [`ARMED_AT`] cannot end: noise around zero gives one crossing.
+    /// that has not risen to `ARMED_AT` cannot end: noise around zero gives one crossing.
     pub fn on_block(&mut self, code: i32) -> Option<u8> {
         let before = self.last;
         self.last = code;

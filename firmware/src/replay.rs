@@ -1,7 +1,7 @@
 //! Replay mode: the sampling path fed with recorded blocks from the link instead of the ADC.
 //!
 //! It is how a host proves that a board estimates what the host's own build of this crate does, bit
-//! for bit. [`RealTime`] ignores the ADC and keeps the bridge off for as long as it lasts; the
+//! for bit. [`crate::realtime::RealTime`] ignores the ADC and keeps the bridge off for as long as it lasts; the
 //! hello says so ([`ihd_shared::wire::hello::CAP_REPLAYING`]).
 
 use ihd_shared::fault::Fault;

@@ -18,7 +18,7 @@
 //! R and X are random walks ([`Noise`]). Where |I| is too small to observe them they are held.
 //! Joseph's form is not needed: the two current components are measured one after the other with
 //! scalar innovations, the measured variances are formed without a subtraction, and the others
-//! have a floor ([`update`]).
+//! have a floor (module `update`).
 //!
 //! Formats: states carry 26 fractional bits in the units of [`crate::demod`], covariances 29 in
 //! products of these units (±4, so ±1024 A² and ±16 ohm²). The f64 twin of this filter is in
