@@ -5,8 +5,9 @@ use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
 /// Points per step of the lookup's current axis.
 const POINTS_PER_STEP: usize = 8;
 
-/// Currents below this, in ampere, are left out: R and L are extrapolated there.
-const LOWEST_A: f64 = 0.5;
+/// Currents below this, in ampere, are left out: the firmware's filter holds R and L there, and the
+/// network extrapolates.
+const LOWEST_A: f64 = 1.0;
 
 /// A curve that reaches below this, in ampere, is continued to zero current. No half-cycle shows the
 /// load there, but the grid's first knot lies there, and without it the prior's would stay beside
@@ -97,8 +98,8 @@ fn at_zero_current(points: &[LoadPoint]) -> Option<LoadPoint> {
     }
     let back = a.i_a / (b.i_a - a.i_a);
     let line = |a: f64, b: f64| {
-        let bound = CONTINUED_BY * a;
-        a + ((a - b) * back).clamp(-bound, bound)
+        // R and L fall with current; a slope the other way is noise.
+        a + ((a - b) * back).clamp(0.0, CONTINUED_BY * a)
     };
     Some(LoadPoint {
         i_a: 0.0,
