@@ -14,8 +14,9 @@ const LOWEST_A: f64 = 1.0;
 /// cells that know better.
 const CONTINUED_BELOW_A: f64 = 3.0;
 
-/// Largest relative change by which a curve is continued.
-const CONTINUED_BY: f64 = 0.15;
+/// Largest relative change by which a curve is continued: less than a lookup may run the wrong way, so
+/// that curves of neighbouring frequencies stay in order.
+const CONTINUED_BY: f64 = 0.03;
 
 /// One point: current amplitude in ampere, R in ohm, L in henry.
 #[derive(Clone, Copy, Debug, PartialEq)]
