@@ -2,6 +2,7 @@
 
 pub mod capture;
 pub mod cli;
+pub mod identify;
 pub mod link;
 pub mod lookup;
 pub mod report;

@@ -130,3 +130,9 @@ pub enum PinnError {
         known: &'static str,
     },
 }
+
+impl From<ihd_spline::Singular> for PinnError {
+    fn from(singular: ihd_spline::Singular) -> Self {
+        Self::Singular { row: singular.row }
+    }
+}

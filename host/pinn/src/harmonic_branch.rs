@@ -4,9 +4,9 @@
 //! phasor a cubic B-spline in slow time, and the same for v. The time derivative is analytic:
 //! `di_hat/dt = sum_h Re{ (I_h' + j h w I_h) exp(j h w t) }`.
 
+use ihd_spline::{CubicSpline, Local};
 use nalgebra::Complex;
 
-use crate::spline::{CubicSpline, Local};
 use crate::waveform::Normalised;
 
 /// The functions of the VI branch: spline times (cos, sin) of each harmonic.
@@ -26,7 +26,7 @@ impl HarmonicBasis {
 
     /// Number of unknowns per signal.
     pub fn len(&self) -> usize {
-        self.spline.len() * self.width()
+        self.spline.functions() * self.width()
     }
 
     /// Writes (cos, sin) of each harmonic at `tau_s` seconds after the first pair into `trig`.

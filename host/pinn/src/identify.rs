@@ -7,12 +7,12 @@ use crate::levenberg_marquardt::{Descent, Prior};
 use crate::loss::{SlowPhysics, noise_variance, slow_times_s};
 use crate::parameters::Parameters;
 use crate::progress::{Log, relative_change};
-use crate::spline::CubicSpline;
 use crate::vi_system::{DataSystem, Impedance, PhysicsTerm};
 use crate::waveform::Normalised;
 use crate::{
     Config, Identified, Losses, Optimiser, PinnError, Progress, Waveform, adam, levenberg_marquardt,
 };
+use ihd_spline::CubicSpline;
 
 /// Identifies R(t) and L(t) of the coil from one window by minimising the paper's eq. (7).
 ///

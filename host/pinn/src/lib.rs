@@ -36,7 +36,6 @@
 
 mod adam;
 mod backend;
-mod banded;
 mod config;
 mod embedding;
 mod error;
@@ -49,7 +48,6 @@ mod parameters;
 mod progress;
 mod result;
 mod rl_mlp;
-mod spline;
 #[cfg(test)]
 mod trial;
 mod vi_system;

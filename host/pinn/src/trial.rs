@@ -4,9 +4,9 @@ use std::f64::consts::TAU;
 
 use crate::harmonic_branch::HarmonicBasis;
 use crate::parameters::Parameters;
-use crate::spline::CubicSpline;
 use crate::waveform::Normalised;
 use crate::{SlowEmbedding, Waveform};
+use ihd_spline::CubicSpline;
 
 /// A half-cycle of a constant 4 ohm, 20 uH at 45 kHz, with a third harmonic.
 pub(crate) fn samples() -> Normalised {

@@ -1,8 +1,9 @@
 //! Linear least squares for the VI branch: the data terms (5), (6), and with R and L given the
 //! physics term (4) as well. All three are quadratic in the coefficients.
 
+use ihd_spline::Banded;
+
 use crate::PinnError;
-use crate::banded::Banded;
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::waveform::Normalised;
 
@@ -87,7 +88,7 @@ impl DataSystem {
     pub fn fit_with_physics(&self, physics: &PhysicsTerm<'_>) -> Result<HarmonicBranch, PinnError> {
         let mut joint = self.doubled();
         self.add_physics(&mut joint, physics);
-        let (width, functions) = (self.basis.width(), self.basis.spline.len());
+        let (width, functions) = (self.basis.width(), self.basis.spline.functions());
         let mut x = vec![0.0; 2 * self.basis.len()];
         for j in 0..functions {
             let (from, to) = (j * width, 2 * j * width);

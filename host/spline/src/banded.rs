@@ -1,10 +1,18 @@
 //! Symmetric positive definite band matrices: the normal equations of a spline fit.
 
-use crate::PinnError;
+/// The matrix is not positive definite to working precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "row {row} of the normal equations depends on the rows before it: the data cannot tell the unknowns apart"
+)]
+pub struct Singular {
+    /// First row of the matrix that failed.
+    pub row: usize,
+}
 
 /// Lower band of a symmetric matrix, row by row.
 #[derive(Debug, Clone)]
-pub(crate) struct Banded {
+pub struct Banded {
     size: usize,
     /// Sub-diagonals kept beside the diagonal.
     half_bandwidth: usize,
@@ -12,6 +20,7 @@ pub(crate) struct Banded {
 }
 
 impl Banded {
+    /// A matrix of zeros with that many rows and sub-diagonals.
     pub fn zeros(size: usize, half_bandwidth: usize) -> Self {
         Self {
             size,
@@ -50,8 +59,8 @@ impl Banded {
     /// Solves for each right-hand side in place, by Cholesky factorisation.
     ///
     /// # Errors
-    /// [`PinnError::Singular`] if the matrix is not positive definite to working precision.
-    pub fn solve(mut self, right_hand_sides: &mut [Vec<f64>]) -> Result<(), PinnError> {
+    /// [`Singular`] if the matrix is not positive definite to working precision.
+    pub fn solve(mut self, right_hand_sides: &mut [Vec<f64>]) -> Result<(), Singular> {
         self.factorise()?;
         for x in right_hand_sides {
             self.substitute(x);
@@ -59,7 +68,7 @@ impl Banded {
         Ok(())
     }
 
-    fn factorise(&mut self) -> Result<(), PinnError> {
+    fn factorise(&mut self) -> Result<(), Singular> {
         for row in 0..self.size {
             let lowest = row.saturating_sub(self.half_bandwidth);
             let diagonal = self.entries[self.at(row, row)];
@@ -77,7 +86,7 @@ impl Banded {
                 } else if rest > 1e-13 * diagonal && rest.is_finite() {
                     self.entries[a + run] = rest.sqrt();
                 } else {
-                    return Err(PinnError::Singular { row });
+                    return Err(Singular { row });
                 }
             }
         }
@@ -100,8 +109,7 @@ impl Banded {
 
 #[cfg(test)]
 mod tests {
-    use super::Banded;
-    use crate::PinnError;
+    use super::{Banded, Singular};
 
     /// A diagonally dominant band matrix with a pattern of no symmetry beyond its own.
     fn example(size: usize, half_bandwidth: usize) -> Banded {
@@ -138,6 +146,6 @@ mod tests {
             matrix.add(row, column, 1.0);
         }
         let refused = matrix.solve(&mut [vec![0.0; 3]]);
-        assert_eq!(refused, Err(PinnError::Singular { row: 1 }));
+        assert_eq!(refused, Err(Singular { row: 1 }));
     }
 }

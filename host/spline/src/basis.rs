@@ -7,14 +7,14 @@ const DEGREE: usize = 3;
 
 /// Basis of cubic B-splines on `[0, duration]`.
 #[derive(Debug, Clone)]
-pub(crate) struct CubicSpline {
+pub struct CubicSpline {
     intervals: usize,
     duration_s: f64,
 }
 
 /// The four basis functions that are non-zero at one time.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Local {
+pub struct Local {
     /// Index of the first of them.
     pub first: usize,
     /// Their values.
@@ -24,15 +24,16 @@ pub(crate) struct Local {
 }
 
 impl CubicSpline {
+    /// A basis of that many intervals, at least one, over `duration_s` seconds.
     pub fn new(intervals: usize, duration_s: f64) -> Self {
         Self {
-            intervals,
+            intervals: intervals.max(1),
             duration_s,
         }
     }
 
     /// Number of basis functions.
-    pub fn len(&self) -> usize {
+    pub fn functions(&self) -> usize {
         self.intervals + DEGREE
     }
 
@@ -99,7 +100,7 @@ mod tests {
             let local = spline.at(tau);
             assert!((local.values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
             assert!(local.slopes_per_s.iter().sum::<f64>().abs() < 1e-8);
-            assert!(local.first + 4 <= spline.len());
+            assert!(local.first + 4 <= spline.functions());
         }
     }
 

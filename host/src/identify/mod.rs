@@ -1,0 +1,210 @@
+//! Identification of R(t) and L(t) of the coil from its voltage and current: the paper's estimators
+//! and the baselines beside them, all from a [`Segment`] to an [`Estimate`].
+//!
+//! ```text
+//! capture ─► survey ─► Segment ─► run(Method) ─► Estimate ─► accuracy, reconstruction
+//! ```
+
+pub mod segment;
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+pub use segment::Segment;
+
+/// Who estimates.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Linear Kalman filter with an external derivative, paper eq. (10)-(14).
+    Kf,
+    /// The paper's four-state EKF, repaired (docs/estimators.md).
+    Ekf,
+    /// The paper's four-state EKF literally as eq. (15)-(19) are written.
+    EkfPaper,
+    /// Forward-backward (Rauch-Tung-Striebel) smoother on the repaired EKF.
+    Rts,
+    /// Lock-in demodulator: heterodyne at f_sw and two boxcars.
+    Lockin,
+    /// Banded least squares on harmonic phasors, B-splines in slow time.
+    LeastSquares,
+    /// Recursive least squares with forgetting and an excitation gate.
+    Rls,
+    /// The firmware's fixed-point chain, fed with what its ADC would see.
+    Firmware,
+    /// The hybrid-timescale PINN.
+    Pinn,
+}
+
+impl Method {
+    /// Every method, in the order of tables.
+    pub const ALL: [Self; 9] = [
+        Self::Kf,
+        Self::Ekf,
+        Self::EkfPaper,
+        Self::Rts,
+        Self::Lockin,
+        Self::LeastSquares,
+        Self::Rls,
+        Self::Firmware,
+        Self::Pinn,
+    ];
+
+    /// The name used on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Kf => "kf",
+            Self::Ekf => "ekf",
+            Self::EkfPaper => "ekf-paper",
+            Self::Rts => "rts",
+            Self::Lockin => "lockin",
+            Self::LeastSquares => "least-squares",
+            Self::Rls => "rls",
+            Self::Firmware => "firmware",
+            Self::Pinn => "pinn",
+        }
+    }
+}
+
+impl std::fmt::Display for Method {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// What an estimator found. The vectors over time have one length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// Who found it.
+    pub method: Method,
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Times in seconds on the capture's clock, ascending.
+    pub t_s: Vec<f64>,
+    /// R at these times in ohm.
+    pub r_ohm: Vec<f64>,
+    /// L at these times in henry.
+    pub l_h: Vec<f64>,
+    /// Standard deviation of R in ohm as the estimator sees it; empty where it has none.
+    pub r_sigma_ohm: Vec<f64>,
+    /// Standard deviation of L in henry likewise.
+    pub l_sigma_h: Vec<f64>,
+    /// Reconstructed coil voltage in volt, one a sample of the segment; empty where there is none.
+    pub v_hat_v: Vec<f32>,
+    /// Reconstructed coil current in ampere likewise.
+    pub i_hat_a: Vec<f32>,
+    /// Σ(v̂ − v)²/Σv² in percent against the samples given (paper, section V).
+    pub nmse_v_pct: Option<f64>,
+    /// The same of the current.
+    pub nmse_i_pct: Option<f64>,
+    /// Wall-clock time of the estimator alone.
+    pub elapsed: Duration,
+    /// What the reader of the estimate has to know: limits met, what failed on the way.
+    pub notes: Vec<String>,
+}
+
+/// What the estimators may be told. The default fits every capture of a hob.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// R in ohm and L in henry to start from; otherwise those of the segment's mean phasors.
+    pub start: Option<(f64, f64)>,
+}
+
+/// Why a segment could not be identified.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum IdentifyError {
+    /// Voltage and current do not come in pairs.
+    #[error("{v} voltage samples but {i} current samples: pass both channels of one capture")]
+    Lengths {
+        /// Samples of the voltage.
+        v: usize,
+        /// Samples of the current.
+        i: usize,
+    },
+    /// A time or frequency that cannot be.
+    #[error("the {what} is {value}, but must be a finite number above zero")]
+    NotPositive {
+        /// Which.
+        what: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// A sample is not a number, or beyond any.
+    #[error("{channel} sample {index} is {value}: cut it out or repair the capture")]
+    NotFinite {
+        /// `voltage` or `current`.
+        channel: &'static str,
+        /// Index in the segment.
+        index: usize,
+        /// What stands there.
+        value: f64,
+    },
+    /// A channel without signal.
+    #[error("the {channel} is zero throughout: is the inverter running and the probe on?")]
+    Silent {
+        /// `voltage` or `current`.
+        channel: &'static str,
+    },
+    /// Fewer than two samples a switching period.
+    #[error(
+        "sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {f_sw_hz:.0} Hz: \
+         sample at more than twice of it"
+    )]
+    SamplingTooSlow {
+        /// Sampling rate in hertz.
+        rate_hz: f64,
+        /// Switching frequency in hertz.
+        f_sw_hz: f64,
+    },
+    /// Too few switching periods.
+    #[error("{periods:.1} switching periods, but {needed:.0} are needed: take a longer capture")]
+    TooShort {
+        /// Periods there are.
+        periods: f64,
+        /// Periods needed.
+        needed: f64,
+    },
+    /// A method that this build leaves out.
+    #[error("`{method}` is not part of this build: build ihd with the feature `{feature}`")]
+    NotInThisBuild {
+        /// Which method.
+        method: Method,
+        /// The feature that brings it.
+        feature: &'static str,
+    },
+    /// The estimator's own arithmetic gave out.
+    #[error("{method}: {what} at {t_s:.6} s; {advice}")]
+    Diverged {
+        /// Which method.
+        method: Method,
+        /// What happened.
+        what: String,
+        /// When, in seconds on the capture's clock.
+        t_s: f64,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The method cannot work on this segment.
+    #[error("{method}: {why}")]
+    Unfit {
+        /// Which method.
+        method: Method,
+        /// Why, and what to do.
+        why: String,
+    },
+}

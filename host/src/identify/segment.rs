@@ -1,0 +1,137 @@
+//! What every estimator takes: a stretch of evenly sampled coil voltage and current.
+
+use super::IdentifyError;
+
+/// Fewest switching periods that an estimator can work on.
+pub const MIN_PERIODS: f64 = 10.0;
+
+/// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
+const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
+
+/// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Segment {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Mains frequency in hertz.
+    pub mains_hz: f64,
+    /// Time of one mains zero crossing in seconds, on the capture's clock; it may lie outside.
+    pub zero_crossing_s: f64,
+    /// Time of the first sample in seconds, on the capture's clock.
+    pub t0_s: f64,
+    /// Time from one sample to the next in seconds.
+    pub dt_s: f64,
+    /// Coil voltage in volt.
+    pub v_v: Vec<f64>,
+    /// Coil current in ampere, at the same instants.
+    pub i_a: Vec<f64>,
+}
+
+impl Segment {
+    /// Samples of each channel.
+    pub fn len(&self) -> usize {
+        self.v_v.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.v_v.is_empty()
+    }
+
+    /// Time of sample `k` in seconds, on the capture's clock.
+    pub fn t_s(&self, k: usize) -> f64 {
+        self.t0_s + k as f64 * self.dt_s
+    }
+
+    /// Samples of one switching period, seldom a whole number.
+    pub fn samples_per_period(&self) -> f64 {
+        1.0 / (self.f_sw_hz * self.dt_s)
+    }
+
+    /// Duration of a mains half-cycle in seconds.
+    pub fn half_cycle_s(&self) -> f64 {
+        0.5 / self.mains_hz
+    }
+
+    /// Time after the last mains zero crossing in seconds, 0 to [`Segment::half_cycle_s`].
+    pub fn since_crossing_s(&self, t_s: f64) -> f64 {
+        (t_s - self.zero_crossing_s).rem_euclid(self.half_cycle_s())
+    }
+
+    /// Checks what all estimators rely on.
+    ///
+    /// # Errors
+    /// [`IdentifyError`]: channels of different length, a number that is not finite, times or
+    /// frequencies that are not positive, too few samples a period, too few periods, a silent
+    /// channel.
+    pub fn check(&self) -> Result<(), IdentifyError> {
+        if self.v_v.len() != self.i_a.len() {
+            return Err(IdentifyError::Lengths {
+                v: self.v_v.len(),
+                i: self.i_a.len(),
+            });
+        }
+        for (what, value) in [
+            ("switching frequency in Hz", self.f_sw_hz),
+            ("mains frequency in Hz", self.mains_hz),
+            ("sampling interval in s", self.dt_s),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(IdentifyError::NotPositive { what, value });
+            }
+        }
+        for (what, value) in [
+            ("time of the first sample in s", self.t0_s),
+            ("time of the mains zero crossing in s", self.zero_crossing_s),
+        ] {
+            if !value.is_finite() {
+                return Err(IdentifyError::NotPositive { what, value });
+            }
+        }
+        let per_period = self.samples_per_period();
+        if !(per_period > MIN_SAMPLES_PER_PERIOD) {
+            return Err(IdentifyError::SamplingTooSlow {
+                rate_hz: 1.0 / self.dt_s,
+                f_sw_hz: self.f_sw_hz,
+            });
+        }
+        let periods = self.len() as f64 / per_period;
+        if periods < MIN_PERIODS {
+            return Err(IdentifyError::TooShort {
+                periods,
+                needed: MIN_PERIODS,
+            });
+        }
+        check_channel("voltage", &self.v_v)?;
+        check_channel("current", &self.i_a)
+    }
+
+    /// The samples from index `from` up to `to`, bounded by what there is.
+    pub fn part(&self, from: usize, to: usize) -> Self {
+        let to = to.min(self.len());
+        let from = from.min(to);
+        Self {
+            t0_s: self.t_s(from),
+            v_v: self.v_v[from..to].to_vec(),
+            i_a: self.i_a[from..to].to_vec(),
+            ..*self
+        }
+    }
+}
+
+/// Largest magnitude of a sample, in volt or ampere, whose powers are still finite numbers.
+const LARGEST: f64 = 1e30;
+
+fn check_channel(channel: &'static str, x: &[f64]) -> Result<(), IdentifyError> {
+    if let Some(index) = x.iter().position(|x| !(x.abs() <= LARGEST)) {
+        return Err(IdentifyError::NotFinite {
+            channel,
+            index,
+            value: x[index],
+        });
+    }
+    if x.iter().all(|x| x.abs() < 1.0 / LARGEST) {
+        return Err(IdentifyError::Silent { channel });
+    }
+    Ok(())
+}
