@@ -5,7 +5,7 @@ use ihd_firmware::demod::{Demodulator, correlate};
 use ihd_firmware::ekf::{Ekf, Noise};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
-use ihd_tests::oracle;
+use ihd_tests::oracle::{self, Jacobian};
 
 /// The load the filters start from: the nominal one of the design notes.
 const START: (f64, f64) = (4.0, 25e-6);
@@ -30,10 +30,10 @@ fn firmware_track(h: &HalfCycle) -> Vec<(f64, f64, f64)> {
 }
 
 /// (time, R, L) per block by the f64 twins.
-fn oracle_track(h: &HalfCycle) -> Vec<(f64, f64, f64)> {
+fn oracle_track(h: &HalfCycle, jacobian: Jacobian) -> Vec<(f64, f64, f64)> {
     let blocks: Vec<_> = h.blocks().copied().collect();
     let (delay, phasors) = oracle::demodulate(&blocks, h.f_sw_hz);
-    let mut ekf = oracle::Ekf::new(h.f_sw_hz, START.0, START.1);
+    let mut ekf = oracle::Ekf::new(h.f_sw_hz, START.0, START.1, jacobian);
     let mut track = Vec::new();
     for (k, (v, i)) in phasors.into_iter().enumerate() {
         ekf.step(v, i);
@@ -91,7 +91,7 @@ fn fixed_point_follows_its_f64_twin() {
     for f in F_SW_HZ {
         for noise in ["noiseless", "snr30"] {
             let h = HalfCycle::load(f, noise).unwrap();
-            let (fixed, float) = (firmware_track(&h), oracle_track(&h));
+            let (fixed, float) = (firmware_track(&h), oracle_track(&h, Jacobian::Analytic));
             assert_eq!(fixed.len(), float.len());
             let mut worst = (0.0f64, 0.0f64);
             for (a, b) in fixed.iter().zip(&float) {
@@ -108,6 +108,25 @@ fn fixed_point_follows_its_f64_twin() {
                 worst.0 <= 1e-3 && worst.1 <= 1e-3,
                 "{f} Hz {noise}: {worst:?}"
             );
+        }
+    }
+}
+
+/// The filter takes L/dt as known when it differentiates: that must cost no accuracy worth having.
+#[test]
+fn the_exact_jacobian_is_no_better() {
+    for f in F_SW_HZ {
+        for noise in ["noiseless", "snr30"] {
+            let h = HalfCycle::load(f, noise).unwrap();
+            for share in [0.8, 1.0] {
+                let error = |jacobian| mre(&h, &oracle_track(&h, jacobian), share);
+                let (analytic, exact) = (error(Jacobian::Analytic), error(Jacobian::Exact));
+                println!("{f} {noise} {share}: analytic {analytic:.4?} %, exact {exact:.4?} %");
+                assert!(
+                    analytic.0 - exact.0 <= 0.01 && analytic.1 - exact.1 <= 0.01,
+                    "{f} Hz {noise} {share}: {analytic:?} against {exact:?}"
+                );
+            }
         }
     }
 }

@@ -46,8 +46,17 @@ pub fn demodulate(blocks: &[[Pair; ADC_LOCK_P]], f_sw_hz: u32) -> (usize, Vec<(P
     (n - 1, (0..outputs).map(smooth).collect())
 }
 
-/// The filter of `ihd_firmware::ekf` in f64: state (I_re, I_im, R, X), full matrices, both current
-/// components measured at once, Joseph's form.
+/// How the current's prediction is differentiated by X.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Jacobian {
+    /// As the firmware does: L/dt = κX is taken as known, so that I' is analytic in I and R + jX.
+    Analytic,
+    /// With the term κ(I − I')/D that L/dt contributes.
+    Exact,
+}
+
+/// The filter of `ihd_firmware::ekf` in f64: four real states (I_re, I_im, R, X), full matrices,
+/// Joseph's form.
 pub struct Ekf {
     /// State in A, A, ohm, ohm.
     pub x: Vector4<f64>,
@@ -55,6 +64,7 @@ pub struct Ekf {
     pub p: Matrix4<f64>,
     omega: f64,
     held: bool,
+    jacobian: Jacobian,
 }
 
 /// Variance of one current component: (50 mA)².
@@ -72,13 +82,14 @@ const FLOOR: f64 = 1e-5;
 
 impl Ekf {
     /// A filter that expects R in ohm and L in henry.
-    pub fn new(f_sw_hz: u32, r_ohm: f64, l_h: f64) -> Self {
+    pub fn new(f_sw_hz: u32, r_ohm: f64, l_h: f64, jacobian: Jacobian) -> Self {
         let omega = TAU * f64::from(f_sw_hz);
         Self {
             x: Vector4::new(0.0, 0.0, r_ohm, omega * l_h),
             p: Matrix4::from_diagonal(&Vector4::new(MEASUREMENT, MEASUREMENT, CEILING, CEILING)),
             omega,
             held: true,
+            jacobian,
         }
     }
 
@@ -129,7 +140,11 @@ impl Ekf {
         let next = inverse * (i * l_by_dt + v);
         let kappa = 1.0 / (TAU * f64::from(ADC_LOCK_Q));
         let by_r = -inverse * next;
-        let by_x = inverse * (i * kappa - next * kappa - j * next);
+        let by_l = match self.jacobian {
+            Jacobian::Analytic => Vector2::zeros(),
+            Jacobian::Exact => (i - next) * kappa,
+        };
+        let by_x = inverse * (by_l - j * next);
         let mut f = Matrix4::identity();
         f.fixed_view_mut::<2, 2>(0, 0)
             .copy_from(&(inverse * l_by_dt));

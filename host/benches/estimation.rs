@@ -80,7 +80,8 @@ fn filter(c: &mut Criterion) {
     group.bench_function("fixed point", |b| {
         b.iter(|| fixed.iter().for_each(|z| ekf.step(black_box(z))));
     });
-    let mut ekf = oracle::Ekf::new(F_SW_HZ, START.0.ohm(), START.1.henry());
+    let (r_ohm, l_h) = (START.0.ohm(), START.1.henry());
+    let mut ekf = oracle::Ekf::new(F_SW_HZ, r_ohm, l_h, oracle::Jacobian::Exact);
     group.bench_function("f64 twin", |b| {
         b.iter(|| {
             for &(v, i) in &float {

@@ -21,18 +21,14 @@ pub struct FloatEkf {
     r: f32,
     x: f32,
     omega: f32,
-    ii: [f32; 3],
-    it: [[f32; 2]; 2],
-    tt: [f32; 3],
+    ii: f32,
+    iz: Complex,
+    zz: f32,
     held: bool,
 }
 
 fn product(a: Complex, b: Complex) -> Complex {
     [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
-}
-
-fn dot4(a: [f32; 2], b: [f32; 2], c: [f32; 2], d: [f32; 2]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + c[0] * d[0] + c[1] * d[1]
 }
 
 impl FloatEkf {
@@ -48,9 +44,9 @@ impl FloatEkf {
             r: r_ohm,
             x: omega * l_h,
             omega,
-            ii: [MEASUREMENT, 0.0, MEASUREMENT],
-            it: [[0.0; 2]; 2],
-            tt: [CEILING, 0.0, CEILING],
+            ii: MEASUREMENT,
+            iz: [0.0; 2],
+            zz: CEILING,
             held: true,
         }
     }
@@ -68,8 +64,8 @@ impl FloatEkf {
         let [v_re, v_im, i_re, i_im] = z;
         let norm = i_re * i_re + i_im * i_im;
         if norm < 1.0 {
-            self.ii = [MEASUREMENT, 0.0, MEASUREMENT];
-            self.it = [[0.0; 2]; 2];
+            self.ii = MEASUREMENT;
+            self.iz = [0.0; 2];
             self.i = [i_re, i_im];
             self.held = true;
             return;
@@ -79,8 +75,7 @@ impl FloatEkf {
         }
         self.held = false;
         self.predict([v_re, v_im], norm);
-        self.update(0, i_re);
-        self.update(1, i_im);
+        self.update([i_re, i_im]);
         self.r = self.r.clamp(0.01, 20.0);
         self.x = self.x.clamp(0.5, 60.0);
     }
@@ -90,69 +85,31 @@ impl FloatEkf {
         let d = [self.r + kx, self.x];
         let inverse = 1.0 / (d[0] * d[0] + d[1] * d[1]);
         let g = [d[0] * inverse, -d[1] * inverse];
-        let before = self.i;
-        self.i = product(g, [kx * before[0] + v[0], kx * before[1] + v[1]]);
+        self.i = product(g, [kx * self.i[0] + v[0], kx * self.i[1] + v[1]]);
         let a = [kx * g[0], kx * g[1]];
-        let by_r = product(g, self.i);
-        let by_x = product(
-            g,
-            [
-                KAPPA * (before[0] - self.i[0]) + self.i[1],
-                KAPPA * (before[1] - self.i[1]) - self.i[0],
-            ],
-        );
-        self.propagate(
-            [[a[0], -a[1]], [a[1], a[0]]],
-            [[-by_r[0], by_x[0]], [-by_r[1], by_x[1]]],
-        );
-        let growing = IMPEDANCE + IMPEDANCE_BY_CURRENT / norm;
-        for k in [0, 2] {
-            self.ii[k] += CURRENT;
-            self.tt[k] = (self.tt[k] + growing).min(CEILING);
-        }
-        self.tt[1] = self.tt[1].clamp(-CEILING, CEILING);
+        let b = product(g, self.i).map(|x| -x);
+        let a_iz = product(a, self.iz);
+        let b_zz = b.map(|x| x * self.zz);
+        self.iz = [a_iz[0] + b_zz[0], a_iz[1] + b_zz[1]];
+        self.ii = (a[0] * a[0] + a[1] * a[1]) * self.ii
+            + (a_iz[0] + self.iz[0]) * b[0]
+            + (a_iz[1] + self.iz[1]) * b[1]
+            + CURRENT;
+        self.zz = (self.zz + IMPEDANCE + IMPEDANCE_BY_CURRENT / norm).min(CEILING);
     }
 
-    fn propagate(&mut self, a: [[f32; 2]; 2], b: [[f32; 2]; 2]) {
-        let tt = [[self.tt[0], self.tt[1]], [self.tt[1], self.tt[2]]];
-        let ii = [[self.ii[0], self.ii[1]], [self.ii[1], self.ii[2]]];
-        let it = self.it;
-        let mut n = [[0.0; 2]; 2];
-        let mut w = [[0.0; 2]; 2];
-        for row in 0..2 {
-            for col in 0..2 {
-                n[row][col] = dot4(a[row], [it[0][col], it[1][col]], b[row], tt[col]);
-                w[row][col] = dot4(a[row], ii[col], b[row], it[col]);
-            }
-        }
-        self.ii = [
-            dot4(w[0], a[0], n[0], b[0]),
-            dot4(w[0], a[1], n[0], b[1]),
-            dot4(w[1], a[1], n[1], b[1]),
-        ];
-        self.it = n;
-    }
-
-    fn update(&mut self, k: usize, measured: f32) {
-        let (other, own, cross, row) = (1 - k, self.ii[2 * k], self.ii[1], self.it[k]);
-        let inverse = 1.0 / (own + MEASUREMENT);
-        let shrink = MEASUREMENT * inverse;
-        let (to_own, to_other) = (own * inverse, cross * inverse);
-        let to_theta = [row[0] * inverse, row[1] * inverse];
-        self.ii[2 * k] = own * shrink;
-        self.ii[1] = cross * shrink;
-        self.ii[2 * other] -= to_other * cross;
-        for (theta, from) in row.into_iter().enumerate() {
-            self.it[other][theta] -= to_other * from;
-            self.it[k][theta] = from * shrink;
-        }
-        self.tt[0] = (self.tt[0] - to_theta[0] * row[0]).max(FLOOR);
-        self.tt[1] -= to_theta[0] * row[1];
-        self.tt[2] = (self.tt[2] - to_theta[1] * row[1]).max(FLOOR);
-        let innovation = measured - self.i[k];
-        self.i[k] += to_own * innovation;
-        self.i[other] += to_other * innovation;
-        self.r += to_theta[0] * innovation;
-        self.x += to_theta[1] * innovation;
+    fn update(&mut self, measured: Complex) {
+        let inverse = 1.0 / (self.ii + MEASUREMENT);
+        let (shrink, to_i) = (MEASUREMENT * inverse, self.ii * inverse);
+        let to_z = [self.iz[0] * inverse, -self.iz[1] * inverse];
+        let lost = to_z[0] * self.iz[0] - to_z[1] * self.iz[1];
+        self.zz = (self.zz - lost).max(FLOOR);
+        self.ii *= shrink;
+        self.iz = self.iz.map(|x| x * shrink);
+        let e = [measured[0] - self.i[0], measured[1] - self.i[1]];
+        self.i = [self.i[0] + to_i * e[0], self.i[1] + to_i * e[1]];
+        let moved = product(to_z, e);
+        self.r += moved[0];
+        self.x += moved[1];
     }
 }
