@@ -49,6 +49,10 @@ static IMAGE: LazyLock<String> = LazyLock::new(|| {
     env::var("IHD_EMULATED_IMAGE").expect("`cargo xtask test --only emulator` names the image")
 });
 
+/// The emulator: `cargo xtask test` names the one it found or unpacked.
+static QEMU: LazyLock<String> =
+    LazyLock::new(|| env::var("IHD_QEMU").unwrap_or_else(|_| "qemu-system-arm".to_owned()));
+
 /// A running emulator; ends with the value.
 struct Board {
     qemu: Child,
@@ -74,7 +78,7 @@ impl Board {
     fn start(mishap: &str) -> Self {
         let (link, monitor) = (free_address(), free_address());
         let port = |address: &str| format!("tcp:{address},server=on,wait=off");
-        let qemu = Command::new("qemu-system-arm")
+        let qemu = Command::new(&*QEMU)
             .args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
             .args(["-serial", &port(&link), "-monitor", &port(&monitor)])
             .arg("-semihosting-config")
@@ -82,7 +86,7 @@ impl Board {
             .args(["-kernel", &IMAGE])
             .stdin(Stdio::null())
             .spawn()
-            .expect("qemu-system-arm is installed by `cargo xtask setup`");
+            .expect("`cargo xtask setup` installs qemu-system-arm");
         Self {
             qemu,
             link,

@@ -39,9 +39,9 @@ const SUBJECTS: [(&str, &str); 8] = [
 /// Counts, by subject.
 pub type Counts = BTreeMap<String, f64>;
 
-/// Runs the counting image.
-pub fn count(image: &Path) -> anyhow::Result<Counts> {
-    let mut qemu = Command::new("qemu-system-arm");
+/// Runs the counting image in the emulator `qemu`.
+pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<Counts> {
+    let mut qemu = Command::new(qemu);
     qemu.args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
         .args(["-serial", "null", "-monitor", "none", "-icount", "shift=0"])
         .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
@@ -49,7 +49,7 @@ pub fn count(image: &Path) -> anyhow::Result<Counts> {
         .stdin(Stdio::null());
     let output = qemu
         .output()
-        .context("could not start qemu-system-arm; `cargo xtask setup` installs it")?;
+        .with_context(|| format!("could not start `{}`", spelled(&qemu)))?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned()
         + &String::from_utf8_lossy(&output.stderr);
     if !output.status.success() {

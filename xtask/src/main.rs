@@ -5,6 +5,7 @@ mod budget;
 mod call_graph;
 mod count;
 mod cycles;
+mod emulator;
 mod house;
 mod images;
 mod licences;

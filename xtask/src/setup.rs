@@ -6,13 +6,11 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 
+use crate::emulator;
 use crate::toolchain::{FirmwareToolchain, Found, TARGET, first_line, on_path};
 use crate::workspace::{Workspace, spelled};
 
 const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
-const EMULATOR: &str = "qemu-system-arm";
-/// Debian's package of it, and Ubuntu's.
-const EMULATOR_PACKAGE: &str = "qemu-system-arm";
 
 /// Which compiler the user wants for the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -34,7 +32,7 @@ pub fn run(workspace: &Workspace, wanted: Wanted) -> anyhow::Result<FirmwareTool
     } else {
         "tests: cargo test (faster with `cargo install cargo-nextest --locked`)"
     });
-    let qemu = emulator();
+    let qemu = emulator::find(workspace);
     let firmware = firmware_toolchain(wanted);
     if let Ok(toolchain) = &firmware {
         say(&format!("firmware: {}", toolchain.describe()));
@@ -45,19 +43,6 @@ pub fn run(workspace: &Workspace, wanted: Wanted) -> anyhow::Result<FirmwareTool
         .collect::<anyhow::Result<Vec<()>>>()?;
     qemu?;
     firmware
-}
-
-/// The emulator that runs the firmware's image, installed if need be.
-pub fn emulator() -> anyhow::Result<()> {
-    let version = || first_line(Command::new(EMULATOR).arg("--version"));
-    if version().is_none() {
-        apt_get(&[EMULATOR_PACKAGE]).with_context(|| {
-            format!("{EMULATOR} is missing: install QEMU's Arm system emulator")
-        })?;
-    }
-    let version = version().with_context(|| format!("{EMULATOR} does not start"))?;
-    say(&format!("emulator: {version}"));
-    Ok(())
 }
 
 /// Whether `cargo nextest` is installed.
@@ -122,7 +107,8 @@ fn install_debian() -> anyhow::Result<()> {
     apt_get(&DEBIAN_PACKAGES).with_context(|| lacks)
 }
 
-fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
+/// Installs Debian packages, removing none: some conflict with what may be somebody's choice.
+pub fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
     let has_apt = on_path("apt-get").iter().any(|path| path.is_file());
     if !has_apt || !Path::new("/etc/debian_version").exists() {
         bail!("this is not Debian, so nothing was installed");
@@ -131,7 +117,6 @@ fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
         bail!("only root may run `apt-get install {}`", packages.join(" "));
     }
     install(Command::new("apt-get").arg("update"))?;
-    // --no-remove: these packages conflict with Debian's other rustc, which may be somebody's choice.
     let mut apt = Command::new("apt-get");
     apt.args(["install", "--yes", "--no-install-recommends", "--no-remove"])
         .args(packages)
@@ -140,7 +125,7 @@ fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
 }
 
 /// Runs an installer in sight of the user; its own words say why it failed.
-fn install(command: &mut Command) -> anyhow::Result<()> {
+pub fn install(command: &mut Command) -> anyhow::Result<()> {
     let line = spelled(command);
     say(&format!("running `{line}`"));
     // rustup shows a backtrace of itself under RUST_BACKTRACE, which explains nothing here.
@@ -155,6 +140,7 @@ fn install(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn say(line: &str) {
+/// One line about what set-up found or does.
+pub fn say(line: &str) {
     println!("set-up: {line}");
 }

@@ -15,7 +15,7 @@ use crate::setup::{self, Wanted};
 use crate::stream::run_and_count;
 use crate::toolchain::FirmwareToolchain;
 use crate::workspace::{Workspace, spelled};
-use crate::{arrows, budget, cycles, house, licences};
+use crate::{arrows, budget, cycles, emulator, house, licences};
 
 /// One check of the project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -223,9 +223,9 @@ impl Session {
 
     /// Counts instructions; `write` puts them into docs/performance.md.
     pub fn cycles(&mut self, write: bool) -> anyhow::Result<()> {
-        setup::emulator()?;
+        let qemu = emulator::find(&self.workspace)?;
         let limits = Limits::read(&self.workspace)?;
-        let counts = cycles::count(&self.image(Image::InstructionCounts)?)?;
+        let counts = cycles::count(&qemu, &self.image(Image::InstructionCounts)?)?;
         let table = cycles::table(&counts, &limits);
         println!("{table}");
         let mut broken = cycles::check(&counts, &limits);
@@ -234,9 +234,10 @@ impl Session {
     }
 
     fn emulator(&mut self) -> (anyhow::Result<()>, Option<Counts>) {
-        let image = setup::emulator().and_then(|()| self.image(Image::Mps2An386));
-        let image = match image {
-            Ok(image) => image,
+        let found = emulator::find(&self.workspace)
+            .and_then(|qemu| Ok((qemu, self.image(Image::Mps2An386)?)));
+        let (qemu, image) = match found {
+            Ok(found) => found,
             Err(why) => return (Err(why), None),
         };
         let args = [
@@ -250,7 +251,9 @@ impl Session {
             "--no-fail-fast",
         ];
         let mut command = self.workspace.cargo(args);
-        command.env("IHD_EMULATED_IMAGE", image);
+        command
+            .env("IHD_EMULATED_IMAGE", image)
+            .env("IHD_QEMU", qemu);
         self.run_command(command, Runner::Libtest)
     }
 }
