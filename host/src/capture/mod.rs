@@ -1,7 +1,15 @@
 //! Captures: coil voltage and current over time, from whatever recorded them, and the log of what a
 //! device sent.
 
+pub mod channels;
+pub mod error;
+pub mod formats;
 pub mod frames;
+pub mod open;
+pub mod recording;
+
+pub use error::CaptureError;
+pub use open::{OpenOptions, open};
 
 use std::collections::BTreeMap;
 
@@ -40,6 +48,22 @@ pub struct FrequencyStep {
     pub t_s: f64,
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
+}
+
+impl FrequencyStep {
+    /// The steps that the truth shows, one at least where there is any.
+    pub fn of_truth(truth: &[PeriodTruth]) -> Vec<Self> {
+        let mut steps: Vec<Self> = Vec::new();
+        for t in truth {
+            if steps.last().is_none_or(|last| last.f_sw_hz != t.f_sw_hz) {
+                steps.push(Self {
+                    t_s: t.t_s - 0.5 / t.f_sw_hz,
+                    f_sw_hz: t.f_sw_hz,
+                });
+            }
+        }
+        steps
+    }
 }
 
 /// Coil voltage and current, sampled together.
@@ -96,15 +120,6 @@ impl Capture {
                 dt_s: 1.0 / rate_hz,
             },
         };
-        let mut f_sw: Vec<FrequencyStep> = Vec::new();
-        for t in &recording.truth {
-            if f_sw.last().is_none_or(|last| last.f_sw_hz != t.f_sw_hz) {
-                f_sw.push(FrequencyStep {
-                    t_s: t.t_s - 0.5 / t.f_sw_hz,
-                    f_sw_hz: t.f_sw_hz,
-                });
-            }
-        }
         Self {
             name: name.to_owned(),
             time,
@@ -112,7 +127,7 @@ impl Capture {
             i_a: scaled(&recording.i_code, recording.ampere_per_code()),
             v_full_scale_v: Some(settings.sensing.v_full_scale_v),
             i_full_scale_a: Some(settings.sensing.i_full_scale_a),
-            f_sw,
+            f_sw: FrequencyStep::of_truth(&recording.truth),
             mains_hz: Some(settings.mains_hz),
             zero_crossing_s: Some(-settings.start_s),
             truth: recording.truth.clone(),

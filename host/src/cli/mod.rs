@@ -1,5 +1,6 @@
 //! The `ihd` command.
 
+pub mod capture_args;
 pub mod hob;
 pub mod interrupt;
 pub mod simulate;

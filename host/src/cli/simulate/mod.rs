@@ -1,7 +1,7 @@
 //! `ihd simulate`: a recording of the simulated power stage, with its truth.
 
 mod event;
-mod quantity;
+pub mod quantity;
 mod report;
 
 use std::path::PathBuf;

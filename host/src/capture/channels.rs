@@ -1,0 +1,311 @@
+//! Which channel is the voltage, which the current, and in what units: by flags, else by unit, else
+//! by name, else the user is asked.
+
+use std::fmt;
+
+use super::formats::Channel;
+use super::formats::unit::{Quantity, Unit};
+
+/// A channel as the user names it: by its number, the first is 1, or by its name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ChannelRef {
+    /// Number in the file, from 1.
+    Number(usize),
+    /// Name in the file, whatever its case.
+    Name(String),
+}
+
+impl ChannelRef {
+    /// A number where the text is one, else a name.
+    pub fn parse(text: &str) -> Self {
+        let text = text.trim();
+        text.parse()
+            .map_or_else(|_| Self::Name(text.to_owned()), Self::Number)
+    }
+
+    /// Index of the first of `names` that is meant; a name counts before a number.
+    pub fn find<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<usize> {
+        match self {
+            Self::Number(number) => number.checked_sub(1).filter(|k| names.nth(*k).is_some()),
+            Self::Name(name) => names.position(|n| n.eq_ignore_ascii_case(name)),
+        }
+    }
+}
+
+impl fmt::Display for ChannelRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Name(name) => write!(f, "`{name}`"),
+        }
+    }
+}
+
+/// What the user says of the channels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ChannelOptions {
+    /// Voltage and current channel; else they are found by unit and name.
+    pub channels: Option<[ChannelRef; 2]>,
+    /// Units of both instead of the file's.
+    pub units: Option<[Unit; 2]>,
+    /// Factors on both: a probe's ratio for the voltage, ampere per volt for the current.
+    pub probe: Option<[f64; 2]>,
+    /// Change the voltage's sign.
+    pub invert_v: bool,
+    /// Change the current's sign.
+    pub invert_i: bool,
+    /// Take the voltage for the current and the current for the voltage.
+    pub swap: bool,
+}
+
+/// One chosen channel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chosen {
+    /// Index in the file.
+    pub index: usize,
+    /// Volt or ampere of one unit in the file.
+    pub factor: f64,
+}
+
+/// Chooses voltage and current.
+///
+/// # Errors
+/// What is open, with the channels and the flag that settles it.
+pub fn choose(channels: &[Channel], options: &ChannelOptions) -> Result<[Chosen; 2], String> {
+    let mut found = match &options.channels {
+        Some([v, i]) => [named(channels, v)?, named(channels, i)?],
+        None => detected(channels, options.swap)?,
+    };
+    if options.swap {
+        found.reverse();
+    }
+    let [v, i] = found;
+    if v == i {
+        return Err(format!(
+            "voltage and current would both be channel {}; {}",
+            v + 1,
+            listed(channels)
+        ));
+    }
+    Ok([
+        chosen(channels, v, Quantity::Voltage, options)?,
+        chosen(channels, i, Quantity::Current, options)?,
+    ])
+}
+
+fn named(channels: &[Channel], wanted: &ChannelRef) -> Result<usize, String> {
+    let names = channels.iter().map(|c| c.name.as_str());
+    wanted
+        .find(names)
+        .ok_or_else(|| format!("no channel {wanted}; {}", listed(channels)))
+}
+
+/// Finds both by unit first, then by name, and the last one by what is left of two.
+fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
+    if channels.len() < 2 {
+        return Err(format!(
+            "one channel only; give the file with the other one too. {}",
+            listed(channels)
+        ));
+    }
+    let only = |is: &dyn Fn(&Channel) -> bool| {
+        let mut all = (0..channels.len()).filter(|k| is(&channels[*k]));
+        all.next().filter(|_| all.next().is_none())
+    };
+    let find = |quantity: Quantity| {
+        let of_unit = |c: &Channel| c.unit.is_some_and(|u| u.quantity == quantity);
+        let of_name = |c: &Channel| quantity_of_name(&c.name) == Some(quantity);
+        // A current probe's channel is in volt, so a name may overrule that unit.
+        only(&|c| of_unit(c) && of_name(c))
+            .or_else(|| only(&|c| of_unit(c) && quantity_of_name(&c.name).is_none()))
+            .or_else(|| only(&of_name))
+            .or_else(|| only(&of_unit))
+    };
+    let other = |k: usize| (channels.len() == 2).then_some(1 - k);
+    let pair = match (find(Quantity::Voltage), find(Quantity::Current)) {
+        (Some(v), Some(i)) if v != i => Some([v, i]),
+        (None, Some(i)) => other(i).map(|v| [v, i]),
+        (Some(v), None) => other(v).map(|i| [v, i]),
+        // Two channels that tell nothing: only with --swap has the user said which is which.
+        _ => None,
+    };
+    pair.ok_or_else(|| {
+        let advice = if swap {
+            "--swap changes what is detected, and nothing is"
+        } else {
+            "cannot tell voltage from current"
+        };
+        format!("{advice}; {}", listed(channels))
+    })
+}
+
+/// What a channel of this name measures, where the name tells.
+fn quantity_of_name(name: &str) -> Option<Quantity> {
+    let lower = name.to_lowercase();
+    let words = || lower.split(|c: char| !c.is_alphabetic());
+    let is = |list: &[&str]| words().any(|word| list.contains(&word));
+    if is(&[
+        "current", "amp", "amps", "ampere", "strom", "i", "icoil", "ic", "il",
+    ]) {
+        Some(Quantity::Current)
+    } else if is(&[
+        "voltage", "volt", "volts", "spannung", "v", "u", "vcoil", "vc", "vl",
+    ]) {
+        Some(Quantity::Voltage)
+    } else {
+        None
+    }
+}
+
+/// Factor to volt or ampere, from flags and the file's unit.
+fn chosen(
+    channels: &[Channel],
+    index: usize,
+    wanted: Quantity,
+    options: &ChannelOptions,
+) -> Result<Chosen, String> {
+    let side = usize::from(wanted == Quantity::Current);
+    let ratio = options.probe.map_or(1.0, |probe| probe[side]);
+    let stated = options.units.map(|units| units[side]);
+    let in_file = channels.get(index).and_then(|c| c.unit);
+    let scale = match (stated, in_file) {
+        (Some(unit), _) => unit.scale,
+        (None, None) => 1.0,
+        (None, Some(unit)) if unit.quantity == wanted || options.probe.is_some() => unit.scale,
+        (None, Some(unit)) => {
+            let (what, flag) = match wanted {
+                Quantity::Current => (
+                    "current",
+                    "give ampere per volt of the current probe with --probe, as in --probe 1,10",
+                ),
+                _ => ("voltage", "exchange the channels with --swap or --channels"),
+            };
+            return Err(format!(
+                "channel {} for the {what} is in {unit}; {flag}",
+                index + 1
+            ));
+        }
+    };
+    let inverted = [options.invert_v, options.invert_i][side];
+    let sign = if inverted { -1.0 } else { 1.0 };
+    Ok(Chosen {
+        index,
+        factor: sign * ratio * scale,
+    })
+}
+
+/// Channels told in a message at most.
+const LISTED: usize = 12;
+
+fn listed(channels: &[Channel]) -> String {
+    let one = |(k, c): (usize, &Channel)| {
+        let unit = c.unit.map_or(String::new(), |u| format!(" in {u}"));
+        format!("{} `{}`{unit}", k + 1, c.name)
+    };
+    let shown: Vec<_> = channels.iter().enumerate().take(LISTED).map(one).collect();
+    let rest = channels.len().saturating_sub(LISTED);
+    let more = if rest > 0 {
+        format!(" and {rest} more")
+    } else {
+        String::new()
+    };
+    format!(
+        "channels are {}{more}; name them with --channels V,I by number or name",
+        shown.join(", ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channel(name: &str, unit: Option<&str>) -> Channel {
+        Channel {
+            name: name.to_owned(),
+            unit: unit.and_then(Unit::parse),
+            full_scale: None,
+        }
+    }
+
+    fn indices(channels: &[Channel], options: &ChannelOptions) -> Result<[usize; 2], String> {
+        choose(channels, options).map(|c| c.map(|c| c.index))
+    }
+
+    #[test]
+    fn by_unit_then_by_name() {
+        let none = ChannelOptions::default();
+        let by_unit = [channel("CH1", Some("A")), channel("CH2", Some("mV"))];
+        assert_eq!(indices(&by_unit, &none), Ok([1, 0]));
+        assert_eq!(choose(&by_unit, &none).unwrap()[0].factor, 1e-3);
+        let by_name = [channel("i_coil", None), channel("v_coil", None)];
+        assert_eq!(indices(&by_name, &none), Ok([1, 0]));
+        let one_known = [channel("CH1", None), channel("CH2", Some("A"))];
+        assert_eq!(indices(&one_known, &none), Ok([0, 1]));
+        let three = [
+            channel("gate voltage", Some("V")),
+            channel("CH2", Some("V")),
+            channel("CH3", Some("A")),
+        ];
+        assert_eq!(indices(&three, &none), Ok([0, 2]));
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_asked_with_the_flags() {
+        let both_volt = [channel("CH1", Some("V")), channel("CH2", Some("V"))];
+        let asked = choose(&both_volt, &ChannelOptions::default()).unwrap_err();
+        assert!(
+            asked.contains("--channels") && asked.contains("2 `CH2` in V"),
+            "{asked}"
+        );
+        let chosen_only = ChannelOptions {
+            channels: Some([ChannelRef::Number(1), ChannelRef::Name("ch2".to_owned())]),
+            ..ChannelOptions::default()
+        };
+        let asked = choose(&both_volt, &chosen_only).unwrap_err();
+        assert!(asked.contains("--probe 1,10"), "{asked}");
+        let settled = ChannelOptions {
+            probe: Some([100.0, 10.0]),
+            invert_i: true,
+            ..chosen_only
+        };
+        let [v, i] = choose(&both_volt, &settled).unwrap();
+        assert_eq!((v.factor, i.factor), (100.0, -10.0));
+        let missing = ChannelOptions {
+            channels: Some([ChannelRef::Number(0), ChannelRef::Number(9)]),
+            ..ChannelOptions::default()
+        };
+        assert!(
+            choose(&both_volt, &missing)
+                .unwrap_err()
+                .contains("no channel 0")
+        );
+        let single = choose(&both_volt[..1], &ChannelOptions::default()).unwrap_err();
+        assert!(single.contains("one channel only"), "{single}");
+    }
+
+    #[test]
+    fn swap_and_units() {
+        let pair = [channel("v", None), channel("i", None)];
+        let swapped = ChannelOptions {
+            swap: true,
+            units: Unit::parse("mV")
+                .zip(Unit::parse("mA"))
+                .map(|(v, i)| [v, i]),
+            ..ChannelOptions::default()
+        };
+        let [v, i] = choose(&pair, &swapped).unwrap();
+        assert_eq!((v.index, i.index, v.factor, i.factor), (1, 0, 1e-3, 1e-3));
+    }
+
+    #[test]
+    fn thousands_of_channels_are_not_all_told() {
+        let many: Vec<_> = (0..5000)
+            .map(|k| channel(&format!("CH{k}"), None))
+            .collect();
+        let asked = choose(&many, &ChannelOptions::default()).unwrap_err();
+        assert!(
+            asked.contains("and 4988 more") && asked.len() < 600,
+            "{asked}"
+        );
+    }
+}
