@@ -7,5 +7,6 @@ pub mod link;
 pub mod lookup;
 pub mod report;
 pub mod sim;
+pub mod study;
 #[cfg(feature = "pinn")]
 pub mod trainer;

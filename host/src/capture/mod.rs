@@ -7,6 +7,7 @@ pub mod formats;
 pub mod frames;
 pub mod open;
 pub mod recording;
+pub mod resample;
 
 pub use error::CaptureError;
 pub use open::{OpenOptions, open};

@@ -5,7 +5,18 @@
 //! capture ─► survey ─► Segment ─► run(Method) ─► Estimate ─► accuracy, reconstruction
 //! ```
 
+pub mod accuracy;
+pub mod correlation;
+pub mod ekf;
+pub mod firmware;
+pub mod kf;
+pub mod least_squares;
+pub mod lockin;
+pub mod noise;
+pub mod pinn;
+pub mod rls;
 pub mod segment;
+pub mod survey;
 
 use std::time::Duration;
 
@@ -122,6 +133,40 @@ pub struct Estimate {
 pub struct Settings {
     /// R in ohm and L in henry to start from; otherwise those of the segment's mean phasors.
     pub start: Option<(f64, f64)>,
+    /// Of the linear Kalman filter.
+    pub kf: kf::KfSettings,
+    /// Of the repaired EKF and its smoother.
+    pub ekf: ekf::Tuning,
+    /// Of the lock-in.
+    pub lockin: lockin::LockinSettings,
+    /// Of the least squares.
+    pub least_squares: least_squares::LeastSquaresSettings,
+    /// Of the recursive least squares.
+    pub rls: rls::RlsSettings,
+}
+
+/// Identifies R(t) and L(t) of a segment.
+///
+/// # Errors
+/// [`IdentifyError`] when the segment cannot be used ([`Segment::check`]), or the method fails on
+/// it; every number of an estimate is finite.
+pub fn run(
+    method: Method,
+    segment: &Segment,
+    settings: &Settings,
+) -> Result<Estimate, IdentifyError> {
+    segment.check()?;
+    match method {
+        Method::Kf => kf::identify(segment, settings),
+        Method::Ekf => ekf::identify(segment, settings),
+        Method::EkfPaper => ekf::literal::identify(segment),
+        Method::Rts => ekf::identify_smoothed(segment, settings),
+        Method::Lockin => lockin::identify(segment, &settings.lockin),
+        Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
+        Method::Rls => rls::identify(segment, settings),
+        Method::Firmware => firmware::identify(segment, settings),
+        Method::Pinn => pinn::identify(segment, settings),
+    }
 }
 
 /// Why a segment could not be identified.
@@ -207,4 +252,45 @@ pub enum IdentifyError {
         /// Why, and what to do.
         why: String,
     },
+}
+
+impl Estimate {
+    /// An empty estimate.
+    pub(crate) fn new(method: Method, f_sw_hz: f64) -> Self {
+        Self {
+            method,
+            f_sw_hz,
+            t_s: Vec::new(),
+            r_ohm: Vec::new(),
+            l_h: Vec::new(),
+            r_sigma_ohm: Vec::new(),
+            l_sigma_h: Vec::new(),
+            v_hat_v: Vec::new(),
+            i_hat_a: Vec::new(),
+            nmse_v_pct: None,
+            nmse_i_pct: None,
+            elapsed: Duration::ZERO,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Appends R in ohm and L in henry with their standard deviations.
+    pub(crate) fn push(&mut self, t_s: f64, (r, l): (f64, f64), (r_sigma, l_sigma): (f64, f64)) {
+        self.t_s.push(t_s);
+        self.r_ohm.push(r);
+        self.l_h.push(l);
+        self.r_sigma_ohm.push(r_sigma);
+        self.l_sigma_h.push(l_sigma);
+    }
+
+    /// The latest R in ohm and L in henry.
+    pub fn last(&self) -> Option<(f64, f64)> {
+        Some((*self.r_ohm.last()?, *self.l_h.last()?))
+    }
+
+    /// (time, R, L), point by point.
+    pub fn points(&self) -> impl Iterator<Item = (f64, f64, f64)> {
+        let values = self.r_ohm.iter().zip(&self.l_h);
+        self.t_s.iter().zip(values).map(|(&t, (&r, &l))| (t, r, l))
+    }
 }

@@ -58,6 +58,24 @@ impl Segment {
         (t_s - self.zero_crossing_s).rem_euclid(self.half_cycle_s())
     }
 
+    /// Ranges of samples between mains zero crossings, the ends of the segment included.
+    pub fn half_cycles(&self) -> Vec<(usize, usize)> {
+        let half_s = self.half_cycle_s();
+        let first = ((self.t0_s - self.zero_crossing_s) / half_s).floor() + 1.0;
+        let mut bounds = vec![0];
+        let mut crossing_s = self.zero_crossing_s + first * half_s;
+        // A crossing within half a sample of either end cuts nothing off.
+        while crossing_s < self.t_s(self.len()) - 0.5 * self.dt_s {
+            let at = ((crossing_s - self.t0_s) / self.dt_s).round() as usize;
+            if at > 0 {
+                bounds.push(at);
+            }
+            crossing_s += half_s;
+        }
+        bounds.push(self.len());
+        bounds.windows(2).map(|w| (w[0], w[1])).collect()
+    }
+
     /// Checks what all estimators rely on.
     ///
     /// # Errors
@@ -106,15 +124,26 @@ impl Segment {
         check_channel("current", &self.i_a)
     }
 
+    /// The same stretch with other samples.
+    pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
+        Self {
+            f_sw_hz: self.f_sw_hz,
+            mains_hz: self.mains_hz,
+            zero_crossing_s: self.zero_crossing_s,
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+            v_v,
+            i_a,
+        }
+    }
+
     /// The samples from index `from` up to `to`, bounded by what there is.
     pub fn part(&self, from: usize, to: usize) -> Self {
         let to = to.min(self.len());
         let from = from.min(to);
         Self {
             t0_s: self.t_s(from),
-            v_v: self.v_v[from..to].to_vec(),
-            i_a: self.i_a[from..to].to_vec(),
-            ..*self
+            ..self.with_samples(self.v_v[from..to].to_vec(), self.i_a[from..to].to_vec())
         }
     }
 }

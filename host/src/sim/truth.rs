@@ -52,18 +52,28 @@ impl Mre {
         from_s: f64,
         to_s: f64,
     ) -> Option<Self> {
+        let inside = estimates.filter(|e| (from_s..=to_s).contains(&e.0));
+        Self::weighted(truth, inside, |_| 1.0)
+    }
+
+    /// The same over all estimates, each with the weight that belongs to its time.
+    pub fn weighted(
+        truth: &Truth,
+        estimates: impl Iterator<Item = (f64, f64, f64)>,
+        weight: impl Fn(f64) -> f64,
+    ) -> Option<Self> {
         let mut sum = Self::default();
-        let mut n = 0u32;
-        for (t_s, r, l) in estimates.filter(|e| (from_s..=to_s).contains(&e.0)) {
+        let mut weights = 0.0;
+        for (t_s, r, l) in estimates {
             let (r0, l0) = truth.at(t_s)?;
-            sum.r_pct += (r / r0 - 1.0).abs();
-            sum.l_pct += (l / l0 - 1.0).abs();
-            n += 1;
+            let w = weight(t_s);
+            sum.r_pct += w * (r / r0 - 1.0).abs();
+            sum.l_pct += w * (l / l0 - 1.0).abs();
+            weights += w;
         }
-        let scale = 100.0 / f64::from(n);
-        (n > 0).then_some(Self {
-            r_pct: sum.r_pct * scale,
-            l_pct: sum.l_pct * scale,
+        (weights > 0.0).then_some(Self {
+            r_pct: 100.0 * sum.r_pct / weights,
+            l_pct: 100.0 * sum.l_pct / weights,
         })
     }
 }
@@ -98,5 +108,10 @@ mod tests {
         let mre = Mre::of(&ramp(), estimates.into_iter(), 0.0, 1.5).unwrap();
         assert!((mre.r_pct - 5.0).abs() < 1e-9 && (mre.l_pct - 5.0).abs() < 1e-9);
         assert_eq!(Mre::of(&ramp(), estimates.into_iter(), 5.0, 6.0), None);
+        // Three parts of 0 and 10 % and one of 10 % and 0.
+        let weight = |t: f64| if t < 0.7 { 3.0 } else { 1.0 };
+        let first = estimates.into_iter().take(2);
+        let mre = Mre::weighted(&ramp(), first, weight).unwrap();
+        assert!((mre.r_pct - 2.5).abs() < 1e-9 && (mre.l_pct - 7.5).abs() < 1e-9);
     }
 }

@@ -1,0 +1,139 @@
+//! Correlation of sampled voltage and current with harmonics of f_sw, block by block.
+//!
+//! A block's table of (cos, −sin) is computed once; each block costs one sine and cosine of its
+//! start and per sample four multiply-adds an order. The phase counts from the segment's first
+//! sample: x(t) = Re{X·e^(jhω(t − t0))}, X = 2/n · Σ x·e^(−jhω(t − t0)).
+
+use std::f64::consts::TAU;
+
+use nalgebra::Complex;
+
+use super::Segment;
+
+/// Sums of one block, Σ x·e^(−jhωt), one an order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlockSums<const ORDERS: usize> {
+    /// Of the voltage, in volt.
+    pub v: [Complex<f64>; ORDERS],
+    /// Of the current, in ampere.
+    pub i: [Complex<f64>; ORDERS],
+}
+
+/// Correlates blocks of `length` samples with `ORDERS` multiples of f_sw, whole or not.
+#[derive(Clone, Debug)]
+pub struct Correlator<const ORDERS: usize> {
+    orders: [f64; ORDERS],
+    /// Periods of f_sw from one sample to the next.
+    periods_per_sample: f64,
+    cos: Vec<[f64; ORDERS]>,
+    minus_sin: Vec<[f64; ORDERS]>,
+}
+
+impl<const ORDERS: usize> Correlator<ORDERS> {
+    /// For a segment's sampling, blocks of `length` samples and these orders.
+    pub fn new(segment: &Segment, length: usize, orders: [f64; ORDERS]) -> Self {
+        let periods_per_sample = segment.f_sw_hz * segment.dt_s;
+        let table = |value: fn(f64) -> f64| {
+            let at =
+                |n: usize| orders.map(|h| value(TAU * (h * n as f64 * periods_per_sample).fract()));
+            (0..length).map(at).collect()
+        };
+        Self {
+            orders,
+            periods_per_sample,
+            cos: table(libm::cos),
+            minus_sin: table(|x| -libm::sin(x)),
+        }
+    }
+
+    /// Samples of a block.
+    pub fn length(&self) -> usize {
+        self.cos.len()
+    }
+
+    /// e^(−jhωt) at sample `n` of the segment, one an order.
+    pub fn turn(&self, n: usize) -> [Complex<f64>; ORDERS] {
+        self.orders.map(|h| {
+            let (s, c) = libm::sincos(TAU * (h * n as f64 * self.periods_per_sample).fract());
+            Complex::new(c, -s)
+        })
+    }
+
+    /// The sums over a block that begins with sample `first` of the segment; a block shorter than
+    /// the table is taken as it is.
+    pub fn block(&self, first: usize, v_v: &[f64], i_a: &[f64]) -> BlockSums<ORDERS> {
+        let mut sums = [[0.0; ORDERS]; 4];
+        let samples = v_v.iter().zip(i_a);
+        for ((v, i), (cos, sin)) in samples.zip(self.cos.iter().zip(&self.minus_sin)) {
+            for h in 0..ORDERS {
+                sums[0][h] += v * cos[h];
+                sums[1][h] += v * sin[h];
+                sums[2][h] += i * cos[h];
+                sums[3][h] += i * sin[h];
+            }
+        }
+        let turn = self.turn(first);
+        let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
+            std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
+        };
+        BlockSums {
+            v: phasor(&sums[0], &sums[1]),
+            i: phasor(&sums[2], &sums[3]),
+        }
+    }
+}
+
+/// V and I of the whole segment's fundamental, amplitudes in volt and ampere: Σ V·I* over the
+/// blocks of one switching period, divided by √Σ|I|², so that a drift of the phase does not cancel.
+///
+/// Its ratio is the mean impedance that every estimator starts from.
+pub fn mean_impedance(segment: &Segment) -> Complex<f64> {
+    let length = (segment.samples_per_period().round() as usize).max(1);
+    let correlator = Correlator::new(segment, length, [1.0]);
+    let blocks = segment
+        .v_v
+        .chunks_exact(length)
+        .zip(segment.i_a.chunks_exact(length));
+    let (mut cross, mut square) = (Complex::new(0.0, 0.0), 0.0);
+    for (k, (v, i)) in blocks.enumerate() {
+        let sums = correlator.block(k * length, v, i);
+        cross += sums.v[0] * sums.i[0].conj();
+        square += sums.i[0].norm_sqr();
+    }
+    cross / square
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_order_gives_its_own_phasor_in_every_block() {
+        let w = TAU * 45e3;
+        let dt_s = 1.0 / (45e3 * 100.0);
+        let t = |n: usize| n as f64 * dt_s;
+        let segment = Segment {
+            f_sw_hz: 45e3,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+            t0_s: 0.0,
+            dt_s,
+            v_v: (0..1000)
+                .map(|n| 5.0 * (w * t(n) + 0.3).cos() + 2.0 * (3.0 * w * t(n) - 1.0).cos())
+                .collect(),
+            i_a: (0..1000).map(|n| 0.5 * (w * t(n) - 0.6).cos()).collect(),
+        };
+        let correlator = Correlator::new(&segment, 100, [1.0, 3.0]);
+        for first in [0, 100, 417, 900] {
+            let (v, i) = (&segment.v_v[first..], &segment.i_a[first..]);
+            let sums = correlator.block(first, v, i);
+            let v1 = sums.v[0] * 0.02;
+            let v3 = sums.v[1] * 0.02;
+            assert!((v1 - Complex::from_polar(5.0, 0.3)).norm() < 1e-9);
+            assert!((v3 - Complex::from_polar(2.0, -1.0)).norm() < 1e-9);
+            assert!((sums.i[0] * 0.02 - Complex::from_polar(0.5, -0.6)).norm() < 1e-9);
+        }
+        let z = mean_impedance(&segment);
+        assert!((z - Complex::from_polar(10.0, 0.9)).norm() < 1e-9);
+    }
+}

@@ -1,0 +1,73 @@
+//! The hybrid-timescale PINN of `ihd_pinn`, half-cycle by half-cycle.
+
+use super::{Estimate, IdentifyError, Segment, Settings};
+
+/// Trains the network on each mains half-cycle of the segment.
+///
+/// # Errors
+/// [`IdentifyError::NotInThisBuild`] without the feature `pinn`.
+#[cfg(not(feature = "pinn"))]
+pub fn identify(_: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
+    Err(IdentifyError::NotInThisBuild {
+        method: super::Method::Pinn,
+        feature: "pinn",
+    })
+}
+
+/// Trains the network on each mains half-cycle of the segment.
+///
+/// # Errors
+/// [`IdentifyError::Unfit`] with what the network says.
+#[cfg(feature = "pinn")]
+pub fn identify(segment: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
+    use std::time::Instant;
+
+    use ihd_pinn::{Config, Waveform};
+
+    use super::Method;
+    use super::segment::MIN_PERIODS;
+
+    let started = Instant::now();
+    let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
+    let least = MIN_PERIODS * segment.samples_per_period();
+    for (from, to) in segment.half_cycles() {
+        if ((to - from) as f64) < least {
+            continue;
+        }
+        let t0_s = segment.t_s(from);
+        // The middle of the stretch tells its half-cycle; its first sample may lie just before.
+        let middle_s = 0.5 * (t0_s + segment.t_s(to - 1));
+        let crossing_s = middle_s - segment.since_crossing_s(middle_s);
+        let window = Waveform {
+            f_sw_hz: segment.f_sw_hz,
+            f_mains_hz: segment.mains_hz,
+            t0_s: t0_s - crossing_s,
+            dt_s: segment.dt_s,
+            v_volt: &segment.v_v[from..to],
+            i_ampere: &segment.i_a[from..to],
+        };
+        let found = ihd_pinn::identify(&window, &Config::default(), &mut |_| {}).map_err(|e| {
+            IdentifyError::Unfit {
+                method: Method::Pinn,
+                why: e.to_string(),
+            }
+        })?;
+        estimate.notes.push(format!(
+            "half-cycle from {crossing_s:.4} s: {} steps, {:?}",
+            found.iterations, found.stopped_because
+        ));
+        estimate
+            .t_s
+            .extend(found.t_s.iter().map(|t| t + crossing_s));
+        estimate.r_ohm.extend(found.r_ohm);
+        estimate.l_h.extend(found.l_h);
+    }
+    if estimate.t_s.is_empty() {
+        return Err(IdentifyError::TooShort {
+            periods: segment.len() as f64 / segment.samples_per_period(),
+            needed: MIN_PERIODS,
+        });
+    }
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}

@@ -1,0 +1,3 @@
+//! Studies: many captures with truth, many estimators, one table.
+
+pub mod trial;

@@ -1,0 +1,79 @@
+//! Captures with truth for studies and tests: simulated once per operating point, noise added per
+//! seed, as the paper does (section V.A).
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::identify::Segment;
+use crate::sim::adc::Noise;
+use crate::sim::inverter::InverterError;
+use crate::sim::inverter::meter::PeriodTruth;
+use crate::sim::recording::run::record;
+use crate::sim::recording::settings::{LoadKind, Settings};
+
+/// A capture without noise, and what the simulation knows about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    /// Samples before noise and quantising.
+    pub clean: Segment,
+    /// Truth, one entry a switching period.
+    pub truth: Vec<PeriodTruth>,
+}
+
+impl Trial {
+    /// Simulates one mains cycle (20 ms at 50 Hz) of the paper's operating point, 50 MS/s.
+    ///
+    /// # Errors
+    /// [`InverterError`] for a frequency outside 20 to 100 kHz.
+    pub fn simulate(load: LoadKind, f_sw_hz: f64) -> Result<Self, InverterError> {
+        Self::record(&Settings {
+            load,
+            f_sw_hz,
+            ..Settings::default()
+        })
+    }
+
+    /// Simulates a recording with a fixed sampling rate.
+    ///
+    /// # Errors
+    /// [`InverterError`] for settings that cannot be.
+    pub fn record(settings: &Settings) -> Result<Self, InverterError> {
+        let recording = record(settings, |_| ())?;
+        let t_s = &recording.t_s;
+        let span_s = t_s.last().copied().unwrap_or(0.0) - t_s.first().copied().unwrap_or(0.0);
+        Ok(Self {
+            clean: Segment {
+                f_sw_hz: settings.f_sw_hz,
+                mains_hz: settings.mains_hz,
+                zero_crossing_s: -settings.start_s,
+                t0_s: t_s.first().copied().unwrap_or(0.0),
+                dt_s: span_s / t_s.len().saturating_sub(1).max(1) as f64,
+                v_v: recording.v_clean_v,
+                i_a: recording.i_clean_a,
+            },
+            truth: recording.truth,
+        })
+    }
+
+    /// The capture with white noise of an SNR in decibel on both channels,
+    /// σ² = P_signal/10^(SNR/10) over the whole capture; without `snr_db` as it is.
+    pub fn noisy(&self, snr_db: Option<f64>, seed: u64) -> Segment {
+        let Some(snr_db) = snr_db else {
+            return self.clean.clone();
+        };
+        let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
+        let noise = Noise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut add = |x: &[f64], sigma: f64| {
+            let noisy = |x: &f64| {
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                x + sigma * normal
+            };
+            x.iter().map(noisy).collect()
+        };
+        let v_v = add(&self.clean.v_v, noise.v_v);
+        let i_a = add(&self.clean.i_a, noise.i_a);
+        self.clean.with_samples(v_v, i_a)
+    }
+}
