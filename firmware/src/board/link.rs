@@ -10,10 +10,14 @@ use ihd_shared::wire::frame::MAX_ENCODED;
 use super::crash;
 use super::sampling::{BLOCK_DONE, ThreadSide};
 
-/// One way to the host. Both futures may be dropped before they are ready without losing bytes.
-pub trait Port {
+/// The receiving half of a port. The future may be dropped before it is ready without losing bytes.
+pub trait Receive {
     /// Waits for bytes; returns how many.
     async fn receive(&mut self, buf: &mut [u8]) -> usize;
+}
+
+/// The sending half of a port. The future may be dropped before it is ready without losing bytes.
+pub trait Send {
     /// Waits for room and sends some of `bytes`; returns how many.
     async fn send(&mut self, bytes: &[u8]) -> usize;
 }
@@ -21,10 +25,13 @@ pub trait Port {
 /// A port that the board does not have.
 pub struct NoPort;
 
-impl Port for NoPort {
+impl Receive for NoPort {
     async fn receive(&mut self, _: &mut [u8]) -> usize {
         core::future::pending().await
     }
+}
+
+impl Send for NoPort {
     async fn send(&mut self, _: &[u8]) -> usize {
         core::future::pending().await
     }
@@ -74,8 +81,8 @@ enum Heard {
 
 /// Runs the link for ever. `tick` is called after each block, once housekeeping has seen it.
 pub async fn run(
-    mut first: (impl Port, impl Port),
-    mut second: (impl Port, impl Port),
+    mut first: (impl Receive, impl Send),
+    mut second: (impl Receive, impl Send),
     housekeeping: &mut Housekeeping,
     mut path: ThreadSide,
     mut tick: impl FnMut(&Housekeeping, &mut ThreadSide),
@@ -121,14 +128,14 @@ pub async fn run(
     }
 }
 
-async fn receive(port: &mut impl Port, room: Option<&mut [u8]>) -> usize {
+async fn receive(port: &mut impl Receive, room: Option<&mut [u8]>) -> usize {
     match room {
         Some(buf) => port.receive(buf).await,
         None => core::future::pending().await,
     }
 }
 
-async fn send(first: &mut impl Port, second: &mut impl Port, heard: Heard, frame: &[u8]) -> usize {
+async fn send(first: &mut impl Send, second: &mut impl Send, heard: Heard, frame: &[u8]) -> usize {
     match (frame, heard) {
         ([], _) => core::future::pending().await,
         (_, Heard::First) => first.send(frame).await,

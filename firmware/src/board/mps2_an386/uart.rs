@@ -9,7 +9,7 @@ use cortex_m::peripheral::NVIC;
 use embassy_sync::waitqueue::AtomicWaker;
 
 use super::vectors::Interrupt;
-use crate::board::link::Port;
+use crate::board::link::{Receive, Send};
 
 const DATA: *mut u32 = 0x4000_4000 as *mut u32;
 const STATE: *mut u32 = 0x4000_4004 as *mut u32;
@@ -58,7 +58,7 @@ pub fn start() -> (Receiver, Sender) {
     (Receiver, Sender)
 }
 
-impl Port for Receiver {
+impl Receive for Receiver {
     async fn receive(&mut self, buf: &mut [u8]) -> usize {
         poll_fn(|cx| {
             RECEIVED.register(cx.waker());
@@ -78,17 +78,9 @@ impl Port for Receiver {
         })
         .await
     }
-
-    async fn send(&mut self, _: &[u8]) -> usize {
-        core::future::pending().await
-    }
 }
 
-impl Port for Sender {
-    async fn receive(&mut self, _: &mut [u8]) -> usize {
-        core::future::pending().await
-    }
-
+impl Send for Sender {
     /// Waits for each byte's turn: QEMU takes one at once.
     async fn send(&mut self, bytes: &[u8]) -> usize {
         for &byte in bytes {

@@ -3,6 +3,13 @@
 //!
 //! HRTIM timer A drives the half-bridge, timer B triggers the ADCs; both count the same ticks and
 //! are started and updated by the same write, so their ratio and phase hold.
+//!
+//! What a compiler cannot check (trigger and request numbers, which comparator reaches which fault
+//! input, pins and thresholds of the comparators) was compared with two independent sources: ST's own
+//! drivers (github.com/STMicroelectronics/stm32g4xx-hal-driver: `LL_ADC_REG_TRIG_EXT_HRTIM_TRG1`,
+//! `LL_DMAMUX_REQ_ADC1/3`, `LL_COMP_INPUT_PLUS_IO1`, `LL_COMP_INPUT_MINUS_DAC1_CH1/2`,
+//! `HRTIM_FAULTSOURCE_INTERNAL`) and github.com/stm32-rs/stm32g4xx-hal (`impl_faults!`). It has not
+//! run on a board.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
@@ -23,8 +30,8 @@ const SAMPLING: usize = 1;
 /// HRTIM prescaler 2 (table "HRTIM resolution and min. PWM frequency" in HRTIM): 8 ticks a cycle.
 const PRESCALER: u8 = 2;
 
-/// Regular trigger 21: hrtim_adc_trg1 for ADC1 and ADC2, hrtim_adc_trg2 for ADC3 (ADC, tables
-/// "ADC1/2 and ADC3/4/5 - External triggers for regular channels").
+/// Regular trigger 21: hrtim_adc_trg1 on every ADC (ADC, tables "ADC1/2 and ADC3/4/5 - External
+/// triggers for regular channels").
 const TRIGGER: u8 = 21;
 
 /// DMAMUX inputs (DMAMUX, table "DMAMUX: assignment of multiplexer inputs to resources").
@@ -107,9 +114,8 @@ pub fn start_timers(periods: Periods) {
         w.set_dtfslk(true);
     });
     start_faults();
-    // HRTIM_ADC1R, ADC2R: both triggers on the sampling timer's period.
+    // HRTIM_ADC1R: trigger 1 on the sampling timer's period.
     hrtim.adc1r(0).write(|w| w.set_adctper(SAMPLING, true));
-    hrtim.adc2r(0).write(|w| w.set_adctper(SAMPLING, true));
     set_periods(periods);
     // HRTIM_MCR: both counters in one write.
     hrtim.mcr().modify(|w| {

@@ -7,7 +7,7 @@
 use embassy_stm32::usart::{BufferedUartRx, BufferedUartTx};
 use embedded_io_async::{Read, Write};
 
-use crate::board::link::Port;
+use crate::board::link::{Receive, Send};
 
 /// Bits per second.
 pub const BAUD: u32 = 921_600;
@@ -18,20 +18,14 @@ pub struct Receiver(pub BufferedUartRx<'static>);
 /// The sending half.
 pub struct Sender(pub BufferedUartTx<'static>);
 
-impl Port for Receiver {
+impl Receive for Receiver {
     async fn receive(&mut self, buf: &mut [u8]) -> usize {
         // A framing error or an overrun costs bytes, which the frames' CRC shows.
         self.0.read(buf).await.unwrap_or(0)
     }
-    async fn send(&mut self, _: &[u8]) -> usize {
-        core::future::pending().await
-    }
 }
 
-impl Port for Sender {
-    async fn receive(&mut self, _: &mut [u8]) -> usize {
-        core::future::pending().await
-    }
+impl Send for Sender {
     async fn send(&mut self, bytes: &[u8]) -> usize {
         self.0.write(bytes).await.unwrap_or(0)
     }

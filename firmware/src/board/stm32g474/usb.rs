@@ -9,7 +9,7 @@ use embassy_usb::{Builder, Config, UsbDevice};
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 use static_cell::StaticCell;
 
-use crate::board::link::Port;
+use crate::board::link::{Receive, Send};
 
 /// By this GUID host programs find the interface on Windows.
 const GUIDS: &[&str] = &["{5A7D8C5E-6C0B-4C57-9F5F-0E6B1C1D4B21}"];
@@ -80,20 +80,14 @@ pub fn start(
     (builder.build(), receiver, sender)
 }
 
-impl Port for Receiver {
+impl Receive for Receiver {
     async fn receive(&mut self, buf: &mut [u8]) -> usize {
         self.0.wait_enabled().await;
         self.0.read(buf).await.unwrap_or(0)
     }
-    async fn send(&mut self, _: &[u8]) -> usize {
-        core::future::pending().await
-    }
 }
 
-impl Port for Sender {
-    async fn receive(&mut self, _: &mut [u8]) -> usize {
-        core::future::pending().await
-    }
+impl Send for Sender {
     /// One packet, never a full one: the short packet tells the host at once that it is all there
     /// is for now, without a zero-length packet behind a full one.
     async fn send(&mut self, bytes: &[u8]) -> usize {
