@@ -3,6 +3,7 @@
 
 use std::io;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use ihd::link::{Event, FrameSink, LinkError, Window};
 use ihd::sim::hob::HobConfig;
@@ -130,8 +131,16 @@ fn a_bad_lookup_leaves_the_old_one_and_the_heating_goes_on() {
 struct Shared(Arc<Mutex<Vec<u8>>>);
 
 impl FrameSink for Shared {
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+    fn received(&mut self, _: Duration, bytes: &[u8]) -> io::Result<()> {
         self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn sent(&mut self, _: Duration, _: &[u8]) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> io::Result<()> {
         Ok(())
     }
 }

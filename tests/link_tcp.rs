@@ -1,13 +1,14 @@
 //! The link over TCP: the same bytes as in memory, and clear words when it breaks.
 
-use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use ihd::capture::frames::FrameLog;
+use ihd::capture::mcap::reader::Item;
+use ihd::capture::mcap::topics::Topic;
+use ihd::capture::mcap::{Reader, SessionRecorder};
 use ihd::link::tcp::TcpTransport;
 use ihd::link::{Client, DeviceSpec, Event, LinkError, Transport};
 use ihd_shared::lookup::RlLookup;
@@ -87,7 +88,7 @@ fn local() -> (TcpListener, String) {
 fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<Event> {
     let mut client = Client::connect(transport).unwrap();
     client.set_timeout(Duration::from_secs(60));
-    client.record_to(FrameLog::create(path, client.hello()).unwrap());
+    client.record_to(SessionRecorder::create(path, client.hello()).unwrap());
     client.set_power(1_000).unwrap();
     client.stream(1, 1).unwrap();
     for _ in 0..5 {
@@ -109,6 +110,7 @@ fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<Event> {
     while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
         events.push(event);
     }
+    client.finish_recording().unwrap();
     events
 }
 
@@ -128,9 +130,26 @@ fn the_bytes_over_tcp_are_those_in_memory() {
     let here = session(Box::new(InMemory(Stepped::new(), Vec::new())), &in_memory);
     assert!(here.iter().any(|e| matches!(e, Event::Window(_))));
     assert_eq!(there, here);
-    let (there, here) = (fs::read(over_tcp).unwrap(), fs::read(in_memory).unwrap());
-    assert!(here.len() > 100_000, "{} bytes", here.len());
-    assert!(there == here, "{} and {} bytes", there.len(), here.len());
+    for topic in [Topic::FromDevice, Topic::ToDevice] {
+        let (there, here) = (bytes(&over_tcp, topic), bytes(&in_memory, topic));
+        assert!(here.len() > 300, "{} bytes", here.len());
+        assert!(there == here, "{} and {} bytes", there.len(), here.len());
+    }
+    assert!(bytes(&in_memory, Topic::FromDevice).len() > 100_000);
+}
+
+/// Everything that one end of a recorded session sent.
+fn bytes(path: &Path, wanted: Topic) -> Vec<u8> {
+    let mut reader = Reader::open(path).unwrap();
+    let mut bytes = Vec::new();
+    while let Some(item) = reader.next_item().unwrap() {
+        if let Item::Message(m) = item
+            && m.topic == wanted
+        {
+            bytes.extend_from_slice(m.data);
+        }
+    }
+    bytes
 }
 
 #[test]

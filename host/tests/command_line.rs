@@ -171,7 +171,7 @@ fn a_store_keeps_every_session_in_a_folder_of_its_own() {
         assert!(stdout.contains("version 1 active"), "{stdout}");
         assert!(stdout.contains(folder), "{stdout}");
         for name in [
-            "session.frames",
+            "session.mcap",
             "lookup-v1.bin",
             "lookup-v1.json",
             "identified.svg",

@@ -4,7 +4,7 @@
 pub mod channels;
 pub mod error;
 pub mod formats;
-pub mod frames;
+pub mod mcap;
 pub mod open;
 pub mod recording;
 pub mod resample;

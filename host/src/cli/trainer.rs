@@ -117,7 +117,7 @@ impl TrainerArgs {
             print!("{}", training::text(&report));
             if let Some(store) = &settings.store {
                 println!(
-                    "kept     session.frames, lookup-v*.json and identified.svg in {}",
+                    "kept     session.mcap, lookup-v*.json and identified.svg in {}",
                     store.display()
                 );
             }

@@ -102,6 +102,14 @@ impl Client {
         self.tap.open(Box::new(sink));
     }
 
+    /// Ends the recording; without one, nothing.
+    ///
+    /// # Errors
+    /// [`LinkError::Recording`] when it, or a part of it before, could not be written.
+    pub fn finish_recording(&mut self) -> Result<(), LinkError> {
+        self.tap.close().map_err(LinkError::Recording)
+    }
+
     /// Asks for a mean power in watt; 0 switches off.
     ///
     /// # Errors
@@ -216,6 +224,7 @@ impl Client {
             .map_err(|source| LinkError::Unsendable { command, source })?;
         self.frame_seq = self.frame_seq.wrapping_add(1);
         self.transport.send(&frame[..length])?;
+        self.tap.give(self.transport.clock(), &frame[..length]);
         let start = self.transport.clock();
         // What was seen so far tells nothing about this command.
         let before = self.incoming.counters();
@@ -300,7 +309,7 @@ impl Client {
             self.incoming.events.pop_front();
             self.events_dropped = self.events_dropped.wrapping_add(1);
         }
-        self.tap.take(bytes);
+        self.tap.take(self.transport.clock(), bytes);
         Ok(length)
     }
 }

@@ -1,6 +1,7 @@
-//! The copy of the device's bytes that goes to a recording.
+//! The copy of the link's bytes that goes to a recording.
 
 use std::io;
+use std::time::Duration;
 
 use super::FrameSink;
 
@@ -27,17 +28,39 @@ impl Tap {
         self.failure.take()
     }
 
-    /// Takes what has come from the device. A full disk must not cost the link: the failure waits
-    /// and the sink is let go.
-    pub fn take(&mut self, bytes: &[u8]) {
-        if let Err(failure) = self.feed(bytes) {
-            self.sink = None;
-            self.failure = Some(failure);
+    /// Ends the recording.
+    pub fn close(&mut self) -> io::Result<()> {
+        match (self.failure.take(), self.sink.take()) {
+            (Some(failure), _) => Err(failure),
+            (None, Some(sink)) => sink.finish(),
+            (None, None) => Ok(()),
         }
+    }
+
+    /// Takes what has come from the device.
+    pub fn take(&mut self, at: Duration, bytes: &[u8]) {
+        let fed = self.feed(at, bytes);
+        self.keep(fed);
         self.mid_frame = bytes.last().map_or(self.mid_frame, |&b| b != 0);
     }
 
-    fn feed(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+    /// Takes a frame that goes to the device.
+    pub fn give(&mut self, at: Duration, frame: &[u8]) {
+        if let Some(sink) = &mut self.sink {
+            let fed = sink.sent(at, frame);
+            self.keep(fed);
+        }
+    }
+
+    /// A full disk must not cost the link: the failure waits and the sink is let go.
+    fn keep(&mut self, fed: io::Result<()>) {
+        if let Err(failure) = fed {
+            self.sink = None;
+            self.failure = Some(failure);
+        }
+    }
+
+    fn feed(&mut self, at: Duration, mut bytes: &[u8]) -> io::Result<()> {
         let Some(sink) = &mut self.sink else {
             return Ok(());
         };
@@ -51,7 +74,7 @@ impl Tap {
         if bytes.is_empty() {
             return Ok(());
         }
-        sink.append(bytes)
+        sink.received(at, bytes)
     }
 }
 
@@ -63,8 +86,14 @@ mod tests {
     struct Kept(Arc<Mutex<Vec<u8>>>);
 
     impl FrameSink for Kept {
-        fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        fn received(&mut self, _: Duration, bytes: &[u8]) -> io::Result<()> {
             self.0.lock().unwrap().extend(bytes);
+            Ok(())
+        }
+        fn sent(&mut self, _: Duration, _: &[u8]) -> io::Result<()> {
+            Ok(())
+        }
+        fn finish(self: Box<Self>) -> io::Result<()> {
             Ok(())
         }
     }
@@ -73,11 +102,11 @@ mod tests {
     fn a_recording_that_begins_within_a_frame_begins_with_the_next() {
         let kept = Arc::new(Mutex::new(Vec::new()));
         let mut tap = Tap::default();
-        tap.take(&[0, 1, 2]);
+        tap.take(Duration::ZERO, &[0, 1, 2]);
         tap.open(Box::new(Kept(Arc::clone(&kept))));
-        tap.take(&[3]);
-        tap.take(&[4, 0, 0, 5]);
-        tap.take(&[6, 0]);
+        tap.take(Duration::ZERO, &[3]);
+        tap.take(Duration::ZERO, &[4, 0, 0, 5]);
+        tap.take(Duration::ZERO, &[6, 0]);
         assert_eq!(*kept.lock().unwrap(), [0, 5, 6, 0]);
     }
 }

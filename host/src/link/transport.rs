@@ -32,11 +32,23 @@ pub trait Transport: Send {
     }
 }
 
-/// Takes a copy of the bytes that a device sends, in whole frames from the first byte on.
+/// Takes a copy of the bytes on a link, with the transport's clock at each.
 pub trait FrameSink: Send {
-    /// Takes the next bytes.
+    /// Takes the next bytes of the device, in whole frames from the first byte on.
     ///
     /// # Errors
     /// What the sink's file or device says; the client then stops recording and tells it once.
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
+    fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()>;
+
+    /// Takes a frame that the host sends.
+    ///
+    /// # Errors
+    /// As [`FrameSink::received`].
+    fn sent(&mut self, at: Duration, frame: &[u8]) -> io::Result<()>;
+
+    /// The recording is over.
+    ///
+    /// # Errors
+    /// As [`FrameSink::received`].
+    fn finish(self: Box<Self>) -> io::Result<()>;
 }

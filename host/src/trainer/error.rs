@@ -2,7 +2,7 @@
 
 use ihd_shared::fault::Fault;
 
-use crate::capture::frames::FrameLogError;
+use crate::capture::mcap::McapFileError;
 use crate::link::LinkError;
 
 /// Why a training run ended early. The device keeps the last lookup that it accepted.
@@ -57,7 +57,7 @@ pub enum TrainerError {
     Lookup(String),
     /// The recording of the session failed.
     #[error(transparent)]
-    Store(#[from] FrameLogError),
+    Store(#[from] McapFileError),
     /// A file of the store could not be written.
     #[error("cannot write {path}: {source}")]
     Write {

@@ -16,7 +16,7 @@ use super::TrainerError;
 use super::gate::{GateVerdict, judge};
 use super::point::{self, Point};
 use super::session::{Progress, Session, TruthSource};
-use crate::capture::frames::FrameLog;
+use crate::capture::mcap::SessionRecorder;
 use crate::link::{Client, Counters, Window};
 use crate::lookup::{Built, LoadCurve, LookupBuilder};
 
@@ -93,10 +93,8 @@ pub fn run(
 ) -> Result<Report, TrainerError> {
     let started = Instant::now();
     if let Some(store) = &settings.store {
-        client.record_to(FrameLog::create(
-            &store.join("session.frames"),
-            client.hello(),
-        )?);
+        let path = store.join("session.mcap");
+        client.record_to(SessionRecorder::create(&path, client.hello())?);
     }
     let device = format!("{} ({})", client.describe(), client.hello().build);
     let status = client.status()?;
@@ -131,6 +129,7 @@ pub fn run(
     let off = run.session.finish();
     outcome?;
     off?;
+    run.session.client.finish_recording()?;
     run.report.counters = run.session.client.counters();
     run.report.total_s = run.started.elapsed().as_secs_f64();
     Ok(run.report)

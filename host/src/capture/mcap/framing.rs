@@ -1,0 +1,304 @@
+//! Records of an MCAP file, one after the other, in bounded memory.
+//!
+//! The framing is done here and not by the `mcap` crate, whose readers trust the lengths within a
+//! chunk: a hostile one makes them allocate or panic. Records themselves are parsed by the crate.
+
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use ::mcap::records::{ChunkHeader, Record, op};
+use ::mcap::{MAGIC, parse_record};
+
+use super::McapFileError;
+
+/// Largest record, and largest chunk unpacked, that is read: `Writer` makes chunks of 1 MiB, other
+/// tools of up to some 10 MiB.
+pub const MAX_RECORD: u64 = 64 << 20;
+
+/// Bytes of a record's opcode and length.
+const PREFIX: u64 = 9;
+
+/// Bytes of a chunk header up to its message times.
+const CHUNK_TIMES: usize = 16;
+
+/// One record as it lies in the file or in a chunk.
+pub struct Raw<'a> {
+    /// What kind of record.
+    pub opcode: u8,
+    /// Its bytes.
+    pub body: &'a [u8],
+}
+
+/// What [`Frames::step`] found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// A record outside a chunk: see [`Frames::record`].
+    Record(u8),
+    /// A chunk, unpacked and checked: see [`Frames::chunk`].
+    Chunk,
+    /// Something that is not needed; it was passed over.
+    Passed,
+    /// The end of the data, or of the file.
+    End,
+}
+
+/// An MCAP file being read.
+pub struct Frames {
+    input: BufReader<File>,
+    path: PathBuf,
+    length: u64,
+    /// Where the next record begins.
+    next: u64,
+    /// Where the record that was read last began.
+    at: u64,
+    body: Vec<u8>,
+    chunk: Vec<u8>,
+    /// Message times of the last chunk, in nanoseconds.
+    times_ns: (u64, u64),
+    cut: bool,
+    /// Chunks that hold nothing between these times, in nanoseconds, are passed over.
+    pub wanted_ns: (u64, u64),
+}
+
+impl Frames {
+    /// Opens a file and checks that it is MCAP.
+    pub fn open(path: &Path) -> Result<Self, McapFileError> {
+        let failed = |source| McapFileError::Io {
+            path: path.into(),
+            offset: 0,
+            source,
+        };
+        // Before it is opened: to open a pipe waits for its other end.
+        let found = std::fs::metadata(path).map_err(failed)?;
+        if !found.is_file() {
+            let what = if found.is_dir() {
+                "a directory"
+            } else {
+                "a pipe or a device"
+            };
+            let path = path.into();
+            return Err(McapFileError::NotAFile { path, what });
+        }
+        let mut input = BufReader::new(File::open(path).map_err(failed)?);
+        let mut magic = [0; MAGIC.len()];
+        match input.read_exact(&mut magic) {
+            Ok(()) if magic == *MAGIC => {}
+            Err(e) if e.kind() != ErrorKind::UnexpectedEof => return Err(failed(e)),
+            _ => return Err(McapFileError::NotMcap { path: path.into() }),
+        }
+        Ok(Self {
+            input,
+            path: path.into(),
+            length: found.len(),
+            next: MAGIC.len() as u64,
+            at: 0,
+            body: Vec::new(),
+            chunk: Vec::new(),
+            times_ns: (0, 0),
+            cut: false,
+            wanted_ns: (0, u64::MAX),
+        })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the file ends within a record or without its end mark: a recorder that was killed,
+    /// or a copy that was cut.
+    pub fn is_cut(&self) -> bool {
+        self.cut
+    }
+
+    /// The unpacked chunk's records.
+    pub fn chunk(&self) -> &[u8] {
+        &self.chunk
+    }
+
+    /// The record outside a chunk that was read last.
+    pub fn record(&self) -> &[u8] {
+        &self.body
+    }
+
+    /// An error at the record that was read last.
+    pub fn damaged(&self, what: impl ToString) -> McapFileError {
+        McapFileError::Damaged {
+            path: self.path.clone(),
+            offset: self.at,
+            what: what.to_string(),
+        }
+    }
+
+    fn failed(&self, source: std::io::Error) -> McapFileError {
+        McapFileError::Io {
+            path: self.path.clone(),
+            offset: self.at,
+            source,
+        }
+    }
+
+    fn too_long(&self, what: &'static str, declared: u64) -> McapFileError {
+        McapFileError::TooLong {
+            path: self.path.clone(),
+            offset: self.at,
+            what,
+            declared,
+            limit: MAX_RECORD,
+        }
+    }
+
+    /// Goes on to the next record. After [`McapFileError::Damaged`] the next call goes on behind
+    /// the damage.
+    pub fn step(&mut self) -> Result<Step, McapFileError> {
+        self.at = self.next;
+        let left = self.length.saturating_sub(self.at);
+        if left < PREFIX {
+            // The end mark has come with the footer already.
+            self.cut = true;
+            return Ok(Step::End);
+        }
+        let mut prefix = [0; PREFIX as usize];
+        self.input
+            .read_exact(&mut prefix)
+            .map_err(|e| self.failed(e))?;
+        let [opcode, length @ ..] = prefix;
+        let declared = u64::from_le_bytes(length);
+        if matches!(opcode, op::DATA_END | op::FOOTER) {
+            return Ok(Step::End);
+        }
+        let needed = matches!(
+            opcode,
+            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA | op::CHUNK
+        );
+        if declared > MAX_RECORD && (needed || declared > left) {
+            return Err(self.too_long("a record", declared));
+        }
+        if declared > left - PREFIX {
+            self.cut = true;
+            return Ok(Step::End);
+        }
+        self.next = self.at + PREFIX + declared;
+        match opcode {
+            op::CHUNK => self.take_chunk(declared),
+            _ if needed => {
+                self.read_body(declared)?;
+                Ok(Step::Record(opcode))
+            }
+            _ => self.pass(),
+        }
+    }
+
+    fn read_body(&mut self, length: u64) -> Result<(), McapFileError> {
+        self.body.clear();
+        // At most MAX_RECORD, and the file holds that much.
+        self.body.resize(length as usize, 0);
+        let read = self.input.read_exact(&mut self.body);
+        read.map_err(|e| self.failed(e))
+    }
+
+    fn pass(&mut self) -> Result<Step, McapFileError> {
+        let sought = self.input.seek(SeekFrom::Start(self.next));
+        sought.map_err(|e| self.failed(e))?;
+        Ok(Step::Passed)
+    }
+
+    fn take_chunk(&mut self, length: u64) -> Result<Step, McapFileError> {
+        if length >= CHUNK_TIMES as u64 {
+            let times = peek_times(&mut self.input).map_err(|e| self.failed(e))?;
+            self.times_ns = times;
+            if times.0 > self.wanted_ns.1 || times.1 < self.wanted_ns.0 {
+                return self.pass();
+            }
+        }
+        self.read_body(length)?;
+        let Record::Chunk { header, data } =
+            parse_record(op::CHUNK, &self.body).map_err(|e| self.damaged(e))?
+        else {
+            return Err(self.damaged("a chunk that is none"));
+        };
+        if header.uncompressed_size > MAX_RECORD {
+            return Err(self.too_long("a chunk", header.uncompressed_size));
+        }
+        let unpacked = unpack(&header, &data, &mut self.chunk);
+        unpacked.map_err(|why| self.damaged(why))?;
+        Ok(Step::Chunk)
+    }
+}
+
+/// Where to begin reading for everything from `at_ns` on: a message carries the time of its first
+/// pair, and so may begin in the chunk before the last one that begins by then.
+pub fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
+    let mut frames = Frames::open(path)?;
+    // Nothing: only the chunks' times are read.
+    frames.wanted_ns = (u64::MAX, 0);
+    let mut starts = [0, 0];
+    loop {
+        match frames.step()? {
+            Step::End => return Ok(starts[0]),
+            Step::Passed if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
+                starts = [starts[1], frames.times_ns.0];
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The message times of a chunk in nanoseconds, without moving on.
+fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
+    let mut times = [0; CHUNK_TIMES];
+    input.read_exact(&mut times)?;
+    input.seek_relative(-(CHUNK_TIMES as i64))?;
+    let time = |at: usize| {
+        let mut bytes = [0; 8];
+        bytes.copy_from_slice(&times[at..at + 8]);
+        u64::from_le_bytes(bytes)
+    };
+    Ok((time(0), time(8)))
+}
+
+fn unpack(header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>) -> Result<(), String> {
+    let size = header.uncompressed_size as usize;
+    into.clear();
+    match header.compression.as_str() {
+        "" => into.extend_from_slice(data),
+        "zstd" => {
+            let unpacked = zstd::bulk::decompress(data, size);
+            *into = unpacked.map_err(|e| format!("its chunk does not unpack: {e}"))?;
+        }
+        other => {
+            return Err(format!(
+                "its chunks are packed with {other:?}; pack them with zstd (`mcap compress`)"
+            ));
+        }
+    }
+    if into.len() != size {
+        return Err("its chunk unpacks to another size than it declares".into());
+    }
+    if header.uncompressed_crc != 0 && crc32(into) != header.uncompressed_crc {
+        return Err("its chunk fails its CRC-32".into());
+    }
+    Ok(())
+}
+
+fn crc32(bytes: &[u8]) -> u32 {
+    ihd_shared::wire::frame::CRC32.checksum(bytes)
+}
+
+/// The record at `at` of an unpacked chunk, and where the next begins; `None` at the end.
+pub fn record_at(chunk: &[u8], at: usize) -> Result<Option<(Raw<'_>, usize)>, &'static str> {
+    let rest = chunk.get(at..).unwrap_or_default();
+    let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<9>() else {
+        return if rest.is_empty() {
+            Ok(None)
+        } else {
+            Err("its chunk ends within a record")
+        };
+    };
+    let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    let body = behind.get(..length);
+    let body = body.ok_or("a record within its chunk is longer than the chunk")?;
+    let next = at + PREFIX as usize + length;
+    Ok(Some((Raw { opcode, body }, next)))
+}

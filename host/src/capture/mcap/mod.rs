@@ -1,0 +1,27 @@
+//! The project's capture file: MCAP (<https://mcap.dev>) with the profile `ihd-capture 1`.
+//!
+//! docs/capture.md describes topics and layouts for people and other tools. Bulk numbers (samples,
+//! truth) are CDR messages with a `ros2msg` schema, events are JSON with a JSON schema; both carry
+//! their own description, and public tools decode them.
+//!
+//! ```text
+//!  Writer ── messages ──► chunks of zstd, each whole or absent ──► Reader ──► Capture
+//!    ▲                                                               │
+//!  SessionRecorder (bytes of a link, and what they mean)          SessionReader (events again)
+//! ```
+
+pub mod cdr;
+pub mod error;
+mod framing;
+pub mod load;
+mod notes;
+pub mod reader;
+pub mod session;
+pub mod topics;
+pub mod writer;
+
+pub use error::McapFileError;
+pub use load::{read, read_between, write};
+pub use reader::Reader;
+pub use session::{SessionReader, SessionRecorder};
+pub use writer::Writer;

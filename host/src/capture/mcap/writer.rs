@@ -1,0 +1,259 @@
+//! Writes a capture file, message by message. Each chunk reaches the file whole, so a process that
+//! is killed leaves everything up to the last [`Writer::flush`].
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use ::mcap::records::{MessageHeader, Metadata};
+use ::mcap::write::NoSeek;
+use ::mcap::{Compression, WriteOptions};
+use serde::Serialize;
+
+use super::McapFileError;
+use super::topics::{Layout, PROFILE, SAMPLES_F32, Topic};
+
+/// Uncompressed size from which a chunk is closed: 5 ms of 50 MS/s, or 2 s of a device's windows.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Pairs of a message: some 9 ms of a board's samples, and few enough for tools that show whole
+/// messages.
+pub const PAIRS_PER_MESSAGE: usize = 8192;
+
+/// What happens to a file that is there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// It is replaced.
+    Replace,
+    /// It stays, and the new one is not begun.
+    Keep,
+}
+
+/// Counts the bytes that go to the file.
+struct Counted {
+    file: BufWriter<File>,
+    bytes: Arc<AtomicU64>,
+}
+
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = self.file.write(bytes)?;
+        self.bytes.fetch_add(n as u64, Ordering::Relaxed);
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// A capture file being written.
+pub struct Writer {
+    mcap: ::mcap::Writer<NoSeek<Counted>>,
+    path: PathBuf,
+    channels: BTreeMap<Topic, (u16, u32)>,
+    bytes: Arc<AtomicU64>,
+    single: bool,
+    begun: bool,
+}
+
+impl Writer {
+    /// Begins a file. `single`: samples are f32, else codes.
+    ///
+    /// # Errors
+    /// [`McapFileError::Exists`] when it is to be kept, else what the operating system says.
+    pub fn create(path: &Path, existing: Existing, single: bool) -> Result<Self, McapFileError> {
+        let mut options = OpenOptions::new();
+        options.write(true);
+        match existing {
+            Existing::Replace => options.create(true).truncate(true),
+            Existing::Keep => options.create_new(true),
+        };
+        let file = options.open(path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => McapFileError::Exists { path: path.into() },
+            _ => McapFileError::Io {
+                path: path.into(),
+                offset: 0,
+                source,
+            },
+        })?;
+        let options = WriteOptions::new()
+            .profile(PROFILE)
+            .library(concat!("ihd ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Zstd))
+            // Chunks are written here, one after the other: the same bytes on every machine.
+            .compression_threads(0)
+            .chunk_size(Some(CHUNK_BYTES))
+            // A chunk is gathered in memory and written at once: whole or not at all.
+            .disable_seeking(true);
+        let bytes = Arc::new(AtomicU64::new(0));
+        let counted = Counted {
+            file: BufWriter::new(file),
+            bytes: Arc::clone(&bytes),
+        };
+        let mcap = options.create(NoSeek::new(counted));
+        let mcap = mcap.map_err(|source| McapFileError::Write {
+            path: path.into(),
+            source,
+        })?;
+        Ok(Self {
+            mcap,
+            path: path.into(),
+            channels: BTreeMap::new(),
+            bytes,
+            single,
+            begun: false,
+        })
+    }
+
+    fn written<T>(&self, result: ::mcap::McapResult<T>) -> Result<T, McapFileError> {
+        result.map_err(|source| McapFileError::Write {
+            path: self.path.clone(),
+            source,
+        })
+    }
+
+    /// Whether samples are f32, else codes.
+    pub fn is_single(&self) -> bool {
+        self.single
+    }
+
+    /// How large the file is by now, in bytes; the chunk under way is not counted. It goes on
+    /// counting when the writer has been handed to somebody else.
+    pub fn size(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.bytes)
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes a named table of text.
+    ///
+    /// # Errors
+    /// As [`Writer::message`].
+    pub fn metadata(
+        &mut self,
+        name: &str,
+        entries: BTreeMap<String, String>,
+    ) -> Result<(), McapFileError> {
+        let table = Metadata {
+            name: name.to_owned(),
+            metadata: entries,
+        };
+        let result = self.mcap.write_metadata(&table);
+        self.written(result)
+    }
+
+    /// Every channel stands in the first chunk, so that a reader may pass over any later one.
+    fn begin(&mut self) -> Result<(), McapFileError> {
+        self.begun = true;
+        for topic in Topic::ALL {
+            let (encoding, schema) = match topic.layout() {
+                Layout::Cdr(layouts) => {
+                    let wanted = layouts
+                        .iter()
+                        .find(|(name, _)| (*name == SAMPLES_F32) == self.is_f32(topic))
+                        .or(layouts.first());
+                    let schema = wanted
+                        .map(|(name, text)| self.mcap.add_schema(name, "ros2msg", text.as_bytes()));
+                    ("cdr", schema)
+                }
+                Layout::Json(name, text) => {
+                    let text = text();
+                    let schema = self.mcap.add_schema(name, "jsonschema", text.as_bytes());
+                    ("json", Some(schema))
+                }
+                Layout::Link => ("ihd-link", None),
+            };
+            let schema = self.written(schema.unwrap_or(Ok(0)))?;
+            let none = BTreeMap::new();
+            let channel = self.mcap.add_channel(schema, topic.name(), encoding, &none);
+            let channel = self.written(channel)?;
+            self.channels.insert(topic, (channel, 0));
+        }
+        Ok(())
+    }
+
+    /// Clean samples are f32 always.
+    fn is_f32(&self, topic: Topic) -> bool {
+        topic == Topic::CleanSamples || self.single
+    }
+
+    /// Writes a message at a time in seconds after the beginning of the capture.
+    ///
+    /// # Errors
+    /// [`McapFileError::Write`] when the disk is full or gone.
+    pub fn message(&mut self, topic: Topic, t_s: f64, data: &[u8]) -> Result<(), McapFileError> {
+        if !self.begun {
+            self.begin()?;
+        }
+        let Some((channel_id, sequence)) = self.channels.get_mut(&topic) else {
+            return Ok(());
+        };
+        let log_time = nanoseconds(t_s);
+        let header = MessageHeader {
+            channel_id: *channel_id,
+            sequence: *sequence,
+            log_time,
+            publish_time: log_time,
+        };
+        *sequence = sequence.wrapping_add(1);
+        let result = self.mcap.write_to_known_channel(&header, data);
+        self.written(result)
+    }
+
+    /// Writes a message of a topic that is JSON.
+    ///
+    /// # Errors
+    /// As [`Writer::message`].
+    pub fn json(
+        &mut self,
+        topic: Topic,
+        t_s: f64,
+        value: &impl Serialize,
+    ) -> Result<(), McapFileError> {
+        let text = serde_json::to_vec(value).map_err(|e| McapFileError::Write {
+            path: self.path.clone(),
+            source: io::Error::from(e).into(),
+        })?;
+        self.message(topic, t_s, &text)
+    }
+
+    /// Closes the chunk and hands it to the operating system.
+    ///
+    /// # Errors
+    /// As [`Writer::message`].
+    pub fn flush(&mut self) -> Result<(), McapFileError> {
+        let result = self.mcap.flush();
+        self.written(result)
+    }
+
+    /// Ends the file with its index; a file without this end is read all the same.
+    ///
+    /// # Errors
+    /// As [`Writer::message`].
+    pub fn finish(mut self) -> Result<(), McapFileError> {
+        if !self.begun {
+            self.begin()?;
+        }
+        let result = self.mcap.finish();
+        self.written(result)?;
+        let mut counted = self.mcap.into_inner().into_inner();
+        counted.flush().map_err(|source| McapFileError::Io {
+            path: self.path,
+            offset: self.bytes.load(Ordering::Relaxed),
+            source,
+        })
+    }
+}
+
+/// Nanoseconds after the beginning of the capture; a time before it is the beginning.
+pub fn nanoseconds(t_s: f64) -> u64 {
+    // The cast saturates.
+    libm::round(t_s * 1e9) as u64
+}
