@@ -83,6 +83,20 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
     }
 }
 
+impl<const ORDERS: usize> Correlator<ORDERS> {
+    /// Writes Σ Re{X_h·e^(jhωt)} to samples from `first` of the segment on, at most a block.
+    pub fn synthesise(&self, first: usize, phasors: &[Complex<f64>; ORDERS], out: &mut [f32]) {
+        let turn = self.turn(first);
+        let at: [Complex<f64>; ORDERS] = std::array::from_fn(|h| phasors[h] * turn[h].conj());
+        for (out, (cos, sin)) in out.iter_mut().zip(self.cos.iter().zip(&self.minus_sin)) {
+            let sum: f64 = (0..ORDERS)
+                .map(|h| at[h].re * cos[h] + at[h].im * sin[h])
+                .sum();
+            *out = sum as f32;
+        }
+    }
+}
+
 /// V and I of the whole segment's fundamental, amplitudes in volt and ampere: Σ V·I* over the
 /// blocks of one switching period, divided by √Σ|I|², so that a drift of the phase does not cancel.
 ///

@@ -14,9 +14,9 @@ pub mod least_squares;
 pub mod lockin;
 pub mod noise;
 pub mod pinn;
+pub mod reconstruction;
 pub mod rls;
 pub mod segment;
-pub mod survey;
 
 use std::time::Duration;
 

@@ -82,6 +82,8 @@ struct Recursion {
     b: [f64; 2],
     square: f64,
     weight: f64,
+    /// Σ i²·t, t in samples: an estimate belongs to the mean time of what it rests on.
+    time: f64,
 }
 
 impl Recursion {
@@ -90,7 +92,9 @@ impl Recursion {
             *x *= keep;
         }
         self.square *= keep;
+        self.time *= keep;
         self.weight = self.weight * keep + 1.0;
+        self.time += (row.i * row.i + row.di * row.di) * row.at;
         self.a[0] += row.i * row.i;
         self.a[1] += row.i * row.di;
         self.a[2] += row.di * row.di;
@@ -149,11 +153,12 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
                 (theta, variance) = (found, spread);
             }
         }
-        if row.at >= next * per_period {
-            next += 1.0;
+        let at = recursion.time / (recursion.a[0] + recursion.a[2]);
+        if row.at >= next * per_period && level >= gate && at.is_finite() {
+            next = (row.at / per_period).floor() + 1.0;
             let sigma = variance.map(f64::sqrt);
             estimate.push(
-                segment.t0_s + row.at * segment.dt_s,
+                segment.t0_s + at * segment.dt_s,
                 (theta[0], theta[1] / omega),
                 (sigma[0], sigma[1] / omega),
             );

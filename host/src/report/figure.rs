@@ -6,17 +6,10 @@ use std::path::Path;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
+use super::FigureError;
 use crate::link::Window;
 use crate::sim::truth::Truth;
 use crate::trainer::Report;
-
-/// Why a figure could not be drawn.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot draw {path}: {why}")]
-pub struct FigureError {
-    path: String,
-    why: String,
-}
 
 /// One quantity over the half-cycle, in the figure's units: (ms, ohm or µH).
 struct Panel<'a> {
@@ -55,10 +48,7 @@ pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
         window.seq,
         f64::from(window.f_sw_hz) * 1e-3
     );
-    draw(path, &title, &[r, l]).map_err(|why| FigureError {
-        path: path.display().to_string(),
-        why: why.to_string(),
-    })
+    draw(path, &title, &[r, l]).map_err(|why| FigureError::new(path, &why))
 }
 
 fn filter(window: &Window, value: fn((f64, f64)) -> f64) -> Vec<(f64, f64)> {

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use self::step::{Filter, Model};
+use self::step::{Filter, Model, State};
 use self::track::{PeriodMeans, Waveforms};
 use super::correlation::mean_impedance;
 use super::noise::WhiteNoise;
@@ -29,6 +29,8 @@ pub struct Tuning {
     pub slope: f64,
     /// Standard deviation of the change of R and ωL in a sample of 20 ns.
     pub impedance: f64,
+    /// Standard deviation of R and ωL at the start, as a share of the mean impedance.
+    pub start: f64,
     /// Least standard deviation of a measured current.
     pub current_floor: f64,
     /// Least standard deviation of a measured voltage.
@@ -40,7 +42,8 @@ impl Default for Tuning {
         Self {
             current: 4e-4,
             slope: 1.3e-3,
-            impedance: 5e-5,
+            impedance: 3e-4,
+            start: 0.25,
             current_floor: 4e-3,
             voltage_floor: 6e-3,
         }
@@ -69,6 +72,12 @@ impl Prepared {
     pub(crate) fn new(segment: &Segment, settings: &Settings) -> Self {
         let (i_unit_a, v_unit_v) = (rms(&segment.i_a), rms(&segment.v_v));
         let by = |x: &[f64], unit: f64| x.iter().map(|x| x / unit).collect();
+        // x2 is the change to the next sample, so R·i + L·di/dt belongs to the middle between the two.
+        let half = |x: &[f64]| -> Vec<f64> {
+            let last = x.last().copied();
+            let next = x.iter().skip(1).copied().chain(last);
+            x.iter().zip(next).map(|(a, b)| 0.5 * (a + b)).collect()
+        };
         let noise = WhiteNoise::measure(segment);
         let tuning = &settings.ekf;
         let ratio = segment.dt_s / REFERENCE_S;
@@ -82,18 +91,18 @@ impl Prepared {
         ];
         let square = |x: f64| x * x;
         let z = mean_impedance(segment) * (i_unit_a / v_unit_v);
-        let (r, x4) = match settings.start {
+        let (r, l) = match settings.start {
             Some((r, l)) => {
                 let unit = v_unit_v / i_unit_a;
                 (r / unit, l / segment.dt_s / unit)
             }
             None => (z.re, z.im / omega_dt),
         };
-        // R and ωL are within the magnitude of the mean impedance, i and its change within ±1 unit.
+        let x4 = l + 0.5 * r;
         let z2 = z.norm_sqr();
         Self {
             i: by(&segment.i_a, i_unit_a),
-            v: by(&segment.v_v, v_unit_v),
+            v: by(&half(&segment.v_v), v_unit_v),
             i_unit_a,
             v_unit_v,
             model: Model {
@@ -115,9 +124,9 @@ impl Prepared {
                     square(omega_dt),
                     0.0,
                     0.0,
-                    0.25 * z2,
+                    square(settings.ekf.start) * z2,
                     0.0,
-                    0.25 * z2 / square(omega_dt),
+                    square(settings.ekf.start) * z2 / square(omega_dt),
                 ],
             },
         }
@@ -128,6 +137,13 @@ impl Prepared {
         let ohm = self.v_unit_v / self.i_unit_a;
         [ohm, ohm * segment.dt_s]
     }
+}
+
+/// L/T_s of a state: the current in the middle between two samples is x1 + x2/2, so x4 is
+/// L/T_s + R/2.
+#[inline(always)]
+fn inductance(x: &State) -> f64 {
+    x[3] - 0.5 * x[2]
 }
 
 /// Runs the repaired filter once over the segment.
@@ -142,11 +158,16 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     let mut filter = prepared.start;
     for (i, v) in prepared.i.iter().zip(&prepared.v) {
         filter.step(&prepared.model, *i, *v);
-        means.push(filter.x[2], filter.x[3], [filter.p[7], filter.p[9]]);
+        means.push(
+            filter.x[2],
+            inductance(&filter.x),
+            [filter.p[7], filter.p[9]],
+        );
         waves.push(filter.x[0], filter.v());
     }
     track::sound(&filter, segment, Method::Ekf)?;
     let mut estimate = means.finish(Method::Ekf);
+    waves.centre_voltage();
     waves.finish(&mut estimate);
     estimate.elapsed = started.elapsed();
     Ok(estimate)
@@ -172,13 +193,14 @@ pub fn identify_smoothed(
         &prepared.i,
         &prepared.v,
         |_, x, variance| {
-            means.push(x[2], x[3], variance);
+            means.push(x[2], inductance(x), variance);
             waves.push(x[0], x[0] * x[2] + x[1] * x[3]);
         },
     );
     let mut estimate = means.finish(Method::Rts);
     track::finite(&estimate, segment)?;
     waves.reverse();
+    waves.centre_voltage();
     waves.finish(&mut estimate);
     estimate.elapsed = started.elapsed();
     Ok(estimate)

@@ -127,6 +127,13 @@ impl Waveforms {
         self.v_v.reverse();
     }
 
+    /// Takes the voltages as those of the middles between samples, and puts them on the samples.
+    pub fn centre_voltage(&mut self) {
+        for k in (1..self.v_v.len()).rev() {
+            self.v_v[k] = 0.5 * (self.v_v[k] + self.v_v[k - 1]);
+        }
+    }
+
     /// Hands them to the estimate.
     pub fn finish(self, estimate: &mut Estimate) {
         estimate.i_hat_a = self.i_a;
