@@ -1,0 +1,461 @@
+//! What is wrong or noteworthy in a capture: each kind with its numbers, a severity and advice.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// Voltage or current.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Channel {
+    /// Coil voltage.
+    Voltage,
+    /// Coil current.
+    Current,
+}
+
+impl Channel {
+    /// The unit's sign.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Voltage => "V",
+            Self::Current => "A",
+        }
+    }
+
+    /// The letter that command-line flags use.
+    pub fn letter(self) -> &'static str {
+        match self {
+            Self::Voltage => "v",
+            Self::Current => "i",
+        }
+    }
+}
+
+impl fmt::Display for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Voltage => "voltage",
+            Self::Current => "current",
+        })
+    }
+}
+
+/// How much a finding matters to R and L.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Worth knowing; costs nothing.
+    Note,
+    /// R and L lose accuracy, or a part of the capture is lost.
+    Warning,
+    /// R and L would be wrong.
+    Error,
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Note => "note",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        })
+    }
+}
+
+/// What was found, with its numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Finding {
+    /// Samples that are no numbers; the capture is cut there.
+    NotFinite {
+        /// How many, of both channels.
+        samples: usize,
+        /// Index of the first.
+        first: usize,
+    },
+    /// Time stands still or goes back; the capture is cut there.
+    TimeNotAscending {
+        /// How often.
+        times: usize,
+        /// Index of the first sample that is not later than the one before.
+        sample: usize,
+        /// Its time in seconds.
+        t_s: f64,
+    },
+    /// Samples are missing; the capture is cut there.
+    Gap {
+        /// How many gaps.
+        gaps: usize,
+        /// Time of the first in seconds.
+        t_s: f64,
+        /// Length of the longest in seconds.
+        longest_s: f64,
+        /// Samples missing in all.
+        missing: u64,
+    },
+    /// A piece too short to be worked on.
+    PieceTooShort {
+        /// How many such pieces.
+        pieces: usize,
+        /// Their length in all, in seconds.
+        total_s: f64,
+    },
+    /// No switching: the bridge is off.
+    CarrierAbsent {
+        /// From, in seconds.
+        from_s: f64,
+        /// To, in seconds.
+        to_s: f64,
+    },
+    /// The switching frequency changes.
+    FrequencyStep {
+        /// When, in seconds.
+        t_s: f64,
+        /// Before, in hertz.
+        from_hz: f64,
+        /// After, in hertz.
+        to_hz: f64,
+    },
+    /// The capture says another switching frequency than it shows.
+    FrequencyDiffers {
+        /// Told, in hertz.
+        told_hz: f64,
+        /// Measured, in hertz.
+        measured_hz: f64,
+    },
+    /// The mains frequency that was told differs from what the envelope shows.
+    MainsDiffers {
+        /// Told, in hertz.
+        told_hz: f64,
+        /// Measured, in hertz.
+        measured_hz: f64,
+    },
+    /// The mains' phase could not be found.
+    MainsUnknown {
+        /// What is assumed, in hertz.
+        assumed_hz: f64,
+        /// How much of a half-cycle of this frequency the capture shows.
+        half_cycles: f64,
+        /// (Largest − smallest)/largest of the voltage's amplitude.
+        modulation: f64,
+    },
+    /// A channel rests at an end of its range.
+    Clipping {
+        /// Which.
+        channel: Channel,
+        /// Samples there.
+        samples: usize,
+        /// The level's magnitude, in the channel's unit.
+        level: f64,
+    },
+    /// A constant is added to a channel: neither the coil's voltage nor its current has a mean.
+    Offset {
+        /// Which.
+        channel: Channel,
+        /// The mean, in the channel's unit.
+        mean: f64,
+        /// Its share of the rms value in percent.
+        of_rms_pct: f64,
+    },
+    /// Much noise.
+    Noisy {
+        /// Which.
+        channel: Channel,
+        /// Signal-to-noise ratio in decibel.
+        snr_db: f64,
+    },
+    /// Few samples a switching period.
+    CoarselySampled {
+        /// Samples a period.
+        samples_per_period: f64,
+    },
+    /// Harmonics of the voltage's edges fall on the fundamental.
+    Aliasing {
+        /// Samples a switching period.
+        samples_per_period: f64,
+        /// Lowest order that does.
+        order: u32,
+        /// What it may add to R, in percent.
+        r_pct: f64,
+        /// What it may add to L, in percent.
+        l_pct: f64,
+    },
+    /// Voltage and current are exchanged.
+    Swapped,
+    /// One probe is the wrong way round: R and L are negative.
+    Inverted {
+        /// R as it stands, in ohm.
+        r_ohm: f64,
+    },
+    /// R is negative while L is not: the channels are not simultaneous.
+    NegativeResistance {
+        /// R as it stands, in ohm.
+        r_ohm: f64,
+        /// Skew that would bring R to zero, in seconds: the least there must be.
+        skew_s: f64,
+    },
+    /// A channel does not show the switching frequency at all.
+    Dead {
+        /// Which.
+        channel: Channel,
+    },
+}
+
+/// Share of R above which aliasing is a warning, in percent: half the accuracy of the firmware's
+/// estimator (docs/accuracy.md).
+const ALIASING_WARNING_PCT: f64 = 1.0;
+
+impl Finding {
+    /// How much it matters.
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::FrequencyStep { .. } | Self::CarrierAbsent { .. } => Severity::Note,
+            Self::Aliasing { r_pct, .. } if *r_pct < ALIASING_WARNING_PCT => Severity::Note,
+            Self::PieceTooShort { .. }
+            | Self::FrequencyDiffers { .. }
+            | Self::MainsDiffers { .. }
+            | Self::MainsUnknown { .. }
+            | Self::Offset { .. }
+            | Self::Noisy { .. }
+            | Self::CoarselySampled { .. }
+            | Self::Gap { .. }
+            | Self::NotFinite { .. }
+            | Self::Aliasing { .. } => Severity::Warning,
+            Self::TimeNotAscending { .. }
+            | Self::Clipping { .. }
+            | Self::Swapped
+            | Self::Inverted { .. }
+            | Self::NegativeResistance { .. }
+            | Self::Dead { .. } => Severity::Error,
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    #[expect(clippy::too_many_lines, reason = "one message a kind")]
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFinite { samples, first } => write!(
+                f,
+                "{samples} samples are no numbers, the first at index {first}: the capture is cut there"
+            ),
+            Self::TimeNotAscending { times, sample, t_s } => write!(
+                f,
+                "time does not ascend at sample {sample} ({t_s:.9} s) and {} more: the capture is \
+                 cut there; export the time column with more digits, or as a rate",
+                times - 1
+            ),
+            Self::Gap {
+                gaps,
+                t_s,
+                longest_s,
+                missing,
+            } => write!(
+                f,
+                "{gaps} gaps, {missing} samples missing, the first at {t_s:.6} s, the longest of \
+                 {:.3} ms: the capture is cut there",
+                longest_s * 1e3
+            ),
+            Self::PieceTooShort { pieces, total_s } => write!(
+                f,
+                "{pieces} pieces, {:.3} ms in all, are too short to be worked on and left out",
+                total_s * 1e3
+            ),
+            Self::CarrierAbsent { from_s, to_s } => write!(
+                f,
+                "no switching from {:.3} to {:.3} ms: left out",
+                from_s * 1e3,
+                to_s * 1e3
+            ),
+            Self::FrequencyStep {
+                t_s,
+                from_hz,
+                to_hz,
+            } => write!(
+                f,
+                "the switching frequency changes at {:.3} ms from {:.2} to {:.2} kHz",
+                t_s * 1e3,
+                from_hz * 1e-3,
+                to_hz * 1e-3
+            ),
+            Self::FrequencyDiffers {
+                told_hz,
+                measured_hz,
+            } => write!(
+                f,
+                "told to switch at {:.2} kHz, but shows {:.2} kHz, which is used: check the \
+                 frequency given, or the time base",
+                told_hz * 1e-3,
+                measured_hz * 1e-3
+            ),
+            Self::MainsDiffers {
+                told_hz,
+                measured_hz,
+            } => write!(
+                f,
+                "told a mains frequency of {told_hz:.2} Hz, which is used, but the envelope shows \
+                 {measured_hz:.2} Hz"
+            ),
+            Self::MainsUnknown {
+                assumed_hz,
+                half_cycles,
+                modulation,
+            } => write!(
+                f,
+                "no mains zero crossing found ({half_cycles:.2} half-cycles, {:.0} % modulation): \
+                 {assumed_hz} Hz assumed; give the mains frequency and a zero crossing, or capture \
+                 at least a half-cycle",
+                modulation * 100.0
+            ),
+            Self::Clipping {
+                channel,
+                samples,
+                level,
+            } => write!(
+                f,
+                "the {channel} is clipped at {level:.4} {}: {samples} samples; R and L are wrong \
+                 there: use a larger range",
+                channel.unit()
+            ),
+            Self::Offset {
+                channel,
+                mean,
+                of_rms_pct,
+            } => write!(
+                f,
+                "the {channel} has an offset of {mean:.3} {} ({of_rms_pct:.1} % of its rms): \
+                 harmless to phasors, not to filters in the time domain; zero the probe or calibrate",
+                channel.unit()
+            ),
+            Self::Noisy { channel, snr_db } => write!(
+                f,
+                "the {channel} has a signal-to-noise ratio of {snr_db:.0} dB only: use a smaller \
+                 range or more bits"
+            ),
+            Self::CoarselySampled { samples_per_period } => write!(
+                f,
+                "{samples_per_period:.1} samples a switching period: filters in the time domain \
+                 need 20 and more; phasor methods work"
+            ),
+            Self::Aliasing {
+                samples_per_period,
+                order,
+                r_pct,
+                l_pct,
+            } => write!(
+                f,
+                "{samples_per_period:.4} samples a switching period let harmonic {order} of the \
+                 voltage's edges fall on the fundamental: up to {r_pct:.1} % of R and {l_pct:.1} % \
+                 of L without an anti-alias filter; shift the sampling rate by some percent"
+            ),
+            Self::Swapped => write!(
+                f,
+                "voltage and current are exchanged (the impedance falls with frequency): use --swap"
+            ),
+            Self::Inverted { r_ohm } => write!(
+                f,
+                "R is {r_ohm:.3} ohm and L negative too: one probe is the wrong way round; use \
+                 --invert i"
+            ),
+            Self::NegativeResistance { r_ohm, skew_s } => write!(
+                f,
+                "R is {r_ohm:.3} ohm but L positive: the current is sampled at least {:.0} ns \
+                 {} than the voltage; calibrate (ihd calibrate)",
+                skew_s.abs() * 1e9,
+                if *skew_s < 0.0 { "earlier" } else { "later" }
+            ),
+            Self::Dead { channel } => write!(
+                f,
+                "the {channel} does not show the switching frequency: is its probe connected, and \
+                 the right column chosen?"
+            ),
+        }
+    }
+}
+
+/// Why there is nothing to survey.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SurveyError {
+    /// Voltage, current and stamps do not have one length.
+    #[error(
+        "{name}: {v} voltage samples, {i} current samples and {stamps} times: they must be as many"
+    )]
+    Lengths {
+        /// The capture.
+        name: String,
+        /// Samples of the voltage.
+        v: usize,
+        /// Samples of the current.
+        i: usize,
+        /// Times; as many as voltages where the time base is even.
+        stamps: usize,
+    },
+    /// A time step that cannot be.
+    #[error(
+        "{name}: the time from sample to sample is {dt_s} s, but must be a finite number above zero"
+    )]
+    TimeStep {
+        /// The capture.
+        name: String,
+        /// The step in seconds.
+        dt_s: f64,
+    },
+    /// Too few samples in a row.
+    #[error(
+        "{name}: the longest stretch without a gap has {samples} samples ({ms:.3} ms), but {needed:.3} ms \
+         are needed: take a longer capture"
+    )]
+    TooShort {
+        /// The capture.
+        name: String,
+        /// Samples of the longest stretch.
+        samples: usize,
+        /// Its length in milliseconds.
+        ms: f64,
+        /// What is needed, in milliseconds.
+        needed: f64,
+    },
+    /// The rate cannot show any switching frequency.
+    #[error(
+        "{name}: sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {least_hz:.0} Hz: \
+         sample at more than twice of it"
+    )]
+    TooSlow {
+        /// The capture.
+        name: String,
+        /// Sampling rate in hertz.
+        rate_hz: f64,
+        /// The smallest switching frequency that would be looked for, in hertz.
+        least_hz: f64,
+    },
+    /// No switching frequency.
+    #[error(
+        "{name}: no switching frequency from {from_khz:.1} to {to_khz:.1} kHz in {what}: is the inverter \
+         running, are the probes on, are the right columns chosen?"
+    )]
+    NoCarrier {
+        /// The capture.
+        name: String,
+        /// Lower end of the search in kilohertz.
+        from_khz: f64,
+        /// Upper end in kilohertz.
+        to_khz: f64,
+        /// Where it was looked for.
+        what: &'static str,
+    },
+    /// The frequency given is not there, another is.
+    #[error(
+        "{name}: no switching frequency near the {told_khz:.2} kHz given; {found_khz:.2} kHz is there: leave \
+         the frequency out or correct it"
+    )]
+    NotAtHint {
+        /// The capture.
+        name: String,
+        /// The frequency given, in kilohertz.
+        told_khz: f64,
+        /// The one found, in kilohertz.
+        found_khz: f64,
+    },
+}

@@ -1,0 +1,589 @@
+//! What is in a capture: switching frequency, mains, noise, clipping, wiring, aliasing, gaps; and the
+//! stretches that an estimator can work on.
+//!
+//! ```text
+//! Capture ─► time: runs ─► carrier: pieces of one f_sw ─► track: phasors ─► mains, impedance, aliasing
+//!                └────────────► noise, clipping                   └─► Span ─► Segment
+//! ```
+
+pub mod aliasing;
+pub mod carrier;
+pub mod clipping;
+pub mod finding;
+pub mod impedance;
+pub mod mains;
+pub mod noise;
+pub mod time;
+pub mod track;
+
+use serde::Serialize;
+
+use self::aliasing::Aliasing;
+use self::carrier::Piece;
+pub use self::finding::{Channel, Finding, Severity, SurveyError};
+use self::impedance::{Impedance, SkewCost, Wiring};
+use self::mains::Mains;
+use self::time::Run;
+use self::track::Track;
+use super::segment::{MIN_PERIODS, Segment};
+use crate::capture::{Capture, TimeBase};
+
+/// What a person tells about a capture; it goes before what the capture tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Hints {
+    /// Switching frequency in hertz, to 10 %.
+    pub f_sw_hz: Option<f64>,
+    /// Mains frequency in hertz.
+    pub mains_hz: Option<f64>,
+    /// Time of a mains zero crossing in seconds.
+    pub zero_crossing_s: Option<f64>,
+}
+
+/// A stretch of a capture that an estimator can work on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Span {
+    /// Index of its first sample.
+    pub first: usize,
+    /// Its samples.
+    pub samples: usize,
+    /// Time of the first sample in seconds.
+    pub t0_s: f64,
+    /// Time from one sample to the next in seconds.
+    pub dt_s: f64,
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Mean R and L of the fundamental, weighted by the square of the current; wiring repaired.
+    pub load: Option<Impedance>,
+}
+
+impl Span {
+    /// Time after the last sample in seconds.
+    pub fn end_s(&self) -> f64 {
+        self.t0_s + self.samples as f64 * self.dt_s
+    }
+}
+
+/// One channel in numbers, in its unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ChannelSurvey {
+    /// Smallest sample.
+    pub min: f64,
+    /// Largest sample.
+    pub max: f64,
+    /// Mean over the stretches with switching.
+    pub mean: f64,
+    /// Rms value over them, the mean taken off.
+    pub rms: f64,
+    /// Standard deviation of white noise; `None` when the capture is too short to tell.
+    pub noise: Option<f64>,
+    /// Signal-to-noise ratio in decibel (paper, section V).
+    pub snr_db: Option<f64>,
+    /// Samples at an end of the range.
+    pub clipped: usize,
+}
+
+/// What is in a capture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Survey {
+    /// The capture's name.
+    pub name: String,
+    /// Samples of each channel.
+    pub samples: usize,
+    /// Time of the first sample in seconds.
+    pub start_s: f64,
+    /// From first to last sample in seconds.
+    pub duration_s: f64,
+    /// Sampling rate of the longest stretch in hertz.
+    pub rate_hz: f64,
+    /// Stretches to work on, in order of time.
+    pub spans: Vec<Span>,
+    /// The mains.
+    pub mains: Mains,
+    /// Whole half-cycles within a span: from and to in seconds.
+    pub half_cycles_s: Vec<(f64, f64)>,
+    /// The voltage channel.
+    pub voltage: ChannelSurvey,
+    /// The current channel.
+    pub current: ChannelSurvey,
+    /// How the probes are connected.
+    pub wiring: Wiring,
+    /// What a skew between the channels would cost.
+    pub skew: Vec<SkewCost>,
+    /// What aliasing may cost; `None` where no harmonic falls on the fundamental.
+    pub aliasing: Option<Aliasing>,
+    /// What is wrong or noteworthy, worst first.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
+}
+
+/// Offset above which it is told, in percent of the rms value.
+const OFFSET_PCT: f64 = 1.0;
+
+/// SNR below which it is told, in decibel: the paper's noisiest case is 30.
+const NOISY_DB: f64 = 25.0;
+
+/// Samples a period below which it is told: filters in the time domain degrade (design notes,
+/// section 5: 1 MS/s, 14 to 22 samples).
+const COARSE: f64 = 12.0;
+
+/// Share of a channel's power in its fundamental below which it is dead.
+const DEAD: f64 = 1e-2;
+
+/// Relative difference of frequencies that is told.
+const DIFFERS: f64 = 5e-3;
+
+/// Left-out pieces below this length in all are not worth a word, in seconds.
+const SCRAPS_S: f64 = 0.5e-3;
+
+/// Frequency difference between neighbouring spans that is a step, in hertz.
+const STEP_HZ: f64 = 50.0;
+
+impl Survey {
+    /// Surveys a capture.
+    ///
+    /// # Errors
+    /// [`SurveyError`] when there is nothing to work on: channels of different length, too few
+    /// samples, no switching frequency.
+    pub fn of(capture: &Capture, hints: &Hints) -> Result<Self, SurveyError> {
+        check(capture)?;
+        let mut findings = Vec::new();
+        let runs = time::runs(capture, &mut findings);
+        let (pieces, tracks) = pieces(capture, hints, &runs, &mut findings)?;
+        frequency_findings(capture, hints, &pieces, &mut findings);
+        let strongest = strongest(&tracks);
+        let wiring = tracks
+            .get(strongest)
+            .map(impedance::wiring)
+            .unwrap_or_default();
+        let voltage = channel(Channel::Voltage, capture, &pieces, &tracks, &mut findings);
+        let current = channel(Channel::Current, capture, &pieces, &tracks, &mut findings);
+        let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
+        let (wiring, loads) = if alive {
+            wiring_findings(&tracks, strongest, wiring, &mut findings);
+            let load = |t: &Track| impedance::of_order(t, 0, wiring);
+            (wiring, tracks.iter().map(load).collect())
+        } else {
+            (Wiring::default(), vec![None; tracks.len()])
+        };
+        let start_s = capture.time.at(0).unwrap_or(0.0);
+        let mains = mains::find(
+            &envelopes(&tracks, wiring),
+            hints.mains_hz.or(capture.mains_hz),
+            hints.zero_crossing_s.or(capture.zero_crossing_s),
+            start_s,
+            &mut findings,
+        );
+        let spans: Vec<Span> = (pieces.iter().zip(&loads)).map(span).collect();
+        let aliasing = (alive && !wiring.swapped)
+            .then(|| expected_aliasing(&pieces, &tracks, &loads, strongest, &mut findings))
+            .flatten();
+        let skew = if alive {
+            impedance::skew_costs(&tracks, wiring)
+        } else {
+            Vec::new()
+        };
+        findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
+        let longest = runs.iter().max_by_key(|r| r.samples.len());
+        Ok(Self {
+            name: capture.name.clone(),
+            samples: capture.len(),
+            start_s,
+            duration_s: capture.time.at(capture.len() - 1).unwrap_or(start_s) - start_s,
+            rate_hz: longest.map_or(0.0, |r| 1.0 / r.dt_s),
+            half_cycles_s: half_cycles(&mains, &spans),
+            spans,
+            mains,
+            voltage,
+            current,
+            wiring,
+            skew,
+            aliasing,
+            findings,
+        })
+    }
+
+    /// The worst finding's severity; `None` without findings.
+    pub fn worst(&self) -> Option<Severity> {
+        self.findings.first().map(Finding::severity)
+    }
+
+    /// The stretches, copied out of the capture surveyed.
+    pub fn segments(&self, capture: &Capture) -> Vec<Segment> {
+        self.spans
+            .iter()
+            .map(|s| self.segment(capture, s))
+            .collect()
+    }
+
+    /// One stretch, copied out of the capture surveyed.
+    pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
+        let range = span.first..span.first + span.samples;
+        let copied = |x: &[f32]| {
+            let part = x.get(range.clone()).unwrap_or(&[]);
+            part.iter().map(|x| f64::from(*x)).collect()
+        };
+        Segment {
+            f_sw_hz: span.f_sw_hz,
+            mains_hz: self.mains.hz,
+            zero_crossing_s: self.mains.zero_crossing_s,
+            t0_s: span.t0_s,
+            dt_s: span.dt_s,
+            v_v: copied(&capture.v_v),
+            i_a: copied(&capture.i_a),
+        }
+    }
+}
+
+fn check(capture: &Capture) -> Result<(), SurveyError> {
+    let stamps = match &capture.time {
+        TimeBase::Even { .. } => capture.v_v.len(),
+        TimeBase::Stamps(t_s) => t_s.len(),
+    };
+    let name = || capture.name.clone();
+    if capture.v_v.len() != capture.i_a.len() || capture.v_v.len() != stamps {
+        return Err(SurveyError::Lengths {
+            name: name(),
+            v: capture.v_v.len(),
+            i: capture.i_a.len(),
+            stamps,
+        });
+    }
+    match capture.time {
+        TimeBase::Even { t0_s, dt_s } if !(dt_s > 0.0 && dt_s.is_finite() && t0_s.is_finite()) => {
+            Err(SurveyError::TimeStep { name: name(), dt_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Stretches of one switching frequency, the frequency refined, with their phasors.
+fn pieces(
+    capture: &Capture,
+    hints: &Hints,
+    runs: &[Run],
+    findings: &mut Vec<Finding>,
+) -> Result<(Vec<Piece>, Vec<Track>), SurveyError> {
+    let band = carrier::band(hints.f_sw_hz);
+    let longest = runs
+        .iter()
+        .max_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
+    let needed_s = MIN_PERIODS / hints.f_sw_hz.unwrap_or(carrier::LARGEST_HZ);
+    let Some(longest) = longest.filter(|r| r.duration_s() >= needed_s) else {
+        return Err(SurveyError::TooShort {
+            name: capture.name.clone(),
+            samples: longest.map_or(0, |r| r.samples.len()),
+            ms: longest.map_or(0.0, Run::duration_s) * 1e3,
+            needed: needed_s * 1e3,
+        });
+    };
+    if 2.0 * band.0 * longest.dt_s >= 1.0 {
+        return Err(SurveyError::TooSlow {
+            name: capture.name.clone(),
+            rate_hz: 1.0 / longest.dt_s,
+            least_hz: band.0,
+        });
+    }
+    let (mut pieces, mut tracks) = (Vec::new(), Vec::new());
+    let mut scraps = (0, 0.0);
+    for run in told_parts(capture, runs) {
+        let found = carrier::find(capture, &run, band);
+        for (from_s, to_s) in found.off_s {
+            findings.push(Finding::CarrierAbsent { from_s, to_s });
+        }
+        for piece in found.pieces {
+            if piece.run.duration_s() * piece.f_hz < MIN_PERIODS {
+                scraps = (scraps.0 + 1, scraps.1 + piece.run.duration_s());
+                continue;
+            }
+            let (piece, track) = refined(capture, piece);
+            pieces.push(piece);
+            tracks.push(track);
+        }
+    }
+    if scraps.1 > SCRAPS_S {
+        findings.push(Finding::PieceTooShort {
+            pieces: scraps.0,
+            total_s: scraps.1,
+        });
+    }
+    if pieces.is_empty() {
+        return Err(no_carrier(capture, hints, longest, band));
+    }
+    Ok((pieces, tracks))
+}
+
+/// Runs cut where the capture tells of another switching frequency.
+fn told_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
+    let mut out = Vec::new();
+    for run in runs {
+        let mut start = run.samples.start;
+        for step in capture.f_sw.iter().skip(1) {
+            let at = (step.t_s - run.t0_s) / run.dt_s;
+            // The period that the step cuts belongs to neither side.
+            let guard = (1.0 / (step.f_sw_hz * run.dt_s)).clamp(0.0, run.samples.len() as f64);
+            if at > guard && at + guard < run.samples.len() as f64 {
+                let (at, guard) = (run.samples.start + at as usize, guard as usize);
+                out.push(run.part(start..at.saturating_sub(guard)));
+                start = at + guard;
+            }
+        }
+        out.push(run.part(start..run.samples.end));
+    }
+    out.retain(|run| run.samples.len() > 1);
+    out
+}
+
+/// Why no stretch was found.
+fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
+    let name = capture.name.clone();
+    if let Some(told_hz) = hints.f_sw_hz {
+        let elsewhere = carrier::find(capture, run, carrier::band(None));
+        if let Some(piece) = elsewhere.pieces.first() {
+            return SurveyError::NotAtHint {
+                name,
+                told_khz: told_hz * 1e-3,
+                found_khz: piece.f_hz * 1e-3,
+            };
+        }
+    }
+    SurveyError::NoCarrier {
+        name,
+        from_khz: band.0 * 1e-3,
+        to_khz: band.1 * 1e-3,
+        what: "voltage and current",
+    }
+}
+
+/// The frequency from the slope of the phase, and the phasors at it.
+fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
+    // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
+    let f_hz = piece.f_hz.round();
+    let rough = track::track(capture, &piece.run, f_hz);
+    let f_hz = f_hz + rough.frequency_error_hz();
+    let track = track::track(capture, &piece.run, f_hz);
+    (Piece { f_hz, ..piece }, track)
+}
+
+/// Steps of the frequency, and where it is not what was told.
+fn frequency_findings(
+    capture: &Capture,
+    hints: &Hints,
+    pieces: &[Piece],
+    findings: &mut Vec<Finding>,
+) {
+    for pair in pieces.windows(2) {
+        let [a, b] = pair else { continue };
+        if (a.f_hz - b.f_hz).abs() > STEP_HZ {
+            findings.push(Finding::FrequencyStep {
+                t_s: 0.5 * (a.run.t_s(a.run.samples.end) + b.run.t0_s),
+                from_hz: a.f_hz,
+                to_hz: b.f_hz,
+            });
+        }
+    }
+    let told = |t_s: f64| {
+        let steps = &capture.f_sw;
+        let before = steps.partition_point(|s| s.t_s <= t_s).max(1);
+        hints.f_sw_hz.or(steps.get(before - 1).map(|s| s.f_sw_hz))
+    };
+    let differs = pieces.iter().find_map(|p| {
+        let told_hz = told(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
+        ((p.f_hz / told_hz - 1.0).abs() > DIFFERS).then_some((told_hz, p.f_hz))
+    });
+    if let Some((told_hz, measured_hz)) = differs {
+        findings.push(Finding::FrequencyDiffers {
+            told_hz,
+            measured_hz,
+        });
+    }
+}
+
+/// Index of the track with the largest current.
+fn strongest(tracks: &[Track]) -> usize {
+    let energy = |t: &Track| -> f64 {
+        t.i_a
+            .first()
+            .map_or(0.0, |i| i.iter().map(|i| i.norm_sqr()).sum())
+    };
+    let by_energy = |a: &usize, b: &usize| energy(&tracks[*a]).total_cmp(&energy(&tracks[*b]));
+    (0..tracks.len()).max_by(by_energy).unwrap_or(0)
+}
+
+/// One channel's numbers and findings.
+fn channel(
+    which: Channel,
+    capture: &Capture,
+    pieces: &[Piece],
+    tracks: &[Track],
+    findings: &mut Vec<Finding>,
+) -> ChannelSurvey {
+    let (x, full_scale) = match which {
+        Channel::Voltage => (&capture.v_v, capture.v_full_scale_v),
+        Channel::Current => (&capture.i_a, capture.i_full_scale_a),
+    };
+    let mut out = ChannelSurvey {
+        min: f64::INFINITY,
+        max: f64::NEG_INFINITY,
+        ..ChannelSurvey::default()
+    };
+    let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
+    for piece in pieces {
+        for x in &x[piece.run.samples.clone()] {
+            let x = f64::from(*x);
+            (out.min, out.max) = (out.min.min(x), out.max.max(x));
+            sum += x;
+            square += x * x;
+        }
+        n += piece.run.samples.len() as f64;
+    }
+    out.mean = sum / n;
+    let variance = (square / n - out.mean * out.mean).max(0.0);
+    out.rms = variance.sqrt();
+    let clipped = clipping::clipped(x, full_scale);
+    out.clipped = clipped.samples;
+    let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
+    out.noise = longest.and_then(|p| {
+        let per_period = 1.0 / (p.f_hz * p.run.dt_s);
+        noise::deviation(&x[p.run.samples.clone()], per_period)
+    });
+    let signal =
+        |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
+    out.snr_db = out.noise.filter(|s| *s > 0.0).map(signal);
+    let fundamental: f64 = tracks
+        .iter()
+        .filter_map(|t| match which {
+            Channel::Voltage => t.v_v.first(),
+            Channel::Current => t.i_a.first(),
+        })
+        .map(|x| 0.5 * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
+        .sum();
+    let frames: usize = tracks.iter().map(|t| t.t_s.len()).sum();
+    if !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0) {
+        findings.push(Finding::Dead { channel: which });
+        return out;
+    }
+    if clipped.samples > 0 {
+        findings.push(Finding::Clipping {
+            channel: which,
+            samples: clipped.samples,
+            level: clipped.level,
+        });
+    }
+    let of_rms_pct = 100.0 * out.mean.abs() / out.rms;
+    if of_rms_pct > OFFSET_PCT {
+        findings.push(Finding::Offset {
+            channel: which,
+            mean: out.mean,
+            of_rms_pct,
+        });
+    }
+    if let Some(snr_db) = out.snr_db.filter(|db| *db < NOISY_DB) {
+        findings.push(Finding::Noisy {
+            channel: which,
+            snr_db,
+        });
+    }
+    out
+}
+
+/// What the impedance of the strongest track tells of the wiring.
+fn wiring_findings(
+    tracks: &[Track],
+    strongest: usize,
+    wiring: Wiring,
+    findings: &mut Vec<Finding>,
+) {
+    if wiring.swapped {
+        findings.push(Finding::Swapped);
+    }
+    let Some(track) = tracks.get(strongest) else {
+        return;
+    };
+    let unturned = Wiring {
+        inverted: false,
+        ..wiring
+    };
+    let Some(z) = impedance::of_order(track, 0, unturned) else {
+        return;
+    };
+    if wiring.inverted {
+        findings.push(Finding::Inverted { r_ohm: z.r_ohm });
+    } else if z.r_ohm < 0.0 {
+        let omega = std::f64::consts::TAU * track.f_sw_hz;
+        findings.push(Finding::NegativeResistance {
+            r_ohm: z.r_ohm,
+            skew_s: (z.r_ohm / (omega * z.l_h)).atan() / omega,
+        });
+    }
+}
+
+/// Amplitudes of the voltage's fundamental, stretch by stretch.
+fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
+    tracks
+        .iter()
+        .filter_map(|t| {
+            let v = if wiring.swapped {
+                t.i_a.first()
+            } else {
+                t.v_v.first()
+            };
+            Some(mains::Envelope {
+                t_s: t.t_s.clone(),
+                level: v?.iter().map(|v| v.norm()).collect(),
+            })
+        })
+        .collect()
+}
+
+/// What aliasing may cost the strongest stretch, and how finely it is sampled.
+fn expected_aliasing(
+    pieces: &[Piece],
+    tracks: &[Track],
+    loads: &[Option<Impedance>],
+    strongest: usize,
+    findings: &mut Vec<Finding>,
+) -> Option<Aliasing> {
+    let (piece, track) = (pieces.get(strongest)?, tracks.get(strongest)?);
+    let samples_per_period = 1.0 / (piece.f_hz * piece.run.dt_s);
+    if samples_per_period < COARSE {
+        findings.push(Finding::CoarselySampled { samples_per_period });
+    }
+    let aliasing = aliasing::expected(track, piece.run.dt_s, (*loads.get(strongest)?)?)?;
+    if aliasing.r_pct > ALIASING_PCT {
+        findings.push(Finding::Aliasing {
+            samples_per_period,
+            order: aliasing.order,
+            r_pct: aliasing.r_pct,
+            l_pct: aliasing.l_pct,
+        });
+    }
+    Some(aliasing)
+}
+
+/// Error of R by aliasing above which it is told, in percent.
+const ALIASING_PCT: f64 = 0.1;
+
+fn span((piece, load): (&Piece, &Option<Impedance>)) -> Span {
+    Span {
+        first: piece.run.samples.start,
+        samples: piece.run.samples.len(),
+        t0_s: piece.run.t0_s,
+        dt_s: piece.run.dt_s,
+        f_sw_hz: piece.f_hz,
+        load: *load,
+    }
+}
+
+/// Half-cycles that lie within one span; a sample's time at either end is forgiven.
+fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
+    let mut out = Vec::new();
+    for span in spans {
+        let slack_s = 2.0 / span.f_sw_hz;
+        let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
+        out.extend(crossings.windows(2).map(|w| (w[0], w[1])));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests;
