@@ -2,6 +2,7 @@
 
 pub mod capture_args;
 pub mod hob;
+pub mod identify;
 pub mod interrupt;
 pub mod simulate;
 pub mod simulated;
@@ -27,6 +28,7 @@ enum Command {
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
     Hob(hob::HobArgs),
+    Identify(Box<identify::IdentifyArgs>),
     Simulate(Box<simulate::SimulateArgs>),
 }
 
@@ -40,6 +42,7 @@ impl Cli {
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(),
             Command::Hob(args) => args.run(),
+            Command::Identify(args) => args.run(),
             Command::Simulate(args) => args.run(),
         }
     }
