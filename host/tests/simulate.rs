@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use assert_cmd::Command;
-use ihd::sim::recording::file;
+use ihd::capture::mcap;
+use ihd::sim::recording::file::SETTINGS_KEY;
 use ihd::sim::recording::run::record;
 use ihd::sim::recording::settings::Settings;
 
@@ -22,7 +23,7 @@ fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
     let dir = tempfile::tempdir().unwrap();
     let args = "--fsw 45k --mains 60 --pot ferritic-18 --snr 30 --rate 50M --seed 1 --duration 1ms";
     for name in ["a", "b"] {
-        let out = format!("{name}.safetensors");
+        let out = format!("{name}.mcap");
         let mut all: Vec<_> = args.split(' ').collect();
         all.extend(["--out", &out, "--plot", "a.svg"]);
         let result = simulate(dir.path(), &all);
@@ -35,11 +36,12 @@ fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
         assert!(stdout.contains("resonance"), "{stdout}");
     }
     let read = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
-    assert_eq!(read("a.safetensors"), read("b.safetensors"));
-    let stored = file::read(&dir.path().join("a.safetensors")).unwrap();
+    assert_eq!(read("a.mcap"), read("b.mcap"));
+    let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
     assert_eq!(stored.v_v.len(), 50_000);
-    assert_eq!(stored.settings.mains_hz, 60.0);
-    assert_eq!(stored.settings.pot.diameter_m, 0.18);
+    let settings: Settings = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
+    assert_eq!(settings.mains_hz, 60.0);
+    assert_eq!(settings.pot.diameter_m, 0.18);
     assert!(String::from_utf8(read("a.svg")).unwrap().contains("<svg"));
 }
 
@@ -63,14 +65,15 @@ fn the_digits_are_the_same_on_every_machine() {
 #[test]
 fn the_clipped_range_shows_as_saturated_codes() {
     let dir = tempfile::tempdir().unwrap();
-    let args = "--load behavioural --start 5ms --duration 1ms --bits 8 --gain 4,4 --spikes 1k -o a.safetensors";
+    let args =
+        "--load behavioural --start 5ms --duration 1ms --bits 8 --gain 4,4 --spikes 1k -o a.mcap";
     let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
     assert!(
         result.status.success(),
         "{}",
         String::from_utf8_lossy(&result.stderr)
     );
-    let stored = file::read(&dir.path().join("a.safetensors")).unwrap();
+    let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
     let top = stored
         .i_a
         .iter()

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::sim::recording::file::FileError;
+use super::mcap::McapFileError;
 
 /// Where in a file something is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,7 +121,7 @@ pub enum CaptureError {
         /// What does not fit.
         what: String,
     },
-    /// A recording of `ihd simulate` that cannot be read.
+    /// A capture file of ihd that cannot be read.
     #[error(transparent)]
-    Recording(#[from] FileError),
+    Mcap(#[from] McapFileError),
 }

@@ -6,7 +6,6 @@ pub mod error;
 pub mod formats;
 pub mod mcap;
 pub mod open;
-pub mod recording;
 pub mod resample;
 
 pub use error::CaptureError;

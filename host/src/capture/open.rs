@@ -8,7 +8,7 @@ use super::channels::{ChannelOptions, ChannelRef, choose};
 use super::error::{CaptureError, FormatError};
 use super::formats::Source;
 use super::formats::csv::CsvSource;
-use super::{Capture, TimeBase, recording};
+use super::{Capture, TimeBase, mcap};
 
 /// What the user says of a file, and a second one with the other channel.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,14 +28,14 @@ pub struct OpenOptions {
 const HEAD: usize = 4096;
 
 /// Formats that are read.
-const READABLE: &str = "CSV, Tektronix WFM and ISF, LeCroy TRC, MATLAB MAT v5, NPZ, and recordings of \
-    `ihd simulate`";
+const READABLE: &str = "CSV, Tektronix WFM and ISF, LeCroy TRC, MATLAB MAT v5, NPZ, and ihd's \
+    own MCAP";
 
 /// A format, by its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Csv,
-    Recording,
+    Mcap,
 }
 
 /// Opens a capture.
@@ -56,8 +56,8 @@ pub fn open_with(
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
     let format = recognise(path)?;
-    if format == Format::Recording {
-        return recording::open(path);
+    if format == Format::Mcap {
+        return Ok(mcap::read(path)?);
     }
     let mut source = source(path, format, options)?;
     from_source(path, source.as_mut(), options, progress)
@@ -114,8 +114,8 @@ fn recognise(path: &Path) -> Result<Format, CaptureError> {
     if head.is_empty() {
         return unknown("it is empty");
     }
-    if head.get(8) == Some(&b'{') && head.len() > 9 && head.get(6..8) == Some(&[0, 0]) {
-        return Ok(Format::Recording);
+    if head.starts_with(::mcap::MAGIC) {
+        return Ok(Format::Mcap);
     }
     if head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]) {
         return unknown("it is text in UTF-16, save it as UTF-8");
@@ -136,7 +136,7 @@ fn source(
     let opened: Result<Box<dyn Source>, FormatError> = match format {
         Format::Csv => CsvSource::open(file, options.columns.as_ref())
             .map(|source| Box::new(source) as Box<dyn Source>),
-        Format::Recording => unreachable_format(),
+        Format::Mcap => unreachable_format(),
     };
     opened.map_err(|e| e.in_file(path))
 }

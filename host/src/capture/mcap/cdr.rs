@@ -20,6 +20,16 @@ pub enum When<'a> {
     Stamps(&'a [f64]),
 }
 
+impl When<'_> {
+    /// Time of the first pair in seconds.
+    pub fn t0_s(&self) -> f64 {
+        match *self {
+            Self::Even { t0_s, .. } => t0_s,
+            Self::Stamps(t_s) => t_s.first().copied().unwrap_or(0.0),
+        }
+    }
+}
+
 /// The pairs of one message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pairs {
@@ -123,12 +133,12 @@ impl Out {
 }
 
 fn begin(when: &When<'_>, pair_bytes: usize, pairs: usize) -> Out {
-    let (t0_s, dt_s, stamps) = match *when {
-        When::Even { t0_s, dt_s } => (t0_s, dt_s, 0),
-        When::Stamps(t_s) => (t_s.first().copied().unwrap_or(0.0), 0.0, t_s.len()),
+    let (dt_s, stamps) = match *when {
+        When::Even { dt_s, .. } => (dt_s, 0),
+        When::Stamps(t_s) => (0.0, t_s.len()),
     };
     let mut out = Out::new(64 + pairs * pair_bytes + 8 * stamps);
-    out.double(t0_s);
+    out.double(when.t0_s());
     out.double(dt_s);
     out
 }

@@ -16,12 +16,14 @@ mod framing;
 pub mod load;
 mod notes;
 pub mod reader;
+pub mod save;
 pub mod session;
 pub mod topics;
 pub mod writer;
 
 pub use error::McapFileError;
-pub use load::{read, read_between, write};
+pub use load::{read, read_between};
 pub use reader::Reader;
+pub use save::write;
 pub use session::{SessionReader, SessionRecorder};
 pub use writer::Writer;

@@ -17,9 +17,9 @@ use ihd_shared::wire::messages::{AnyMessage, Hello};
 
 use super::McapFileError;
 use super::cdr;
-use super::load::{describe, runs};
 use super::notes;
 use super::reader::{Item, Reader};
+use super::save::{describe, runs};
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, Writer};
 use crate::capture::TimeBase;
@@ -176,7 +176,7 @@ impl SessionRecorder {
         };
         for run in runs(&time, window.pairs.len()) {
             let pairs = window.pairs[run.from..run.to].iter().map(|p| [p.v, p.i]);
-            let t0_s = run.t0_s();
+            let t0_s = run.when.t0_s();
             let message = cdr::codes(&run.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
             self.writer.message(Topic::Samples, t0_s, &message)?;
         }

@@ -47,7 +47,7 @@ impl From<LoadWord> for LoadKind {
     allow_negative_numbers = true,
     after_help = "Examples:\n  \
         ihd simulate --plot waveforms.svg\n  \
-        ihd simulate --fsw 50k --pot ferritic-18 --snr 30 --rate 50M --out half-cycle.safetensors\n  \
+        ihd simulate --fsw 50k --pot ferritic-18 --snr 30 --rate 50M --out half-cycle.mcap\n  \
         ihd simulate --load behavioural --rate locked --at 5ms:pot=none"
 )]
 pub struct SimulateArgs {
@@ -104,7 +104,7 @@ pub struct SimulateArgs {
     /// Seed of noise and spikes
     #[arg(long)]
     seed: Option<u64>,
-    /// Write the recording to this file (safetensors)
+    /// Write the recording to this file (MCAP, docs/capture.md)
     #[arg(long, short)]
     out: Option<PathBuf>,
     /// Write the waveforms without noise and quantising too
