@@ -140,7 +140,7 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
 }
 
 /// What a channel of this name measures, where the name tells.
-fn quantity_of_name(name: &str) -> Option<Quantity> {
+pub fn quantity_of_name(name: &str) -> Option<Quantity> {
     let lower = name.to_lowercase();
     let words = || lower.split(|c: char| !c.is_alphabetic());
     let is = |list: &[&str]| words().any(|word| list.contains(&word));
@@ -167,11 +167,13 @@ fn chosen(
     let side = usize::from(wanted == Quantity::Current);
     let ratio = options.probe.map_or(1.0, |probe| probe[side]);
     let stated = options.units.map(|units| units[side]);
+    // Who gives a ratio or says that the channels are exchanged knows better than the unit.
+    let settled = options.probe.is_some() || options.swap;
     let in_file = channels.get(index).and_then(|c| c.unit);
     let scale = match (stated, in_file) {
         (Some(unit), _) => unit.scale,
         (None, None) => 1.0,
-        (None, Some(unit)) if unit.quantity == wanted || options.probe.is_some() => unit.scale,
+        (None, Some(unit)) if unit.quantity == wanted || settled => unit.scale,
         (None, Some(unit)) => {
             let (what, flag) = match wanted {
                 Quantity::Current => (

@@ -6,6 +6,7 @@ pub mod error;
 pub mod formats;
 pub mod mcap;
 pub mod open;
+pub mod pair;
 pub mod resample;
 
 pub use error::CaptureError;

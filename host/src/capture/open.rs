@@ -4,10 +4,16 @@ use std::fs::{File, FileType};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::channels::{ChannelOptions, ChannelRef, choose};
-use super::error::{CaptureError, FormatError};
-use super::formats::Source;
+use super::channels::{ChannelOptions, ChannelRef, choose, quantity_of_name};
+use super::error::CaptureError;
 use super::formats::csv::CsvSource;
+use super::formats::input::Input;
+use super::formats::isf::IsfSource;
+use super::formats::trc::TrcSource;
+use super::formats::unit::Unit;
+use super::formats::wfm::WfmSource;
+use super::formats::{Channel, Samples, Source, isf, mat, npz, trc, wfm};
+use super::pair::overlap;
 use super::{Capture, TimeBase, mcap};
 
 /// What the user says of a file, and a second one with the other channel.
@@ -28,13 +34,17 @@ pub struct OpenOptions {
 const HEAD: usize = 4096;
 
 /// Formats that are read.
-const READABLE: &str = "CSV, Tektronix WFM and ISF, LeCroy TRC, MATLAB MAT v5, NPZ, and ihd's \
-    own MCAP";
+const READABLE: &str = "MCAP, CSV, Tektronix WFM and ISF, LeCroy TRC, MATLAB MAT v5 and NPZ";
 
 /// A format, by its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Csv,
+    Wfm,
+    Isf,
+    Trc,
+    Mat,
+    Npz,
     Mcap,
 }
 
@@ -57,10 +67,13 @@ pub fn open_with(
 ) -> Result<Capture, CaptureError> {
     let format = recognise(path)?;
     if format == Format::Mcap {
-        return Ok(mcap::read(path)?);
+        return adjusted(path, mcap::read(path)?, options);
     }
-    let mut source = source(path, format, options)?;
-    from_source(path, source.as_mut(), options, progress)
+    let mut files = vec![Opened::new(path, format, options)?];
+    if let Some(second) = &options.second {
+        files.push(Opened::new(second, recognise(second)?, options)?);
+    }
+    assembled(files, options, progress)
 }
 
 /// Opens a regular file; nothing else, as a pipe would block and cannot be sought.
@@ -105,99 +118,256 @@ fn recognise(path: &Path) -> Result<Format, CaptureError> {
         path: path.to_owned(),
         source,
     })?;
-    let unknown = |what: &str| {
-        Err(CaptureError::Unknown {
-            path: path.to_owned(),
-            what: format!("{what}; readable are {READABLE}"),
-        })
-    };
+    format_of(&head).map_err(|what| CaptureError::Unknown {
+        path: path.to_owned(),
+        what: format!("{what}; readable are {READABLE}"),
+    })
+}
+
+/// The format of a file that begins with `head`.
+fn format_of(head: &[u8]) -> Result<Format, &'static str> {
     if head.is_empty() {
-        return unknown("it is empty");
+        return Err("it is empty");
+    }
+    if head.get(2..9) == Some(wfm::VERSION) {
+        return Ok(Format::Wfm);
+    }
+    if trc::descriptor(head).is_some() {
+        return Ok(Format::Trc);
+    }
+    if isf::is_isf(head) {
+        return Ok(Format::Isf);
+    }
+    if mat::endian(head).is_some() {
+        return Ok(Format::Mat);
+    }
+    if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
+        return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");
+    }
+    if head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06") {
+        return Ok(Format::Npz);
     }
     if head.starts_with(::mcap::MAGIC) {
         return Ok(Format::Mcap);
     }
     if head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]) {
-        return unknown("it is text in UTF-16, save it as UTF-8");
+        return Err("it is text in UTF-16: save it as UTF-8");
     }
     let control = |b: &u8| *b < 0x20 && !matches!(b, b'\t' | b'\n' | b'\r');
     if head.iter().any(control) {
-        return unknown("it is binary and begins like none of them");
+        return Err("it is binary and begins like none of them");
     }
     Ok(Format::Csv)
 }
 
-fn source(
-    path: &Path,
-    format: Format,
-    options: &OpenOptions,
-) -> Result<Box<dyn Source>, CaptureError> {
-    let file = regular(path)?;
-    let opened: Result<Box<dyn Source>, FormatError> = match format {
-        Format::Csv => CsvSource::open(file, options.columns.as_ref())
-            .map(|source| Box::new(source) as Box<dyn Source>),
-        Format::Mcap => unreachable_format(),
-    };
-    opened.map_err(|e| e.in_file(path))
+/// A file whose header has been read.
+struct Opened {
+    path: PathBuf,
+    source: Box<dyn Source>,
 }
 
-fn unreachable_format() -> Result<Box<dyn Source>, FormatError> {
-    Err(FormatError::at_byte(
-        0,
-        "a recording has no channels to choose",
-    ))
+impl Opened {
+    fn new(path: &Path, format: Format, options: &OpenOptions) -> Result<Self, CaptureError> {
+        let file = regular(path)?;
+        let columns = options.columns.as_ref();
+        let opened = match format {
+            Format::Csv => CsvSource::open(file, columns).map(boxed),
+            Format::Wfm => Input::new(file).and_then(WfmSource::open).map(boxed),
+            Format::Isf => Input::new(file).and_then(IsfSource::open).map(boxed),
+            Format::Trc => Input::new(file).and_then(TrcSource::open).map(boxed),
+            Format::Mat => Input::new(file).and_then(mat::open).map(boxed),
+            Format::Npz => npz::open(file).map(boxed),
+            Format::Mcap => {
+                return Err(CaptureError::Choice {
+                    path: path.to_owned(),
+                    what: "it holds both channels already and cannot be paired".to_owned(),
+                });
+            }
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            source: opened.map_err(|e| e.in_file(path))?,
+        })
+    }
+
+    /// The channels; of a pair the file's name tells where the channel's does not.
+    fn channels(&self, paired: bool) -> Vec<Channel> {
+        let mut channels = self.source.channels().to_vec();
+        let stem = self
+            .path
+            .file_stem()
+            .map(|s| s.to_string_lossy().into_owned());
+        if let ([channel], Some(stem), true) = (channels.as_mut_slice(), stem, paired)
+            && quantity_of_name(&channel.name).is_none()
+            && (channel.name.is_empty() || quantity_of_name(&stem).is_some())
+        {
+            channel.name = stem;
+        }
+        channels
+    }
 }
 
-fn from_source(
-    path: &Path,
-    source: &mut dyn Source,
+fn boxed(source: impl Source + 'static) -> Box<dyn Source> {
+    Box::new(source)
+}
+
+/// One chosen channel with its samples.
+struct Side {
+    values: Vec<f32>,
+    full_scale: Option<f64>,
+}
+
+impl Side {
+    /// Applies the factor to volt or ampere.
+    fn new(mut values: Vec<f32>, channel: &Channel, factor: f64) -> Self {
+        if factor != 1.0 {
+            for x in &mut values {
+                *x = (f64::from(*x) * factor) as f32;
+            }
+        }
+        Self {
+            values,
+            full_scale: channel.full_scale.map(|full| full * factor.abs()),
+        }
+    }
+}
+
+/// Chooses the channels among those of all files, reads them and puts them together.
+fn assembled(
+    mut files: Vec<Opened>,
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
+    let paired = files.len() > 1;
+    let path = files[0].path.clone();
     let choice = |what: String| CaptureError::Choice {
-        path: path.to_owned(),
+        path: path.clone(),
         what,
     };
-    let [v, i] = choose(source.channels(), &options.channels).map_err(choice)?;
-    let full_scale = |c: super::channels::Chosen| {
-        let channel = source.channels().get(c.index)?;
-        channel.full_scale.map(|full| full * c.factor.abs())
+    let channels: Vec<Channel> = files.iter().flat_map(|f| f.channels(paired)).collect();
+    let of_first = files[0].source.channels().len();
+    let chosen = choose(&channels, &options.channels).map_err(choice)?;
+    let mut metadata = files[0].source.metadata();
+    let mut read = |file: &mut Opened, wanted: &[usize]| {
+        let samples = file.source.read(wanted, progress);
+        samples.map_err(|e| e.in_file(&file.path))
     };
-    let (v_full_scale_v, i_full_scale_a) = (full_scale(v), full_scale(i));
-    let samples = source.read(&[v.index, i.index], progress);
-    let samples = samples.map_err(|e| e.in_file(path))?;
-    let mut columns = samples.columns.into_iter();
-    let mut column = |factor: f64| {
-        let mut values = columns.next().unwrap_or_default();
-        if factor != 1.0 {
-            values
-                .iter_mut()
-                .for_each(|x| *x = (f64::from(*x) * factor) as f32);
+    let apart = chosen.map(|c| c.index >= of_first);
+    let (mut columns, time) = if apart[0] == apart[1] {
+        let k = usize::from(apart[0]);
+        let wanted = chosen.map(|c| c.index - k * of_first);
+        let samples = read(&mut files[k], &wanted)?;
+        (samples.columns, samples.time)
+    } else {
+        let mut both = Vec::new();
+        for (c, second) in chosen.iter().zip(apart) {
+            let k = usize::from(second);
+            both.push(read(&mut files[k], &[c.index - k * of_first])?);
         }
-        values
+        metadata.insert(
+            "paired_with".to_owned(),
+            files[1].path.display().to_string(),
+        );
+        paired_columns(both, options).map_err(|what| CaptureError::Pair {
+            first: files[0].path.clone(),
+            second: files[1].path.clone(),
+            what,
+        })?
     };
-    let (v_v, i_a) = (column(v.factor), column(i.factor));
     let stated = options.rate_hz.map(|rate_hz| TimeBase::Even {
         t0_s: 0.0,
         dt_s: 1.0 / rate_hz,
     });
-    let time = stated.or(samples.time).ok_or_else(|| {
-        choice(
-            "the file tells no time: give the sampling rate with --rate, as in --rate 50M".into(),
-        )
-    })?;
+    let no_time = "the file tells no time: give the sampling rate with --rate, as in --rate 50M";
+    let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
+    let mut side = |k: usize| {
+        let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
+        Side::new(values, &channels[chosen[k].index], chosen[k].factor)
+    };
+    let (v, i) = (side(0), side(1));
     Ok(Capture {
         name: path.display().to_string(),
         time,
-        v_v,
-        i_a,
-        v_full_scale_v,
-        i_full_scale_a,
+        v_v: v.values,
+        i_a: i.values,
+        v_full_scale_v: v.full_scale,
+        i_full_scale_a: i.full_scale,
         f_sw: Vec::new(),
         mains_hz: None,
         zero_crossing_s: None,
         truth: Vec::new(),
-        metadata: source.metadata(),
+        metadata,
+    })
+}
+
+type Columns = (Vec<Vec<f32>>, Option<TimeBase>);
+
+/// Cuts voltage and current, from two files, to the times that both have. With a stated rate the
+/// files' times do not count.
+fn paired_columns(both: Vec<Samples>, options: &OpenOptions) -> Result<Columns, String> {
+    let lengths: Vec<usize> = both
+        .iter()
+        .map(|s| s.columns.first().map_or(0, Vec::len))
+        .collect();
+    let times: Vec<_> = both.iter().map(|s| s.time.clone()).collect();
+    let mut columns: Vec<_> = both.into_iter().flat_map(|s| s.columns).collect();
+    let timed = options.rate_hz.is_none();
+    let ([Some(a), Some(b)], true) = (&times[..], timed) else {
+        let shortest = lengths.iter().copied().min().unwrap_or(0);
+        columns.iter_mut().for_each(|c| c.truncate(shortest));
+        return Ok((columns, None));
+    };
+    let common = overlap((a, lengths[0]), (b, lengths[1]))?;
+    for (column, range) in columns.iter_mut().zip([&common.first, &common.second]) {
+        column.truncate(range.end);
+        column.drain(..range.start);
+    }
+    let time = match a {
+        TimeBase::Even { dt_s, .. } => TimeBase::Even {
+            t0_s: a.at(common.first.start).unwrap_or(0.0),
+            dt_s: *dt_s,
+        },
+        TimeBase::Stamps(_) => a.clone(),
+    };
+    Ok((columns, Some(time)))
+}
+
+/// Applies signs, ratios, units, swap and rate to a capture in a format of our own.
+fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capture, CaptureError> {
+    let choice = |what: String| CaptureError::Choice {
+        path: path.to_owned(),
+        what,
+    };
+    if options.second.is_some() || options.columns.is_some() {
+        let what = "it holds voltage and current: no second file and no --columns are needed";
+        return Err(choice(what.to_owned()));
+    }
+    let channel = |name: &str, unit, full_scale| Channel {
+        name: name.to_owned(),
+        unit: Some(unit),
+        full_scale,
+    };
+    let channels = [
+        channel("v", Unit::VOLT, capture.v_full_scale_v),
+        channel("i", Unit::AMPERE, capture.i_full_scale_a),
+    ];
+    let chosen = choose(&channels, &options.channels).map_err(choice)?;
+    let mut columns = [capture.v_v, capture.i_a];
+    let [v, i] = chosen.map(|c| {
+        let values = std::mem::take(&mut columns[c.index]);
+        Side::new(values, &channels[c.index], c.factor)
+    });
+    let time = options.rate_hz.map(|rate_hz| TimeBase::Even {
+        t0_s: capture.time.at(0).unwrap_or(0.0),
+        dt_s: 1.0 / rate_hz,
+    });
+    Ok(Capture {
+        time: time.unwrap_or(capture.time),
+        v_v: v.values,
+        i_a: i.values,
+        v_full_scale_v: v.full_scale,
+        i_full_scale_a: i.full_scale,
+        ..capture
     })
 }
 

@@ -23,7 +23,7 @@ pub enum Invert {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Capture")]
 pub struct CaptureArgs {
-    /// Capture: CSV, Tektronix WFM or ISF, LeCroy TRC, MATLAB v5, NPZ, or a recording of ihd
+    /// Capture: MCAP, CSV, Tektronix WFM or ISF, LeCroy TRC, MATLAB v5 or NPZ
     file: PathBuf,
     /// File of the same acquisition with the other channel; numbered after the first's
     second: Option<PathBuf>,

@@ -1,8 +1,9 @@
 //! A file being read: typed values in either byte order, bounded, with the offset for messages.
 
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-use super::super::error::FormatError;
+use super::Progress;
+use crate::capture::error::FormatError;
 
 /// Anything that can be read and sought: a file, or bytes in memory.
 pub trait ReadSeek: Read + Seek {}
@@ -73,6 +74,9 @@ impl Kind {
 /// Bytes decoded at a time.
 const CHUNK: usize = 1 << 16;
 
+/// Samples between two reports of progress.
+const PART: u64 = 1 << 18;
+
 /// A file being read from front to back, with jumps.
 pub struct Input {
     bytes: BufReader<Box<dyn ReadSeek>>,
@@ -136,6 +140,15 @@ impl Input {
             .map_err(|e| FormatError::io(self.offset, &e))?;
         self.offset = offset;
         Ok(())
+    }
+
+    /// Leaves `bytes` out.
+    ///
+    /// # Errors
+    /// [`FormatError`] when they are not all there.
+    pub fn skip(&mut self, bytes: u64) -> Result<(), FormatError> {
+        self.need(bytes)?;
+        self.seek(self.offset + bytes)
     }
 
     /// Checks that `bytes` more are there, before anything is allocated for them.
@@ -209,18 +222,75 @@ impl Input {
         endian: Endian,
         mut each: impl FnMut(f64),
     ) -> Result<(), FormatError> {
-        let bytes = count.checked_mul(kind.bytes() as u64);
-        self.need(bytes.unwrap_or(u64::MAX))?;
-        let mut left = bytes.unwrap_or(0);
-        let mut buffer = vec![0; CHUNK.min(usize::try_from(left).unwrap_or(CHUNK))];
-        while left > 0 {
-            let size = buffer.len().min(usize::try_from(left).unwrap_or(CHUNK));
-            self.exact(&mut buffer[..size])?;
-            decode(&buffer[..size], kind, endian, &mut each);
-            left -= size as u64;
-        }
-        Ok(())
+        let bytes = count.saturating_mul(kind.bytes() as u64);
+        self.need(bytes)?;
+        let at = self.offset;
+        decode_from(self, bytes, kind, endian, &mut each).map_err(|e| FormatError::io(at, &e))
     }
+
+    /// Reads `count` samples as scale · number + offset.
+    ///
+    /// # Errors
+    /// [`FormatError`] when they are not all there, or at the first that is not finite.
+    pub fn samples(
+        &mut self,
+        count: u64,
+        kind: Kind,
+        endian: Endian,
+        scale: f64,
+        offset: f64,
+        progress: Progress<'_>,
+    ) -> Result<Vec<f32>, FormatError> {
+        let begin = self.offset;
+        self.need(count.saturating_mul(kind.bytes() as u64))?;
+        let mut values = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
+        let mut left = count;
+        while left > 0 {
+            let part = left.min(PART);
+            self.numbers(part, kind, endian, |x| {
+                values.push((scale * x + offset) as f32);
+            })?;
+            left -= part;
+            progress(1.0 - left as f64 / count as f64);
+        }
+        match values.iter().position(|x| !x.is_finite()) {
+            Some(k) => Err(FormatError::at_byte(
+                begin + (k * kind.bytes()) as u64,
+                format!("sample {k} is not finite"),
+            )),
+            None => Ok(values),
+        }
+    }
+}
+
+impl Read for Input {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.bytes.read(buffer)?;
+        self.offset += read as u64;
+        Ok(read)
+    }
+}
+
+/// Decodes `bytes` bytes of `source`, a chunk at a time.
+///
+/// # Errors
+/// What the operating system says, or an unexpected end.
+pub fn decode_from<F: FnMut(f64) + ?Sized>(
+    source: &mut impl Read,
+    bytes: u64,
+    kind: Kind,
+    endian: Endian,
+    each: &mut F,
+) -> io::Result<()> {
+    let mut left = bytes;
+    let mut buffer = vec![0; CHUNK.min(usize::try_from(left).unwrap_or(CHUNK))];
+    while left > 0 {
+        let size = buffer.len().min(usize::try_from(left).unwrap_or(CHUNK));
+        source.read_exact(&mut buffer[..size])?;
+        decode(&buffer[..size], kind, endian, &mut *each);
+        left -= size as u64;
+    }
+    Ok(())
 }
 
 /// Decodes a whole number of values.

@@ -3,10 +3,16 @@
 //! A reader looks at the header first and tells the channels; samples are read only of the channels
 //! that are wanted. Every declared length is compared with the file's before anything is allocated.
 
+pub mod arrays;
 pub mod csv;
 pub mod input;
+pub mod isf;
+pub mod mat;
+pub mod npz;
 pub mod time;
+pub mod trc;
 pub mod unit;
+pub mod wfm;
 
 use std::collections::BTreeMap;
 
@@ -32,6 +38,18 @@ pub struct Samples {
     pub time: Option<TimeBase>,
     /// One column a wanted channel in the order asked for, in the channel's unit; equal lengths.
     pub columns: Vec<Vec<f32>>,
+}
+
+/// The samples of a file with one channel, repeated for each time it is wanted.
+fn single_channel(values: Vec<f32>, time: TimeBase, wanted: &[usize]) -> Samples {
+    let mut columns = vec![values; wanted.len().min(1)];
+    while columns.len() < wanted.len() {
+        columns.extend(columns.first().cloned());
+    }
+    Samples {
+        time: Some(time),
+        columns,
+    }
 }
 
 /// Hears how far a file has been read, from 0 to 1.

@@ -1,6 +1,6 @@
 //! From time stamps to a time base: even where the stamps are even within their resolution.
 
-use super::super::TimeBase;
+use crate::capture::TimeBase;
 
 /// Largest deviation from an even grid, as a share of the sampling interval.
 const JITTER: f64 = 1e-3;

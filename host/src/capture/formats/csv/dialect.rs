@@ -42,6 +42,8 @@ pub struct Layout {
     pub columns: Vec<usize>,
     /// Sampling interval that the prelude declares, in seconds.
     pub interval_s: Option<f64>,
+    /// Fields of a row.
+    pub width: usize,
     /// Rows that the prelude declares.
     rows: Option<u64>,
     /// Format and instrument.
@@ -55,6 +57,7 @@ impl Layout {
     /// # Errors
     /// [`FormatError`] when a column that the user names is not there.
     pub fn of(prelude: &Prelude, named: Option<&[ChannelRef; 3]>) -> Result<Self, FormatError> {
+        check_waveform_type(prelude)?;
         let headings = headings(prelude);
         let (time, columns) = match named {
             Some([time, v, i]) => {
@@ -81,6 +84,7 @@ impl Layout {
             time,
             channels: columns.iter().map(channel).collect(),
             columns,
+            width: prelude.width,
             interval_s: prelude
                 .number(&["sample interval", "xinc"])
                 .filter(|dt| *dt > 0.0),
@@ -105,6 +109,20 @@ impl Layout {
             _ if read < 2 => wrong(format!("{read} sample; two are the least")),
             _ => Ok(()),
         }
+    }
+}
+
+/// Checks what Tektronix' CSV says of its kind: analogue, and then with its length.
+fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
+    let wrong = |what: String| Err(FormatError::at_line(1, what));
+    match prelude.value(&["waveform type"]) {
+        Some(kind) if !kind.eq_ignore_ascii_case("analog") => {
+            wrong(format!("a waveform of type {kind}, no voltage over time"))
+        }
+        Some(_) if prelude.number(&["record length"]).is_none() => {
+            wrong("a Tektronix CSV without its Record Length".to_owned())
+        }
+        _ => Ok(()),
     }
 }
 

@@ -135,11 +135,12 @@ impl CsvSource {
             resolution_s: 0.0,
             rows: 0,
         };
-        while let Some(row) = self.rows.next()? {
+        while let Some(row) = self.rows.next_row()? {
+            row.check_width(self.layout.width)?;
             if let Some((index, scale)) = clock {
                 let field = row.field(index)?;
                 columns.stamps.push(row.number(field)? * scale);
-                if columns.rows % ESTIMATE_AFTER == 0 {
+                if columns.rows.is_multiple_of(ESTIMATE_AFTER) {
                     let resolution_s = rows::resolution(field) * scale;
                     columns.resolution_s = columns.resolution_s.max(resolution_s);
                 }
@@ -154,7 +155,7 @@ impl CsvSource {
                 let left = self.length.saturating_sub(byte) as f64;
                 columns.reserve((1.02 * left / per_row) as usize);
             }
-            if columns.rows % REPORT_EVERY == 0 {
+            if columns.rows.is_multiple_of(REPORT_EVERY) {
                 progress(byte as f64 / self.length.max(1) as f64);
             }
         }

@@ -46,7 +46,7 @@ impl Prelude {
             end: Position::new(),
         };
         loop {
-            let Some(row) = rows.next()? else {
+            let Some(row) = rows.next_row()? else {
                 let what = "no row of numbers: this is no table of samples";
                 return Err(FormatError::at_line(rows.position().line(), what));
             };

@@ -98,6 +98,18 @@ impl<'a> Row<'a> {
         self.record
     }
 
+    /// Checks that the row has not more than `width` fields.
+    ///
+    /// # Errors
+    /// [`FormatError`] with both numbers.
+    pub fn check_width(&self, width: usize) -> Result<(), FormatError> {
+        if self.record.len() > width {
+            let what = format!("{} fields, the first row has {width}", self.record.len());
+            return Err(FormatError::at_line(self.line, what));
+        }
+        Ok(())
+    }
+
     /// The field in column `index`.
     ///
     /// # Errors
@@ -174,7 +186,7 @@ impl Rows {
     ///
     /// # Errors
     /// [`FormatError`] when reading fails or a line is too long.
-    pub fn next(&mut self) -> Result<Option<Row<'_>>, FormatError> {
+    pub fn next_row(&mut self) -> Result<Option<Row<'_>>, FormatError> {
         let read = self.reader.read_byte_record(&mut self.record);
         let more = read.map_err(|e| {
             let line = self.begin.line() + self.reader.position().line() - 1;
@@ -249,7 +261,7 @@ mod tests {
         let endless = io::BufReader::new(io::repeat(b'1'));
         let syntax = Syntax::detect(b"1");
         let mut rows = Rows::new(Box::new(endless), syntax, Position::new());
-        let refused = rows.next().err().expect("refused");
+        let refused = rows.next_row().err().expect("refused");
         assert!(refused.what.contains("1048576"), "{refused}");
     }
 }
