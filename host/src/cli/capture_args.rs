@@ -9,6 +9,7 @@ use super::simulate::quantity::{list, quantity};
 use crate::capture::channels::{ChannelOptions, ChannelRef};
 use crate::capture::formats::unit::Unit;
 use crate::capture::{Capture, OpenOptions, open};
+use crate::identify::calibration::Calibration;
 
 /// Whose sign to change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -48,6 +49,9 @@ pub struct CaptureArgs {
     /// Sampling rate in S/s instead of the file's time
     #[arg(long, value_name = "HZ", value_parser = quantity)]
     rate: Option<f64>,
+    /// Take skew, gain and offsets out by this file of ihd calibrate
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
 }
 
 fn several<const N: usize>(text: &str) -> Result<[ChannelRef; N], String> {
@@ -99,8 +103,13 @@ impl CaptureArgs {
     /// Opens the capture.
     ///
     /// # Errors
-    /// [`crate::capture::CaptureError`], naming the file and what to do.
+    /// [`crate::capture::CaptureError`] or [`crate::identify::calibration::CalibrationFileError`],
+    /// naming the file and what to do.
     pub fn open(&self) -> Result<Capture> {
-        Ok(open(&self.file, &self.options())?)
+        let mut capture = open(&self.file, &self.options())?;
+        if let Some(path) = &self.calibration {
+            Calibration::read(path)?.apply(&mut capture);
+        }
+        Ok(capture)
     }
 }

@@ -1,8 +1,11 @@
 //! The `ihd` command.
 
+pub mod calibrate;
 pub mod capture_args;
+pub mod hint_args;
 pub mod hob;
 pub mod identify;
+pub mod inspect;
 pub mod interrupt;
 pub mod simulate;
 pub mod simulated;
@@ -25,10 +28,12 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Calibrate(Box<calibrate::CalibrateArgs>),
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
+    Inspect(Box<inspect::InspectArgs>),
     Simulate(Box<simulate::SimulateArgs>),
 }
 
@@ -39,17 +44,19 @@ impl Cli {
     /// Whatever ends it early, with the context that a person needs.
     pub fn run(&self) -> Result<()> {
         match &self.command {
+            Command::Calibrate(args) => args.run(),
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
+            Command::Inspect(args) => args.run(),
             Command::Simulate(args) => args.run(),
         }
     }
 }
 
 /// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
-/// 1 anything else. Wrong usage is 2, by clap.
+/// 6 a capture unfit for identification, 1 anything else. Wrong usage is 2, by clap.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     #[cfg(feature = "pinn")]
     if let Some(error) = error.downcast_ref::<crate::trainer::TrainerError>() {
@@ -63,6 +70,8 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if error.is::<LinkError>() || error.is::<ServerError>() {
         3
+    } else if error.is::<inspect::UnfitCapture>() {
+        6
     } else {
         1
     }

@@ -6,6 +6,7 @@
 //! ```
 
 pub mod accuracy;
+pub mod calibration;
 pub mod correlation;
 pub mod ekf;
 pub mod firmware;
@@ -17,6 +18,7 @@ pub mod pinn;
 pub mod reconstruction;
 pub mod rls;
 pub mod segment;
+pub mod survey;
 
 use std::time::Duration;
 

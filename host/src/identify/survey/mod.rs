@@ -9,10 +9,12 @@
 pub mod aliasing;
 pub mod carrier;
 pub mod clipping;
+pub mod figure;
 pub mod finding;
 pub mod impedance;
 pub mod mains;
 pub mod noise;
+pub mod spectrum;
 pub mod time;
 pub mod track;
 
@@ -57,6 +59,15 @@ pub struct Span {
 }
 
 impl Span {
+    /// Its samples' place and times.
+    pub fn run(&self) -> Run {
+        Run {
+            samples: self.first..self.first + self.samples,
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+        }
+    }
+
     /// Time after the last sample in seconds.
     pub fn end_s(&self) -> f64 {
         self.t0_s + self.samples as f64 * self.dt_s
@@ -205,6 +216,23 @@ impl Survey {
     /// The worst finding's severity; `None` without findings.
     pub fn worst(&self) -> Option<Severity> {
         self.findings.first().map(Finding::severity)
+    }
+
+    /// What an uncalibrated skew would mean for this capture, in a sentence; `None` where R and L could
+    /// not be measured.
+    pub fn skew_note(&self) -> Option<String> {
+        let list = |value: fn(&SkewCost) -> f64| {
+            let words: Vec<_> = self.skew.iter().map(|c| format!("{:.1}", value(c))).collect();
+            words.join("/")
+        };
+        (!self.skew.is_empty()).then(|| {
+            format!(
+                "{} ns between the channels would be {} % of R, {} % of L",
+                self.skew.iter().map(|c| format!("{:.0}", c.skew_s * 1e9)).collect::<Vec<_>>().join("/"),
+                list(|c| c.r_pct),
+                list(|c| c.l_pct)
+            )
+        })
     }
 
     /// The stretches, copied out of the capture surveyed.

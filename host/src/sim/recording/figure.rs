@@ -79,12 +79,12 @@ pub fn draw(recording: &Recording, path: &Path) -> Result<(), FigureError> {
             Curve {
                 name: "v / 5 V",
                 colour: VOLTAGE,
-                points: extremes(&t_ms, &v, range.clone(), 0.2),
+                points: extremes(|k| t_ms[k], |k| 0.2 * v[k], range.clone()),
             },
             Curve {
                 name: "i / A",
                 colour: CURRENT,
-                points: extremes(&t_ms, &i, range, 1.0),
+                points: extremes(|k| t_ms[k], |k| i[k], range),
             },
         ]
     };
@@ -137,17 +137,21 @@ pub fn draw(recording: &Recording, path: &Path) -> Result<(), FigureError> {
 }
 
 /// Minimum and maximum of each column in their order of time, so that a carrier becomes a band.
-fn extremes(t: &[f64], x: &[f64], range: Range<usize>, scale: f64) -> Vec<(f64, f64)> {
+pub(crate) fn extremes(
+    t: impl Fn(usize) -> f64,
+    x: impl Fn(usize) -> f64,
+    range: Range<usize>,
+) -> Vec<(f64, f64)> {
     let per_column = range.len().div_ceil(COLUMNS).max(1);
     let mut points = Vec::with_capacity(2 * COLUMNS);
     let mut start = range.start;
     while start < range.end {
         let end = (start + per_column).min(range.end);
-        let by_value = |a: &usize, b: &usize| x[*a].total_cmp(&x[*b]);
+        let by_value = |a: &usize, b: &usize| x(*a).total_cmp(&x(*b));
         let lowest = (start..end).min_by(by_value).unwrap_or(start);
         let highest = (start..end).max_by(by_value).unwrap_or(start);
         for k in [lowest.min(highest), lowest.max(highest)] {
-            points.push((t[k], x[k] * scale));
+            points.push((t(k), x(k)));
         }
         start = end;
     }
