@@ -191,6 +191,16 @@ pub enum IdentifyError {
         /// The value.
         value: f64,
     },
+    /// A quantity that no capture of a hob has.
+    #[error("the {what} is {value}, but must be {allowed}")]
+    OutOfRange {
+        /// Which.
+        what: &'static str,
+        /// The value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
     /// A sample is not a number, or beyond any.
     #[error("{channel} sample {index} is {value}: cut it out or repair the capture")]
     NotFinite {

@@ -8,6 +8,9 @@ pub const MIN_PERIODS: f64 = 10.0;
 /// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
 const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
 
+/// Latest time, either way, at which samples are still told apart, in seconds.
+const LATEST_S: f64 = 1e6;
+
 /// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
@@ -102,9 +105,21 @@ impl Segment {
             ("time of the first sample in s", self.t0_s),
             ("time of the mains zero crossing in s", self.zero_crossing_s),
         ] {
-            if !value.is_finite() {
-                return Err(IdentifyError::NotPositive { what, value });
+            if !(value.abs() <= LATEST_S) {
+                let allowed = "within ±1e6 s: count time from the capture's start";
+                return Err(IdentifyError::OutOfRange {
+                    what,
+                    value,
+                    allowed,
+                });
             }
+        }
+        if self.mains_hz * MIN_PERIODS > self.f_sw_hz {
+            return Err(IdentifyError::OutOfRange {
+                what: "mains frequency in Hz",
+                value: self.mains_hz,
+                allowed: "at most a tenth of the switching frequency",
+            });
         }
         let per_period = self.samples_per_period();
         if !(per_period > MIN_SAMPLES_PER_PERIOD) {

@@ -18,9 +18,6 @@ const CLOSE_UP_PERIODS: f64 = 3.0;
 /// what an estimator makes of the zero crossings, must not flatten everything else.
 const OUTLIERS: f64 = 0.02;
 
-/// Share of the frame kept free above for the legend.
-const LEGEND_ROOM: f64 = 0.3;
-
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
@@ -76,6 +73,8 @@ fn draw_all(
     let root = SVGBackend::new(path, (1100, 760)).into_drawing_area();
     root.fill(&WHITE)?;
     let root = root.titled(name, ("sans-serif", 18))?;
+    let (strip, root) = root.split_vertically(24);
+    legend(&strip, estimates, !truth.is_empty())?;
     let panels = root.split_evenly((2, 2));
     let truth = fundamental(truth);
     let curves = |values: fn(&Estimate) -> &Vec<f64>, known: &[f64], unit: f64| {
@@ -164,13 +163,22 @@ fn close_up(segments: &[Segment]) -> Option<(&Segment, Range<usize>)> {
 
 /// The range of the values without the outermost.
 fn frame(curves: &[Curve]) -> Option<Range<f64>> {
-    let points = curves.iter().flat_map(|c| c.runs.iter().flatten());
+    // The paper's literal preset runs away, which shows as a line along the frame's edge.
+    let literal = |c: &&Curve| c.name == Method::EkfPaper.name();
+    let alone = curves.iter().all(|c| literal(&c));
+    let framed = curves.iter().filter(|c| alone || !literal(c));
+    let points = framed.flat_map(|c| c.runs.iter().flatten());
     let mut y: Vec<f64> = points.map(|p| p.1).filter(|y| y.is_finite()).collect();
     y.sort_unstable_by(f64::total_cmp);
     let cut = (OUTLIERS * y.len() as f64) as usize;
-    let (low, high) = (*y.get(cut)?, *y.get(y.len() - 1 - cut)?);
+    let (mut low, mut high) = (*y.get(cut)?, *y.get(y.len() - 1 - cut)?);
+    // What is known or measured is shown whole.
+    let known = curves.iter().filter(|c| c.style.stroke_width > 1);
+    for (_, y) in known.flat_map(|c| c.runs.iter().flatten()) {
+        (low, high) = (low.min(*y), high.max(*y));
+    }
     let air = 0.08 * (high - low).max(1e-9 * high.abs().max(1e-9));
-    Some(low - air..high + air + LEGEND_ROOM * (high - low))
+    Some(low - air..high + air)
 }
 
 fn panel(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
@@ -193,21 +201,28 @@ fn panel(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
         .draw()?;
     for curve in curves {
         let style = curve.style;
-        for (n, run) in curve.runs.iter().enumerate() {
+        for run in &curve.runs {
             let inside = run.iter().map(|p| (p.0, p.1.clamp(y.start, y.end)));
-            let drawn = chart.draw_series(LineSeries::new(inside, style))?;
-            if n == 0 {
-                drawn
-                    .label(curve.name.clone())
-                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], style));
-            }
+            chart.draw_series(LineSeries::new(inside, style))?;
         }
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperMiddle)
-        .label_font(("sans-serif", 11))
-        .background_style(WHITE.mix(0.85))
-        .draw()?;
+    Ok(())
+}
+
+/// Names and colours in one line above the panels.
+fn legend(strip: &Area<'_>, estimates: &[&Estimate], truth: bool) -> Drawn {
+    const STEP: i32 = 110;
+    let grey = if truth { "truth, measured" } else { "measured" };
+    let mut entries = vec![(grey, GREY.stroke_width(5))];
+    for method in Method::ALL {
+        if estimates.iter().any(|e| e.method == method) {
+            entries.push((method.name(), colour(method).stroke_width(2)));
+        }
+    }
+    for (k, (name, style)) in entries.into_iter().enumerate() {
+        let x = 20 + STEP * k as i32 + if k > 0 { 20 } else { 0 };
+        strip.draw(&PathElement::new([(x, 12), (x + 16, 12)], style))?;
+        strip.draw(&Text::new(name, (x + 22, 6), ("sans-serif", 12)))?;
+    }
     Ok(())
 }

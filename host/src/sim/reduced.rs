@@ -50,7 +50,7 @@ fn mix(a: Impedance, b: Impedance, w: f64) -> Impedance {
 }
 
 /// Weighted mean of the models' impedances: sectors of one pot carry the same current.
-fn exact(models: &[(f64, FieldModel)], f: f64, i: f64) -> Result<Impedance, FieldError> {
+pub fn exact(models: &[(f64, FieldModel)], f: f64, i: f64) -> Result<Impedance, FieldError> {
     let mut sum = Impedance {
         r_ohm: 0.0,
         l_h: 0.0,

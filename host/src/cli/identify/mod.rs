@@ -76,6 +76,17 @@ pub enum MethodWord {
     One(Method),
 }
 
+impl MethodWord {
+    /// The methods that a list of words means, in the order of tables.
+    pub fn chosen(words: &[Self]) -> Vec<Method> {
+        let chosen = |m: &Method| {
+            let in_build = cfg!(feature = "pinn") || *m != Method::Pinn;
+            words.contains(&Self::One(*m)) || (in_build && words.contains(&Self::All))
+        };
+        Method::ALL.into_iter().filter(chosen).collect()
+    }
+}
+
 impl ValueEnum for MethodWord {
     fn value_variants<'a>() -> &'a [Self] {
         const WORDS: [MethodWord; Method::ALL.len() + 1] = {
@@ -119,7 +130,7 @@ impl IdentifyArgs {
         if survey.worst() == Some(Severity::Error) && !self.anyway {
             bail!("R and L would be wrong; mend the capture as advised, or go on with --anyway");
         }
-        let methods = self.methods();
+        let methods = MethodWord::chosen(&self.method);
         let segments = survey.segments(&capture);
         let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
         bar.set_style(
@@ -170,15 +181,6 @@ impl IdentifyArgs {
             bail!("no method could identify {}", self.capture.path().display());
         }
         Ok(())
-    }
-
-    fn methods(&self) -> Vec<Method> {
-        let chosen = |m: &Method| {
-            let in_build = cfg!(feature = "pinn") || *m != Method::Pinn;
-            self.method.contains(&MethodWord::One(*m))
-                || (in_build && self.method.contains(&MethodWord::All))
-        };
-        Method::ALL.into_iter().filter(chosen).collect()
     }
 
     fn settings(&self) -> Result<Settings> {

@@ -54,14 +54,19 @@ impl Default for Tuning {
 const REFERENCE_S: f64 = 20e-9;
 
 /// A segment in units of its rms current and voltage, and the filter for it.
-pub(crate) struct Prepared {
-    i: Vec<f64>,
-    v: Vec<f64>,
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prepared {
+    /// Current, sample by sample.
+    pub i: Vec<f64>,
+    /// Voltage in the middle between each sample and the next.
+    pub v: Vec<f64>,
     /// Ampere and volt of one unit.
     i_unit_a: f64,
     v_unit_v: f64,
-    pub(crate) model: Model,
-    pub(crate) start: Filter,
+    /// Noise and transition.
+    pub model: Model,
+    /// Where the filter starts.
+    pub start: Filter,
 }
 
 fn rms(x: &[f64]) -> f64 {
@@ -69,15 +74,14 @@ fn rms(x: &[f64]) -> f64 {
 }
 
 impl Prepared {
-    pub(crate) fn new(segment: &Segment, settings: &Settings) -> Self {
+    /// Measures units, noise and start of a segment that passes [`Segment::check`].
+    pub fn new(segment: &Segment, settings: &Settings) -> Self {
         let (i_unit_a, v_unit_v) = (rms(&segment.i_a), rms(&segment.v_v));
-        let by = |x: &[f64], unit: f64| x.iter().map(|x| x / unit).collect();
         // x2 is the change to the next sample, so R·i + L·di/dt belongs to the middle between the two.
-        let half = |x: &[f64]| -> Vec<f64> {
-            let last = x.last().copied();
-            let next = x.iter().skip(1).copied().chain(last);
-            x.iter().zip(next).map(|(a, b)| 0.5 * (a + b)).collect()
-        };
+        let last = segment.v_v.last().copied();
+        let next = segment.v_v.iter().skip(1).copied().chain(last);
+        let half = segment.v_v.iter().zip(next);
+        let v = half.map(|(a, b)| 0.5 * (a + b) / v_unit_v).collect();
         let noise = WhiteNoise::measure(segment);
         let tuning = &settings.ekf;
         let ratio = segment.dt_s / REFERENCE_S;
@@ -101,8 +105,8 @@ impl Prepared {
         let x4 = l + 0.5 * r;
         let z2 = z.norm_sqr();
         Self {
-            i: by(&segment.i_a, i_unit_a),
-            v: by(&half(&segment.v_v), v_unit_v),
+            i: segment.i_a.iter().map(|i| i / i_unit_a).collect(),
+            v,
             i_unit_a,
             v_unit_v,
             model: Model {

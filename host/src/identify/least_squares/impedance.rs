@@ -26,15 +26,15 @@ const MOST_BEND: f64 = 0.3;
 
 /// Appends R and L of a stretch, one a switching period.
 pub fn fit(
-    part: &Segment,
+    segment: &Segment,
     phasors: &Fit,
     settings: &LeastSquaresSettings,
     noise: WhiteNoise,
     estimate: &mut Estimate,
 ) -> Result<(), IdentifyError> {
-    let omega = TAU * part.f_sw_hz;
-    let duration_s = part.len() as f64 * part.dt_s;
-    let count = intervals(settings.impedance_intervals, duration_s, part);
+    let omega = TAU * segment.f_sw_hz;
+    let duration_s = phasors.duration_s;
+    let count = intervals(settings.impedance_intervals, duration_s, segment);
     let spline = CubicSpline::new(count, duration_s);
     let points = PER_INTERVAL * count;
     let at = |k: usize| (k as f64 + 0.5) / points as f64 * duration_s;
@@ -66,11 +66,11 @@ pub fn fit(
         problem.add_bend(j, 1.0 / (bend * bend * z2));
     }
     let solution = problem.solve()?;
-    let periods = (duration_s * part.f_sw_hz).floor().max(1.0) as usize;
+    let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
     for k in 0..periods {
-        let tau_s = (k as f64 + 0.5) / part.f_sw_hz;
+        let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
         let (found, sigma) = solution.at(&spline, tau_s);
-        let t_s = part.t0_s + tau_s;
+        let t_s = phasors.t0_s + tau_s;
         estimate.push(
             t_s,
             (found[0], found[1] / omega),

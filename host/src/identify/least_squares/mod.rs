@@ -54,9 +54,8 @@ pub fn identify(
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
         if (to - from) as f64 >= least {
-            let part = segment.part(from, to);
-            let fit = phasors::Fit::new(&part, settings)?;
-            impedance::fit(&part, &fit, settings, noise, &mut estimate)?;
+            let fit = phasors::Fit::new(segment, from..to, settings)?;
+            impedance::fit(segment, &fit, settings, noise, &mut estimate)?;
         }
     }
     if estimate.t_s.is_empty() {

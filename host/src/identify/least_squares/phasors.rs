@@ -6,6 +6,8 @@
 //! a block. Products of two harmonics are sums at h ± h', 0 to 14: eight complex sums a pair of
 //! splines make the normal equations of an interval.
 
+use std::ops::Range;
+
 use ihd_spline::{Banded, CubicSpline};
 use nalgebra::Complex;
 
@@ -34,6 +36,10 @@ pub struct Fit {
     pub spline: CubicSpline,
     /// Samples of one interval.
     pub samples_per_interval: f64,
+    /// Time of the stretch's first sample in seconds.
+    pub t0_s: f64,
+    /// Duration of the stretch in seconds.
+    pub duration_s: f64,
     v: Vec<Phasor>,
     i: Vec<Phasor>,
 }
@@ -69,18 +75,23 @@ impl Interval {
 }
 
 impl Fit {
-    /// Fits a stretch within one mains half-cycle.
-    pub fn new(part: &Segment, settings: &LeastSquaresSettings) -> Result<Self, IdentifyError> {
-        let per_period = part.samples_per_period();
+    /// Fits a range of samples within one mains half-cycle.
+    pub fn new(
+        segment: &Segment,
+        range: Range<usize>,
+        settings: &LeastSquaresSettings,
+    ) -> Result<Self, IdentifyError> {
+        let per_period = segment.samples_per_period();
+        let (v_v, i_a) = (&segment.v_v[range.clone()], &segment.i_a[range.clone()]);
         let used = ORDERS
             .iter()
             .filter(|&&h| 2.0 * h as f64 + 1.0 < per_period)
             .count();
-        let duration_s = part.len() as f64 * part.dt_s;
-        let count = intervals(settings.phasor_intervals, duration_s, part);
+        let duration_s = v_v.len() as f64 * segment.dt_s;
+        let count = intervals(settings.phasor_intervals, duration_s, segment);
         let spline = CubicSpline::new(count, duration_s);
         let block = ((per_period / BLOCKS_PER_PERIOD).round() as usize).max(1);
-        let correlator = Correlator::new(part, block, ORDERS.map(|h| h as f64));
+        let correlator = Correlator::new(segment, block, ORDERS.map(|h| h as f64));
         // Σ e^(−j2kωt) over a block from its first sample, which is at angle 0.
         let within: [Phasor; PRODUCTS] = std::array::from_fn(|k| {
             let turns = 2.0 * k as f64 / per_period;
@@ -90,13 +101,10 @@ impl Fit {
         });
         let mut normal = Normal::new(&spline, used.max(1));
         let mut interval = Interval::empty(0);
-        let blocks = part
-            .v_v
-            .chunks_exact(block)
-            .zip(part.i_a.chunks_exact(block));
+        let blocks = v_v.chunks_exact(block).zip(i_a.chunks_exact(block));
         for (b, (v, i)) in blocks.enumerate() {
             let first = b * block;
-            let centre_s = (first as f64 + 0.5 * block as f64) * part.dt_s;
+            let centre_s = (first as f64 + 0.5 * block as f64) * segment.dt_s;
             let local = spline.at(centre_s);
             if local.first != interval.first {
                 normal.add(&interval);
@@ -122,7 +130,9 @@ impl Fit {
         normal.add(&interval);
         let (v, i) = normal.solve()?;
         Ok(Self {
-            samples_per_interval: part.len() as f64 / count as f64,
+            samples_per_interval: v_v.len() as f64 / count as f64,
+            t0_s: segment.t_s(range.start),
+            duration_s,
             spline,
             v,
             i,

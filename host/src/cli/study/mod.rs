@@ -1,0 +1,27 @@
+//! `ihd study`: many captures with truth, many estimators, one table.
+
+mod estimators;
+
+use anyhow::Result;
+use clap::{Args, Subcommand};
+
+/// Run a study and print its tables.
+#[derive(Debug, Args)]
+pub struct StudyArgs {
+    #[command(subcommand)]
+    study: Study,
+}
+
+#[derive(Debug, Subcommand)]
+enum Study {
+    Estimators(estimators::EstimatorsArgs),
+}
+
+impl StudyArgs {
+    /// Runs the chosen study.
+    pub fn run(&self) -> Result<()> {
+        match &self.study {
+            Study::Estimators(args) => args.run(),
+        }
+    }
+}
