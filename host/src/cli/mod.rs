@@ -9,6 +9,7 @@ pub mod inspect;
 pub mod interrupt;
 pub mod simulate;
 pub mod simulated;
+pub mod study;
 #[cfg(feature = "pinn")]
 pub mod trainer;
 
@@ -35,6 +36,7 @@ enum Command {
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
     Simulate(Box<simulate::SimulateArgs>),
+    Study(study::StudyArgs),
 }
 
 impl Cli {
@@ -51,6 +53,7 @@ impl Cli {
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
             Command::Simulate(args) => args.run(),
+            Command::Study(args) => args.run(),
         }
     }
 }
