@@ -3,4 +3,5 @@
 pub mod desk_hob;
 pub mod half_cycle;
 pub mod oracle;
+pub mod regression_captures;
 pub mod simulated_hob;

@@ -94,7 +94,7 @@ impl Housekeeping {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
-            let id = frame.id;
+            let (id, seq) = (frame.id, frame.seq);
             self.half_cycles_unheard = 0;
             match AnyMessage::decode(id, frame.payload) {
                 // These two borrow from the deframer; the rest may borrow all of self.
@@ -107,7 +107,7 @@ impl Housekeeping {
                     self.reply(PushLookup::ID, outcome, detail);
                 }
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
-                    match self.replay.blocks(access, &blocks) {
+                    match self.replay.blocks(access, &blocks, seq) {
                         Some(answer) => self.session.answer(answer),
                         None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
                     }
@@ -153,6 +153,7 @@ impl Housekeeping {
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
         self.session.restart(access);
+        self.replay.forget_sequence();
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was told to somebody before.
         self.reported_fault = Fault::None;

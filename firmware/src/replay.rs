@@ -27,6 +27,7 @@ pub const BLOCK_BYTES: usize = ADC_LOCK_P * PAIR_BYTES;
 pub const NO_CROSSING: u16 = u16::MAX;
 
 /// What the blocks of one message led to.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Estimates {
     first: u32,
     entries: [TrackEntry; BLOCKS_PER_MESSAGE],
@@ -54,6 +55,10 @@ impl Estimates {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Replay {
     blocks: u32,
+    /// The last answer, for a host that did not get it.
+    last: Estimates,
+    /// Frame that `last` answered.
+    last_seq: Option<u16>,
 }
 
 impl Replay {
@@ -78,7 +83,7 @@ impl Replay {
         if fault != Fault::None {
             return Err((Outcome::FaultActive, u32::from(fault.number())));
         }
-        self.blocks = 0;
+        *self = Self::default();
         Ok(ReplayMode {
             active: true,
             blocks: 0,
@@ -99,8 +104,21 @@ impl Replay {
         }
     }
 
-    /// Replays the blocks of one message; `None` when they are not whole blocks, or too many.
-    pub fn blocks(&mut self, access: &mut impl Access, m: &ReplayBlocks<'_>) -> Option<Answer> {
+    /// Another host, or the same one anew: its frames count from the beginning.
+    pub fn forget_sequence(&mut self) {
+        self.last_seq = None;
+    }
+
+    /// Replays the blocks of one message, which came in frame `seq`; `None` when they are not whole
+    /// blocks, or too many. A frame that comes twice is replayed once, and a message without
+    /// blocks asks for the last answer again: so nothing that a link does makes the estimator see
+    /// a block twice or not at all.
+    pub fn blocks(
+        &mut self,
+        access: &mut impl Access,
+        m: &ReplayBlocks<'_>,
+        seq: u16,
+    ) -> Option<Answer> {
         let bytes = m.data.0;
         let count = bytes.len() / BLOCK_BYTES;
         if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
@@ -109,6 +127,9 @@ impl Replay {
         let (active, blocks) = (access.with(|rt| rt.is_replaying()), self.blocks);
         if !active {
             return Some(Answer::ReplayMode(ReplayMode { active, blocks }));
+        }
+        if count == 0 || self.last_seq == Some(seq) {
+            return Some(Answer::ReplayEstimates(self.last));
         }
         let mut entries = [TrackEntry::default(); BLOCKS_PER_MESSAGE];
         let blocks = bytes.chunks_exact(BLOCK_BYTES);
@@ -119,11 +140,13 @@ impl Replay {
         }
         let first = self.blocks;
         self.blocks = first.wrapping_add(count as u32);
-        Some(Answer::ReplayEstimates(Estimates {
+        self.last_seq = Some(seq);
+        self.last = Estimates {
             first,
             entries,
             count,
-        }))
+        };
+        Some(Answer::ReplayEstimates(self.last))
     }
 }
 

@@ -5,6 +5,7 @@ pub mod cli;
 pub mod identify;
 pub mod link;
 pub mod lookup;
+pub mod replay;
 pub mod report;
 pub mod sim;
 pub mod study;

@@ -7,6 +7,8 @@ pub mod hob;
 pub mod identify;
 pub mod inspect;
 pub mod interrupt;
+pub mod record;
+pub mod replay;
 pub mod simulate;
 pub mod simulated;
 pub mod study;
@@ -17,6 +19,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 use crate::link::LinkError;
+use crate::replay::ReplayError;
 use crate::sim::server::ServerError;
 
 /// Identifies an induction hob's load and teaches its controller.
@@ -35,6 +38,8 @@ enum Command {
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
+    Record(Box<record::RecordArgs>),
+    Replay(Box<replay::ReplayArgs>),
     Simulate(Box<simulate::SimulateArgs>),
     Study(study::StudyArgs),
 }
@@ -52,6 +57,8 @@ impl Cli {
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
+            Command::Record(args) => args.run(),
+            Command::Replay(args) => args.run(),
             Command::Simulate(args) => args.run(),
             Command::Study(args) => args.run(),
         }
@@ -70,6 +77,15 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
             E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
             E::Store(_) | E::Write { .. } => 1,
         };
+    }
+    if error.is::<replay::Differs>() {
+        return 6;
+    }
+    if let Some(ReplayError::Link(_) | ReplayError::NotLocked { .. }) = error.downcast_ref() {
+        return 3;
+    }
+    if let Some(LinkError::Recording(_)) = error.downcast_ref() {
+        return 1;
     }
     if error.is::<LinkError>() || error.is::<ServerError>() {
         3

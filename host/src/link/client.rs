@@ -92,6 +92,11 @@ impl Client {
         }
     }
 
+    /// The transport's clock, which every time-out is measured with; only differences mean something.
+    pub fn clock(&self) -> Duration {
+        self.transport.clock()
+    }
+
     /// How long a command waits for its answer, on the transport's clock.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;

@@ -85,6 +85,19 @@ pub enum LinkError {
         /// The device.
         device: String,
     },
+    /// The device has replayed other blocks than were sent.
+    #[error(
+        "{device} has replayed {taken} blocks where {sent} were sent: the link repeats or loses \
+         frames, and its firmware is too old to notice"
+    )]
+    OutOfStep {
+        /// The device.
+        device: String,
+        /// Blocks that it says it has replayed.
+        taken: u32,
+        /// Blocks that were sent and answered.
+        sent: u32,
+    },
     /// A command does not fit a frame.
     #[error("{command} cannot be sent: {source}")]
     Unsendable {

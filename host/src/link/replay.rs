@@ -1,4 +1,9 @@
 //! Replay: recorded pairs through a device's own sampling path, and its estimates back.
+//!
+//! Every block is replayed exactly once and every estimate comes back, whatever the link loses,
+//! repeats or cuts, or an error says that it could not be had: one message is under way at a time,
+//! an answer counts only with the number of blocks before it, and after silence the device is asked
+//! which message was its last.
 
 use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
@@ -9,9 +14,31 @@ use ihd_shared::wire::messages::{Raw, ReplayBlocks, ReplayEnd, ReplayMode, Repla
 use super::incoming::Answer;
 use super::{Client, LinkError};
 
+/// Pairs of a full message.
+pub const PAIRS_PER_MESSAGE: usize = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
+
+/// Times that a message is sent, or asked after, before the link is given up.
+const TRIES: u32 = 8;
+
 /// A device in replay mode: its power outputs are locked off until [`Replay::end`].
 pub struct Replay<'a> {
     client: &'a mut Client,
+    /// Blocks whose estimates have come back.
+    taken: u32,
+    /// The device may have replayed a message whose answer was lost.
+    unsure: bool,
+    /// Messages that had to be sent or asked after again.
+    repeats: u32,
+}
+
+/// What a device says to the question for its last answer.
+enum Last {
+    /// It is the message under way: here are its estimates.
+    Same(Vec<u8>),
+    /// The message under way has not arrived.
+    Before,
+    /// It is not in replay mode.
+    Left,
 }
 
 impl Client {
@@ -27,8 +54,43 @@ impl Client {
         r: MicroOhm,
         l: PicoHenry,
     ) -> Result<Replay<'_>, LinkError> {
-        self.ask(&ReplayStart { f_sw_hz, r, l }, "ReplayStart", mode)?;
-        Ok(Replay { client: self })
+        let start = ReplayStart { f_sw_hz, r, l };
+        let entered = |m: &ReplayMode| m.active && m.blocks == 0;
+        persist(|| self.ask(&start, "ReplayStart", |a| mode(a).filter(entered)))?;
+        Ok(self.continue_replay(0))
+    }
+
+    /// Goes on with a replay of which `taken` blocks have been sent and have come back.
+    pub fn continue_replay(&mut self, taken: u32) -> Replay<'_> {
+        Replay {
+            client: self,
+            taken,
+            unsure: false,
+            repeats: 0,
+        }
+    }
+
+    /// As [`Client::continue_replay`], after a link that ended: the device may have replayed the
+    /// next message already.
+    pub fn resume_replay(&mut self, taken: u32) -> Replay<'_> {
+        Replay {
+            unsure: true,
+            ..self.continue_replay(taken)
+        }
+    }
+}
+
+/// Asks again when an answer stays away: for commands that may come twice.
+///
+/// # Errors
+/// [`LinkError::NoAnswer`] after several tries, else what the command says.
+pub fn persist<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+    let mut tries = 1;
+    loop {
+        match ask() {
+            Err(LinkError::NoAnswer { .. }) if tries < TRIES => tries += 1,
+            other => return other,
+        }
     }
 }
 
@@ -38,8 +100,7 @@ impl Replay<'_> {
     /// device made none. Pairs beyond the last whole block are left out.
     ///
     /// # Errors
-    /// [`LinkError::NotReplaying`] when the device has left replay mode (a reset), else as every
-    /// command.
+    /// As [`Replay::message`].
     pub fn blocks(
         &mut self,
         pairs: &[Pair],
@@ -48,17 +109,23 @@ impl Replay<'_> {
     ) -> Result<Vec<Option<TrackEntry>>, LinkError> {
         let mut estimates = Vec::new();
         let whole = &pairs[..pairs.len() - pairs.len() % ADC_LOCK_P];
-        let per_message = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
-        for (k, part) in whole.chunks(per_message).enumerate() {
+        for (k, part) in whole.chunks(PAIRS_PER_MESSAGE).enumerate() {
             let crossing = zero_crossing
-                .and_then(|at| at.checked_sub(k * per_message))
+                .and_then(|at| at.checked_sub(k * PAIRS_PER_MESSAGE))
                 .filter(|&at| at < part.len());
             estimates.extend(self.message(part, crossing, bus_dv)?);
         }
         Ok(estimates)
     }
 
-    fn message(
+    /// Replays the blocks of one message, at most [`PAIRS_PER_MESSAGE`] pairs; see
+    /// [`Replay::blocks`]. After [`LinkError::Closed`], [`Client::resume_replay`] goes on with the
+    /// same blocks.
+    ///
+    /// # Errors
+    /// [`LinkError::NotReplaying`] when the device has left replay mode (a reset),
+    /// [`LinkError::NoAnswer`] after several tries, else as every command.
+    pub fn message(
         &mut self,
         pairs: &[Pair],
         crossing: Option<usize>,
@@ -71,19 +138,82 @@ impl Replay<'_> {
             bus_dv,
             data: Raw(&bytes),
         };
-        let answer = self
-            .client
-            .ask(&blocks, "ReplayBlocks", |answer| match answer {
-                Answer::ReplayEstimates(_, bytes) => Some(Some(bytes)),
-                Answer::ReplayMode(_) => Some(None),
-                _ => None,
-            })?;
-        let Some(bytes) = answer else {
-            return Err(LinkError::NotReplaying {
-                device: self.client.describe(),
-            });
+        let wanted = pairs.len() / ADC_LOCK_P * TRACK_BYTES;
+        let mut tries = 0;
+        let answer = loop {
+            tries += 1;
+            let asked = if self.unsure {
+                self.ask_last(wanted)
+            } else {
+                self.ask_blocks(&blocks, wanted)
+            };
+            match asked {
+                Ok(Last::Same(bytes)) => break bytes,
+                Ok(Last::Before) => self.unsure = false,
+                Ok(Last::Left) => {
+                    return Err(LinkError::NotReplaying {
+                        device: self.client.describe(),
+                    });
+                }
+                Err(LinkError::NoAnswer { .. }) if tries < 2 * TRIES => self.unsure = true,
+                Err(other) => return Err(other),
+            }
+            self.repeats += 1;
         };
-        Ok(bytes.chunks_exact(TRACK_BYTES).map(entry).collect())
+        self.unsure = false;
+        self.taken = self.taken.wrapping_add((answer.len() / TRACK_BYTES) as u32);
+        Ok(answer.chunks_exact(TRACK_BYTES).map(entry).collect())
+    }
+
+    /// Sends a message; only an answer to these very blocks counts.
+    fn ask_blocks(&mut self, blocks: &ReplayBlocks<'_>, wanted: usize) -> Result<Last, LinkError> {
+        let taken = self.taken;
+        self.client
+            .ask(blocks, "ReplayBlocks", |answer| match answer {
+                Answer::ReplayEstimates(first, bytes)
+                    if first == taken && bytes.len() == wanted =>
+                {
+                    Some(Last::Same(bytes))
+                }
+                Answer::ReplayMode(ReplayMode { active: false, .. }) => Some(Last::Left),
+                _ => None,
+            })
+    }
+
+    /// Asks which message was the last: the one under way, or the one before it. Anything else is
+    /// an answer that comes late.
+    fn ask_last(&mut self, wanted: usize) -> Result<Last, LinkError> {
+        let taken = self.taken;
+        let question = ReplayBlocks {
+            zero_crossing: NO_CROSSING,
+            bus_dv: 0,
+            data: Raw(&[]),
+        };
+        self.client
+            .ask(&question, "ReplayBlocks", |answer| match answer {
+                Answer::ReplayEstimates(first, bytes)
+                    if first == taken && bytes.len() == wanted =>
+                {
+                    Some(Last::Same(bytes))
+                }
+                Answer::ReplayEstimates(first, bytes)
+                    if first.wrapping_add((bytes.len() / TRACK_BYTES) as u32) == taken =>
+                {
+                    Some(Last::Before)
+                }
+                Answer::ReplayMode(ReplayMode { active: false, .. }) => Some(Last::Left),
+                _ => None,
+            })
+    }
+
+    /// Blocks whose estimates have come back.
+    pub fn taken(&self) -> u32 {
+        self.taken
+    }
+
+    /// Messages that had to be sent or asked after again.
+    pub fn repeats(&self) -> u32 {
+        self.repeats
     }
 
     /// The device behind the replay, for its other commands and events.
@@ -94,9 +224,20 @@ impl Replay<'_> {
     /// Leaves replay mode; returns how many blocks the device has taken.
     ///
     /// # Errors
-    /// As every command.
+    /// [`LinkError::OutOfStep`] when these are not the blocks that were sent, else as every command.
     pub fn end(self) -> Result<u32, LinkError> {
-        let mode = self.client.ask(&ReplayEnd {}, "ReplayEnd", mode)?;
+        let mode = persist(|| {
+            let left = |m: &ReplayMode| !m.active;
+            self.client
+                .ask(&ReplayEnd {}, "ReplayEnd", |a| mode(a).filter(left))
+        })?;
+        if mode.blocks != self.taken {
+            return Err(LinkError::OutOfStep {
+                device: self.client.describe(),
+                taken: mode.blocks,
+                sent: self.taken,
+            });
+        }
         Ok(mode.blocks)
     }
 }

@@ -212,7 +212,8 @@ message_table! { 'a;
         l: PicoHenry,
     }
     /// Up to four blocks of 61 pairs for the sampling path. Answered by `ReplayEstimates`, or by
-    /// `ReplayMode` when the device is not in replay mode.
+    /// `ReplayMode` when the device is not in replay mode. A frame that comes twice is replayed
+    /// once; without blocks it asks for the last `ReplayEstimates` again.
     0x09 "to device" ReplayBlocks<'a> {
         /// Index of the first pair after a mains zero crossing; 65535 for none.
         zero_crossing: u16,

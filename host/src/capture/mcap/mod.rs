@@ -23,6 +23,7 @@ pub mod writer;
 
 pub use error::McapFileError;
 pub use load::{read, read_between};
+pub use notes::link_counters;
 pub use reader::Reader;
 pub use save::write;
 pub use session::{SessionReader, SessionRecorder};

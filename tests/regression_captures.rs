@@ -1,0 +1,90 @@
+//! The captures in tests/fixtures/captures: what each shows, and how it is made.
+
+use std::path::{Path, PathBuf};
+
+use ihd::sim::pot::Pot;
+use ihd::sim::recording::sensing::{Rate, Sensing};
+use ihd::sim::recording::settings::{Change, Event, LoadKind, Settings};
+
+/// Every so many periods of truth are kept: R and L change little within half a millisecond.
+pub const TRUTH_EVERY: usize = 8;
+
+/// Name and settings of every capture.
+pub fn all() -> [(&'static str, Settings); 6] {
+    let steps = [(10e-3, 52e3), (20e-3, 60e3)].map(|(t_s, f)| event(t_s, Change::Frequency(f)));
+    [
+        ("start-up", board(20e-3)),
+        (
+            "pot-removal",
+            Settings {
+                f_sw_hz: 50e3,
+                events: vec![event(13e-3, Change::Pot(Pot::NONE))],
+                ..board(20e-3)
+            },
+        ),
+        (
+            "frequency-steps",
+            Settings {
+                events: steps.to_vec(),
+                ..board(30e-3)
+            },
+        ),
+        (
+            "saturation",
+            sensed(|s| {
+                // The current's crest is some 45 A.
+                s.i_full_scale_a = 40.0;
+            }),
+        ),
+        (
+            "noisy",
+            sensed(|s| {
+                s.snr_db = Some(30.0);
+            }),
+        ),
+        (
+            "commensurate",
+            sensed(|s| {
+                // Twenty samples a period: every harmonic of the edges falls on another one.
+                s.rate = Rate::Hz(20.0 * 45e3);
+                s.allow_aliasing = true;
+            }),
+        ),
+    ]
+}
+
+fn event(t_s: f64, change: Change) -> Event {
+    Event { t_s, change }
+}
+
+/// What a board sees of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.
+fn board(duration_s: f64) -> Settings {
+    Settings {
+        load: LoadKind::Reduced,
+        winding_r_ohm: 0.1,
+        duration_s,
+        sensing: Sensing {
+            rate: Rate::Locked,
+            bits: 12,
+            pole_hz: 500e3,
+            ..Sensing::default()
+        },
+        ..Settings::default()
+    }
+}
+
+fn sensed(change: fn(&mut Sensing)) -> Settings {
+    let mut settings = board(20e-3);
+    change(&mut settings.sensing);
+    settings
+}
+
+/// The folder of the captures and their thresholds.
+pub fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/captures")
+}
+
+/// The file of a capture.
+pub fn file(name: &str) -> PathBuf {
+    folder().join(format!("{name}.mcap"))
+}
