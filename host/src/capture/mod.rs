@@ -3,6 +3,7 @@
 
 pub mod channels;
 pub mod error;
+pub mod exports;
 pub mod formats;
 pub mod mcap;
 pub mod open;

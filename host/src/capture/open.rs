@@ -4,7 +4,7 @@ use std::fs::{File, FileType};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::channels::{ChannelOptions, ChannelRef, choose, quantity_of_name};
+use super::channels::{ChannelOptions, ChannelRef, Chosen, choose, quantity_of_name};
 use super::error::CaptureError;
 use super::formats::csv::CsvSource;
 use super::formats::input::Input;
@@ -219,16 +219,26 @@ struct Side {
 
 impl Side {
     /// Applies the factor to volt or ampere.
-    fn new(mut values: Vec<f32>, channel: &Channel, factor: f64) -> Self {
+    ///
+    /// # Errors
+    /// The sample that the factor drives beyond f32.
+    fn new(mut values: Vec<f32>, channel: &Channel, factor: f64) -> Result<Self, String> {
         if factor != 1.0 {
-            for x in &mut values {
-                *x = (f64::from(*x) * factor) as f32;
+            for (k, x) in values.iter_mut().enumerate() {
+                let scaled = (f64::from(*x) * factor) as f32;
+                if !scaled.is_finite() {
+                    return Err(format!(
+                        "sample {k} is {x:e} in the file, times {factor:e} is no voltage or current: \
+                         see --probe and --units"
+                    ));
+                }
+                *x = scaled;
             }
         }
-        Self {
+        Ok(Self {
             values,
             full_scale: channel.full_scale.map(|full| full * factor.abs()),
-        }
+        })
     }
 }
 
@@ -282,9 +292,9 @@ fn assembled(
     let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
     let mut side = |k: usize| {
         let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
-        Side::new(values, &channels[chosen[k].index], chosen[k].factor)
+        Side::new(values, &channels[chosen[k].index], chosen[k].factor).map_err(choice)
     };
-    let (v, i) = (side(0), side(1));
+    let (v, i) = (side(0)?, side(1)?);
     Ok(Capture {
         name: path.display().to_string(),
         time,
@@ -353,10 +363,11 @@ fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capt
     ];
     let chosen = choose(&channels, &options.channels).map_err(choice)?;
     let mut columns = [capture.v_v, capture.i_a];
-    let [v, i] = chosen.map(|c| {
+    let mut side = |c: Chosen| {
         let values = std::mem::take(&mut columns[c.index]);
-        Side::new(values, &channels[c.index], c.factor)
-    });
+        Side::new(values, &channels[c.index], c.factor).map_err(choice)
+    };
+    let (v, i) = (side(chosen[0])?, side(chosen[1])?);
     let time = options.rate_hz.map(|rate_hz| TimeBase::Even {
         t0_s: capture.time.at(0).unwrap_or(0.0),
         dt_s: 1.0 / rate_hz,

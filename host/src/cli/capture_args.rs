@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 
 use super::simulate::quantity::{list, quantity};
 use crate::capture::channels::{ChannelOptions, ChannelRef};
 use crate::capture::formats::unit::Unit;
-use crate::capture::{Capture, OpenOptions, open};
+use crate::capture::open::open_with;
+use crate::capture::{Capture, OpenOptions};
 use crate::identify::calibration::Calibration;
 
 /// Whose sign to change.
@@ -80,6 +81,11 @@ impl CaptureArgs {
         &self.file
     }
 
+    /// The file, or both.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        std::iter::once(self.path()).chain(self.second.as_deref())
+    }
+
     /// What the arguments mean.
     pub fn options(&self) -> OpenOptions {
         // The table then has these two channels, in this order.
@@ -106,7 +112,22 @@ impl CaptureArgs {
     /// [`crate::capture::CaptureError`] or [`crate::identify::calibration::CalibrationFileError`],
     /// naming the file and what to do.
     pub fn open(&self) -> Result<Capture> {
-        let mut capture = open(&self.file, &self.options())?;
+        self.open_with(&mut |_| ())
+    }
+
+    /// Opens the capture; `progress` hears how far the file has been read, from 0 to 1.
+    ///
+    /// # Errors
+    /// As [`CaptureArgs::open`].
+    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Capture> {
+        if let Some(rate_hz) = self.rate {
+            let sound = rate_hz.is_finite() && rate_hz > 0.0;
+            ensure!(
+                sound,
+                "--rate is {rate_hz}, but a sampling rate is positive"
+            );
+        }
+        let mut capture = open_with(&self.file, &self.options(), progress)?;
         if let Some(path) = &self.calibration {
             Calibration::read(path)?.apply(&mut capture);
         }

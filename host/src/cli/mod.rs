@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod capture_args;
+pub mod convert;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
@@ -35,6 +36,7 @@ enum Command {
     Calibrate(Box<calibrate::CalibrateArgs>),
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
+    Convert(Box<convert::ConvertArgs>),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
@@ -54,6 +56,7 @@ impl Cli {
             Command::Calibrate(args) => args.run(),
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(),
+            Command::Convert(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),

@@ -133,7 +133,8 @@ impl<A: Arrays> ArraySource<A> {
         let mut bad = None;
         let mut k = 0u64;
         self.reader.numbers(index, &mut |x| {
-            if !x.is_finite() && bad.is_none() {
+            // As a sample it is f32, and may be too large for it.
+            if !(x as f32).is_finite() && bad.is_none() {
                 bad = Some(k);
             }
             k += 1;
@@ -143,7 +144,7 @@ impl<A: Arrays> ArraySource<A> {
             None => Ok(()),
             Some(k) => {
                 let array = &self.arrays[index];
-                let what = format!("sample {k} of `{}` is not finite", array.name);
+                let what = format!("number {k} of `{}` is not finite", array.name);
                 Err(FormatError::at_byte(array.offset, what))
             }
         }

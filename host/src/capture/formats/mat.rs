@@ -60,7 +60,7 @@ pub fn open(mut input: Input) -> Result<ArraySource<MatArrays>, FormatError> {
     let endian = endian(&header).ok_or_else(|| FormatError::at_byte(124, "no MAT version 5"))?;
     let mut arrays = Vec::new();
     let mut elements = Vec::new();
-    while input.remaining() >= 8 && arrays.len() < MOST_ARRAYS {
+    while input.remaining() > 0 && arrays.len() < MOST_ARRAYS {
         let at = input.offset();
         let kind = input.number(Kind::U32, endian)? as u32;
         let bytes = input.number(Kind::U32, endian)? as u64;

@@ -36,11 +36,13 @@ pub fn time_base(
     };
     let intervals = stamps.len().saturating_sub(1).max(1) as f64;
     let mean_s = (last - first) / intervals;
+    // Rounding makes stamps equal, but never turns them.
+    let descends = stamps.windows(2).any(|pair| pair[1] < pair[0]);
     for dt_s in declared_s.into_iter().chain([mean_s]) {
         let rounding = f64::EPSILON * first.abs().max(last.abs());
         let tolerance = (1.5 * resolution_s).max(JITTER * dt_s) + 4.0 * rounding;
         let even = |(k, t): (usize, &f64)| (t - first - k as f64 * dt_s).abs() <= tolerance;
-        if dt_s > 0.0 && stamps.iter().enumerate().all(even) {
+        if dt_s > 0.0 && !descends && stamps.iter().enumerate().all(even) {
             return Ok(TimeBase::Even { t0_s: first, dt_s });
         }
     }
@@ -102,6 +104,8 @@ mod tests {
         let back = time_base(vec![0.0, 1.0, 0.5, 3.0], 0.0, None).unwrap_err();
         assert_eq!((back.sample, back.before_s, back.t_s), (2, 1.0, 0.5));
         assert!(time_base(vec![0.0, -1.0], 0.0, None).is_err());
+        // Within the resolution of an even grid, and yet a table that was pasted twice.
+        assert!(time_base(vec![0.0, 1e-3, 0.0, 1e-3], 1e-3, None).is_err());
         assert!(time_base(vec![0.0, 0.0, 0.0], 0.0, Some(1.0)).is_err());
     }
 }

@@ -14,7 +14,7 @@ use std::io::{BufReader, Read, SeekFrom};
 
 use self::dialect::{Layout, TimeColumn};
 use self::prelude::Prelude;
-use self::rows::{LONGEST_LINE, Rows};
+use self::rows::{LONGEST_LINE, Rows, too_long};
 use super::input::ReadSeek;
 use super::time::time_base;
 use super::{Channel, Progress, Samples, Source};
@@ -51,6 +51,9 @@ impl CsvSource {
         let mut head = Vec::new();
         let mut beginning = (&mut file).take(LONGEST_LINE as u64);
         beginning.read_to_end(&mut head).map_err(failed)?;
+        if head.len() == LONGEST_LINE && !head.contains(&b'\n') {
+            return Err(FormatError::at_line(1, too_long()));
+        }
         let prelude = Prelude::read(&head)?;
         let layout = Layout::of(&prelude, columns)?;
         file.seek(SeekFrom::Start(prelude.end.byte()))

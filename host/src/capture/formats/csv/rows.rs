@@ -9,6 +9,11 @@ use crate::capture::error::FormatError;
 /// Longest line that is read, in bytes: 10 000 columns of 100 characters.
 pub const LONGEST_LINE: usize = 1 << 20;
 
+/// What is said of a longer line.
+pub fn too_long() -> String {
+    format!("a line of more than {LONGEST_LINE} bytes: this is no table")
+}
+
 /// Delimiter and decimal sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Syntax {
@@ -131,8 +136,9 @@ impl<'a> Row<'a> {
     /// [`FormatError`] for anything else, overflow included.
     pub fn number(&self, field: &[u8]) -> Result<f64, FormatError> {
         match self.syntax.number(field) {
-            Some(value) if value.is_finite() => Ok(value),
-            Some(_) => Err(self.wrong(field, "not finite")),
+            // As a sample it is f32.
+            Some(value) if (value as f32).is_finite() => Ok(value),
+            Some(_) => Err(self.wrong(field, "not finite, or beyond f32")),
             None if is_overflow(field) => Err(self.wrong(field, "beyond the scope's range")),
             None => Err(self.wrong(field, "no number")),
         }
@@ -217,8 +223,7 @@ impl Read for Bounded {
             None => self.in_line += read,
         }
         if self.in_line > LONGEST_LINE {
-            let what = format!("a line of more than {LONGEST_LINE} bytes: this is no table");
-            return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+            return Err(io::Error::new(io::ErrorKind::InvalidData, too_long()));
         }
         Ok(read)
     }
