@@ -223,7 +223,7 @@ fn network(c: &mut Criterion) {
     let run = |config: &Config| identify(&waveform, config, &mut |_| ()).expect("it identifies");
     let mut group = c.benchmark_group("network, one window");
     group.sample_size(10);
-    for backend in Backend::ALL {
+    for &backend in Backend::ALL {
         let cold = Config {
             backend,
             ..Config::default()

@@ -1,4 +1,4 @@
-//! Which burn backend computes the RL-MLP.
+//! What computes the networks: own code, or burn on one of its backends.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,38 +8,69 @@ use serde::{Deserialize, Serialize};
 
 use crate::PinnError;
 
-/// The burn backend on which the RL-MLP and its Jacobian are computed. Both give the same digits
-/// to rounding; they differ in time only.
+/// What computes the networks and their gradients. All give the same digits to rounding; they differ
+/// in time only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
-    /// burn-flex: burn's own CPU backend, and the faster one here.
+    /// This crate's own kernels, without burn: the fastest on a CPU.
     #[default]
+    Fused,
+    /// burn-flex: burn's own CPU backend.
     Flex,
     /// burn-ndarray: deprecated upstream since 0.22, kept because the project's owner named it.
     Ndarray,
+    /// burn on a GPU through WebGPU, Vulkan or Metal; single precision, so not for `hybrid`.
+    #[cfg(feature = "wgpu")]
+    Wgpu,
+    /// burn on an NVIDIA GPU.
+    #[cfg(feature = "cuda")]
+    Cuda,
 }
 
 impl Backend {
-    /// All backends, in the order in which they are offered to a user.
-    pub const ALL: [Self; 2] = [Self::Flex, Self::Ndarray];
+    /// All backends of this build, in the order in which they are offered to a user.
+    pub const ALL: &[Self] = &[
+        Self::Fused,
+        Self::Flex,
+        Self::Ndarray,
+        #[cfg(feature = "wgpu")]
+        Self::Wgpu,
+        #[cfg(feature = "cuda")]
+        Self::Cuda,
+    ];
 
-    /// The burn device that stands for this backend, without autodiff.
-    pub(crate) fn device(self) -> Device {
+    /// The burn device that stands for this backend, without autodiff; none for the own kernels.
+    pub(crate) fn device(self) -> Option<Device> {
         match self {
-            Self::Flex => Device::flex(),
+            Self::Fused => None,
+            Self::Flex => Some(Device::flex()),
             // Wanted although burn deprecates it: see the variant.
             #[allow(deprecated)]
-            Self::Ndarray => Device::ndarray(),
+            Self::Ndarray => Some(Device::ndarray()),
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu => Some(Device::wgpu(Default::default())),
+            #[cfg(feature = "cuda")]
+            Self::Cuda => Some(Device::cuda(Default::default())),
         }
+    }
+
+    /// Whether it computes in double precision, which `hybrid` needs.
+    pub(crate) fn is_double(self) -> bool {
+        matches!(self, Self::Fused | Self::Flex | Self::Ndarray)
     }
 }
 
 impl fmt::Display for Backend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
+            Self::Fused => "fused",
             Self::Flex => "flex",
             Self::Ndarray => "ndarray",
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu => "wgpu",
+            #[cfg(feature = "cuda")]
+            Self::Cuda => "cuda",
         })
     }
 }
@@ -47,18 +78,18 @@ impl fmt::Display for Backend {
 impl FromStr for Backend {
     type Err = PinnError;
 
-    /// Reads `flex` or `ndarray`.
+    /// Reads the name of one of [`Self::ALL`].
     ///
     /// # Errors
     /// [`PinnError::UnknownName`] for anything else.
     fn from_str(name: &str) -> Result<Self, PinnError> {
-        Self::ALL
-            .into_iter()
-            .find(|backend| backend.to_string() == name)
+        let mut all = Self::ALL.iter();
+        all.find(|backend| backend.to_string() == name)
+            .copied()
             .ok_or_else(|| PinnError::UnknownName {
                 what: "backend",
                 name: name.to_owned(),
-                known: "flex, ndarray",
+                known: "fused, flex, ndarray (wgpu, cuda in builds with these features)",
             })
     }
 }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Backend, Parameters, PinnError, SlowEmbedding};
+use crate::{Backend, Parameters, PinnError, Preset, SlowEmbedding, ViMlp};
 
 /// What trains the RL-MLP on the physics term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -52,7 +52,7 @@ impl FromStr for Optimiser {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// burn backend of the RL-MLP.
+    /// What computes the networks.
     pub backend: Backend,
     /// Seed of the RL-MLP's first weights; the same seed gives the same digits.
     pub seed: u64,
@@ -85,11 +85,21 @@ pub struct Config {
     pub optimiser: Optimiser,
     /// Learning rate of Adam; Levenberg-Marquardt has none.
     pub learning_rate: f64,
-    /// Most optimiser steps in all passes together.
+    /// The paper's VI-MLP in place of the harmonic VI branch: both networks are then trained together
+    /// by Adam, and `harmonics`, `physics_harmonics`, `spline_intervals`, `weight_width` and
+    /// `outer_passes` mean nothing.
+    pub vi_mlp: Option<ViMlp>,
+    /// Trains so many times from successive seeds, 1..=64; the best is the result, the spread its
+    /// uncertainty.
+    pub ensemble: usize,
+    /// Ignores the wall-clock limit, the only thing that makes two runs differ.
+    pub deterministic: bool,
+    /// Most optimiser steps in all passes together, with a VI-MLP: epochs.
     pub max_iterations: usize,
     /// Most alternations between the VI branch and the RL-MLP.
     pub outer_passes: usize,
-    /// Stop when R and L move by less than this, as a mean of the relative change over a few steps.
+    /// Stop when R and L move by less than this, as a mean of the relative change over a few steps;
+    /// 0 never.
     pub tolerance: f64,
     /// Wall-clock limit of the optimiser, s. Reached, the best parameters so far are the result.
     pub time_limit_s: f64,
@@ -115,6 +125,9 @@ impl Default for Config {
             weight_width: 1.0,
             optimiser: Optimiser::default(),
             learning_rate: 1e-2,
+            vi_mlp: None,
+            ensemble: 1,
+            deterministic: false,
             max_iterations: 200,
             outer_passes: 2,
             tolerance: 1e-4,
@@ -125,6 +138,28 @@ impl Default for Config {
 }
 
 impl Config {
+    /// Reads a TOML file: settings by their names, on top of the preset that its key `preset` names
+    /// (`hybrid` without one).
+    ///
+    /// # Errors
+    /// [`PinnError::File`] with the parser's words, or what [`Self::validate`] says.
+    pub fn from_toml(text: &str) -> Result<Self, PinnError> {
+        let refused = |e: &dyn fmt::Display| PinnError::File {
+            detail: e.to_string(),
+        };
+        let mut given: toml::Table = text.parse().map_err(|e: toml::de::Error| refused(&e))?;
+        let preset = match given.remove("preset") {
+            None => Preset::default(),
+            Some(toml::Value::String(name)) => name.parse()?,
+            Some(other) => return Err(refused(&format!("preset is {other}, not a name"))),
+        };
+        let mut table = toml::Table::try_from(preset.config()).map_err(|e| refused(&e))?;
+        overlay(&mut table, given);
+        let config: Self = table.try_into().map_err(|e: toml::de::Error| refused(&e))?;
+        config.validate()?;
+        Ok(config)
+    }
+
     /// Checks every field against its documented range.
     ///
     /// # Errors
@@ -145,7 +180,6 @@ impl Config {
             ("w_f", self.w_f),
             ("w_i", self.w_i),
             ("learning_rate", self.learning_rate),
-            ("tolerance", self.tolerance),
             ("time_limit_s", self.time_limit_s),
         ] {
             if !(value.is_finite() && value > 0.0) {
@@ -155,13 +189,68 @@ impl Config {
                 });
             }
         }
-        if !(self.weight_width.is_finite() && self.weight_width >= 0.0) {
+        for (field, value) in [
+            ("weight_width", self.weight_width),
+            ("tolerance", self.tolerance),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(PinnError::Config {
+                    field,
+                    problem: format!("is {value}, but must be zero or positive"),
+                });
+            }
+        }
+        within("ensemble", self.ensemble, 1..=64)?;
+        validate_embedding("embedding", self.embedding)?;
+        self.validate_networks()?;
+        self.validate_start()
+    }
+
+    fn validate_networks(&self) -> Result<(), PinnError> {
+        let Some(vi) = &self.vi_mlp else {
+            return if self.backend.is_double() {
+                Ok(())
+            } else {
+                Err(PinnError::Config {
+                    field: "backend",
+                    problem: format!(
+                        "{} has no double precision, which the harmonic branch needs: take fused, \
+                         flex or ndarray",
+                        self.backend
+                    ),
+                })
+            };
+        };
+        if self.optimiser != Optimiser::Adam {
             return Err(PinnError::Config {
-                field: "weight_width",
-                problem: format!("is {}, but must be zero or positive", self.weight_width),
+                field: "optimiser",
+                problem: "must be adam with a VI-MLP: Levenberg-Marquardt is for the harmonic \
+                          branch"
+                    .to_owned(),
             });
         }
-        self.validate_start()
+        within("vi_mlp.hidden_layers count", vi.hidden_layers.len(), 1..=8)?;
+        for width in &vi.hidden_layers {
+            within("vi_mlp.hidden_layers width", *width, 1..=256)?;
+        }
+        within("vi_mlp.n_sw", vi.n_sw as usize, 1..=16)?;
+        within("vi_mlp.first_m", vi.first_m as usize, 0..=16)?;
+        within("vi_mlp.downsampling", vi.downsampling, 1..=1000)?;
+        within("vi_mlp.balance_every", vi.balance_every, 0..=10_000_000)?;
+        if let Some(minibatch) = vi.minibatch {
+            within("vi_mlp.minibatch", minibatch, 16..=10_000_000)?;
+        }
+        if let Some(slow) = vi.slow {
+            validate_embedding("vi_mlp.slow", slow)?;
+        }
+        if vi.last_rate.is_finite() && vi.last_rate > 0.0 && vi.last_rate <= 1.0 {
+            Ok(())
+        } else {
+            Err(PinnError::Config {
+                field: "vi_mlp.last_rate",
+                problem: format!("is {}, but must be above 0 and up to 1", vi.last_rate),
+            })
+        }
     }
 
     fn validate_harmonics(&self) -> Result<(), PinnError> {
@@ -206,6 +295,30 @@ impl Config {
             ),
             wanted: format!("{:?}", self.hidden_layers),
         })
+    }
+}
+
+/// Puts `given` over `table`, tables within tables likewise.
+fn overlay(table: &mut toml::Table, given: toml::Table) {
+    for (key, value) in given {
+        match (table.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) if key == "vi_mlp" => {
+                overlay(below, above);
+            }
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}
+
+fn validate_embedding(field: &'static str, embedding: SlowEmbedding) -> Result<(), PinnError> {
+    match embedding {
+        SlowEmbedding::MainsPhase | SlowEmbedding::Symmetric => Ok(()),
+        SlowEmbedding::Fourier { first, count } => {
+            within(field, first as usize, 0..=16)?;
+            within(field, count as usize, 1..=16)
+        }
     }
 }
 

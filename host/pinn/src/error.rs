@@ -129,6 +129,20 @@ pub enum PinnError {
         /// The names that exist.
         known: &'static str,
     },
+    /// A configuration file that cannot be read.
+    #[error("configuration: {detail}")]
+    File {
+        /// The parser's words.
+        detail: String,
+    },
+    /// A checkpoint that cannot be written, read or used.
+    #[error("checkpoint {path}: {detail}")]
+    Checkpoint {
+        /// The file.
+        path: String,
+        /// What is wrong and what to do.
+        detail: String,
+    },
 }
 
 impl From<ihd_spline::Singular> for PinnError {

@@ -7,6 +7,7 @@
 use ihd_spline::{CubicSpline, Local};
 use nalgebra::Complex;
 
+use crate::networks::Signals;
 use crate::waveform::Normalised;
 
 /// The functions of the VI branch: spline times (cos, sin) of each harmonic.
@@ -80,18 +81,40 @@ impl HarmonicBranch {
         }
     }
 
-    /// Mean squared errors of v_hat and i_hat over the samples: L_i1 and L_i2, eqs. (5) and (6).
-    pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
+    /// v_hat and i_hat at every sample.
+    pub fn signals(&self, samples: &Normalised) -> Signals {
         let mut trig = Vec::with_capacity(self.basis.width());
-        let (mut sum_v, mut sum_i) = (0.0, 0.0);
-        for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
+        let mut signals = Signals::default();
+        for n in 0..samples.len() {
             let tau_s = n as f64 * samples.dt_s;
             self.basis.trigonometry(tau_s, &mut trig);
             let local = self.basis.spline.at(tau_s);
-            sum_v += (self.value(&self.v, &local, &trig) - v).powi(2);
-            sum_i += (self.value(&self.i, &local, &trig) - i).powi(2);
+            signals.sample.push(n);
+            signals.v.push(self.value(&self.v, &local, &trig));
+            signals.i.push(self.value(&self.i, &local, &trig));
         }
-        (sum_v / samples.len() as f64, sum_i / samples.len() as f64)
+        signals
+    }
+
+    /// Mean squared errors of v_hat and i_hat over the samples: L_i1 and L_i2, eqs. (5) and (6).
+    pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
+        let said = self.signals(samples);
+        let mean = |said: &[f64], x: &[f64]| {
+            let squares = said.iter().zip(x).map(|(a, b)| (a - b) * (a - b));
+            squares.sum::<f64>() / x.len() as f64
+        };
+        (mean(&said.v, &samples.v), mean(&said.i, &samples.i))
+    }
+
+    /// P / I_rms^2 over all harmonics at `tau_s` seconds after the first pair, normalised.
+    pub fn power_ratio(&self, tau_s: f64) -> f64 {
+        let (mut power, mut square) = (0.0, 0.0);
+        for index in 0..self.basis.harmonics.len() {
+            let at = self.phasors(tau_s, index);
+            power += (at.v * at.i.conj()).re;
+            square += at.i.norm_sqr();
+        }
+        power / square
     }
 
     fn value(&self, coefficients: &[f64], local: &Local, trig: &[f64]) -> f64 {

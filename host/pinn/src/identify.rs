@@ -1,23 +1,44 @@
 //! The whole identification: VI branch, RL-MLP, and the alternation between them.
 
 use std::f64::consts::TAU;
+use std::path::Path;
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::levenberg_marquardt::{Descent, Prior};
 use crate::loss::{SlowPhysics, noise_variance, slow_times_s};
 use crate::parameters::Parameters;
 use crate::progress::{Log, relative_change};
+use crate::result::{nmse_pct, reconstruction, result_times_s};
+use crate::slow_model::SlowModel;
+use crate::uncertainty::{self, laplace};
 use crate::vi_system::{DataSystem, Impedance, PhysicsTerm};
 use crate::waveform::Normalised;
 use crate::{
-    Config, Identified, Losses, Optimiser, PinnError, Progress, Waveform, adam, levenberg_marquardt,
+    Config, Identified, Losses, Optimiser, PinnError, Progress, Waveform, adam,
+    levenberg_marquardt, networks,
 };
 use ihd_spline::CubicSpline;
 
+/// Truth of R (ohm) and L (H) at a time in seconds after the mains zero crossing.
+pub type TruthAt<'a> = &'a dyn Fn(f64) -> (f64, f64);
+
+/// One window to identify, and what may be known or kept beside it.
+#[derive(Clone, Copy)]
+pub struct Task<'a> {
+    /// The samples.
+    pub window: Waveform<'a>,
+    /// The settings.
+    pub config: &'a Config,
+    /// Where the truth is known, progress carries the errors against it.
+    pub truth: Option<TruthAt<'a>>,
+    /// A training with a VI-MLP goes on from this burnpack file if it exists, and writes it every
+    /// 100 epochs and at the end.
+    pub checkpoint: Option<&'a Path>,
+}
+
 /// Identifies R(t) and L(t) of the coil from one window by minimising the paper's eq. (7).
 ///
-/// Block-coordinate descent: the VI branch by linear least squares, the RL-MLP by the configured
-/// optimiser, alternating. `progress` is called after every accepted optimiser step.
+/// `progress` is called after every accepted optimiser step; see [`Task::run`].
 ///
 /// # Errors
 /// [`PinnError`] if the window or the configuration cannot be used; a limit that is reached or a
@@ -27,22 +48,95 @@ pub fn identify(
     config: &Config,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Identified, PinnError> {
-    config.validate()?;
-    let mut log = Log::start(config, progress);
-    let samples = window.normalise()?;
-    let basis = harmonic_basis(&samples, config)?;
+    let task = Task {
+        window: *window,
+        config,
+        truth: None,
+        checkpoint: None,
+    };
+    task.run(progress)
+}
+
+impl Task<'_> {
+    /// With the harmonic VI branch, block-coordinate descent: the VI branch by linear least squares,
+    /// the RL-MLP by the configured optimiser, alternating. With a VI-MLP both networks by Adam.
+    ///
+    /// # Errors
+    /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint that does not belong here.
+    pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identified, PinnError> {
+        self.config.validate()?;
+        let samples = self.window.normalise()?;
+        let mut members = Vec::with_capacity(self.config.ensemble);
+        for member in 0..self.config.ensemble {
+            let config = Config {
+                seed: self.config.seed.wrapping_add(member as u64),
+                ensemble: 1,
+                ..self.config.clone()
+            };
+            let checkpoint = self.checkpoint.map(|path| match member {
+                0 => path.to_owned(),
+                _ => path.with_extension(format!("{member}.bpk")),
+            });
+            let mut log = Log::start(&config, progress);
+            log.truth = self
+                .truth
+                .map(|truth| truth_outputs(truth, &samples, &config));
+            members.push(match &config.vi_mlp {
+                None => hybrid(&samples, &config, log)?,
+                Some(vi) => networks::identify(&samples, &config, vi, checkpoint.as_deref(), log)?,
+            });
+        }
+        Ok(best_of(members))
+    }
+}
+
+/// The member of least loss, with the members' spread for its uncertainty.
+fn best_of(mut members: Vec<Identified>) -> Identified {
+    let spread = |of: fn(&Identified) -> &[f64]| {
+        let values: Vec<&[f64]> = members.iter().map(of).collect();
+        uncertainty::spread(&values)
+    };
+    let sigmas = (members.len() > 1).then(|| (spread(|m| &m.r_ohm), spread(|m| &m.l_h)));
+    let total_s = members.iter().map(|m| m.elapsed_s).sum();
+    let order = |a: &Identified, b: &Identified| a.losses.total.total_cmp(&b.losses.total);
+    members.sort_by(order);
+    let mut best = members.swap_remove(0);
+    best.elapsed_s = total_s;
+    if let Some((r, l)) = sigmas {
+        (best.r_sigma_ohm, best.l_sigma_h) = (r, l);
+    }
+    best
+}
+
+/// R / r_scale and L / l_scale of the truth at the slow times, alternating.
+fn truth_outputs(truth: TruthAt<'_>, samples: &Normalised, config: &Config) -> Vec<f64> {
+    slow_times_s(samples.duration_s(), config.slow_points)
+        .iter()
+        .flat_map(|tau| {
+            let (r, l) = truth(samples.t0_s + tau);
+            [r / config.r_scale_ohm, l / config.l_scale_h]
+        })
+        .collect()
+}
+
+fn hybrid(
+    samples: &Normalised,
+    config: &Config,
+    mut log: Log<'_>,
+) -> Result<Identified, PinnError> {
+    let basis = harmonic_basis(samples, config)?;
     let harmonics: Vec<usize> = (0..basis.harmonics.len())
         .filter(|&index| config.physics_harmonics.contains(&basis.harmonics[index]))
         .collect();
-    let system = DataSystem::assemble(&samples, basis);
+    let system = DataSystem::assemble(samples, basis);
     let mut branch = system.fit()?;
-    let mut parameters = network_outline(&samples, config);
+    let mut parameters = network_outline(samples, config);
     let mut warm = config.start.is_some();
     loop {
         log.pass += 1;
         let physics = SlowPhysics::condense(
             &branch,
-            &samples,
+            samples,
             &parameters,
             &harmonics,
             config.w_f,
@@ -53,14 +147,14 @@ pub fn identify(
             parameters = parameters.initial(&config.hidden_layers, config.seed, constant);
             warm = true;
         }
-        let (l_i1, l_i2) = branch.data_losses(&samples);
-        let noise = noise_variance(&samples, &branch, (l_i1, l_i2), config.w_f, {
+        let (l_i1, l_i2) = branch.data_losses(samples);
+        let noise = noise_variance(samples, &branch, (l_i1, l_i2), config.w_f, {
             let [r, l] = constant;
             [r * parameters.r_scale_ohm, l * parameters.l_scale_h]
         });
         log.data_loss = config.w_i * (l_i1 + l_i2);
         log.floor = physics.floor;
-        let before = outputs(&parameters, &samples, &physics.tau_s);
+        let before = outputs(&parameters, samples, &physics.tau_s);
         let prior = Prior {
             strength: match config.weight_width {
                 0.0 => 0.0,
@@ -68,8 +162,9 @@ pub fn identify(
             },
             centre: parameters.constant(constant).flat(),
         };
-        let descent = train(&physics, &samples, parameters, &prior, config, &mut log)?;
-        let after = outputs(&descent.parameters, &samples, &physics.tau_s);
+        let model = slow_model(&physics, samples, &parameters, config);
+        let descent = train(&model, parameters, &prior, config, &mut log)?;
+        let after = outputs(&descent.parameters, samples, &physics.tau_s);
         let rests = log.pass > 1 && relative_change(&before, &after) < config.tolerance;
         if rests || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
             let l_f = (descent.squares + physics.floor) / config.w_f;
@@ -79,12 +174,15 @@ pub fn identify(
                 l_i2,
                 total: config.w_f * l_f + log.data_loss,
             };
-            return Ok(assemble(&samples, config, &branch, descent, losses, log));
+            let spread = (noise, prior.strength);
+            return assemble(
+                samples, config, &branch, &model, spread, descent, losses, log,
+            );
         }
         parameters = descent.parameters;
         branch = system.fit_with_physics(&PhysicsTerm {
             weight: config.w_f / config.w_i,
-            impedance: &impedances(&parameters, &samples, &physics.tau_s),
+            impedance: &impedances(&parameters, samples, &physics.tau_s),
             harmonics: &harmonics,
         })?;
     }
@@ -141,30 +239,43 @@ fn network_outline(samples: &Normalised, config: &Config) -> Parameters {
             r_scale_ohm: config.r_scale_ohm,
             l_scale_h: config.l_scale_h,
             layers: Vec::new(),
+            vi_layers: Vec::new(),
         },
     }
 }
 
-fn train(
+fn slow_model(
     physics: &SlowPhysics,
     samples: &Normalised,
+    parameters: &Parameters,
+    config: &Config,
+) -> SlowModel {
+    match config.backend.device() {
+        None => SlowModel::own(physics, samples, parameters),
+        Some(device) => {
+            let device = match config.optimiser {
+                Optimiser::LevenbergMarquardt => device,
+                Optimiser::Adam => device.autodiff(),
+            };
+            let tensors = physics.on_device(samples, parameters, config.backend, &device);
+            SlowModel::Burn(Box::new(tensors))
+        }
+    }
+}
+
+fn train(
+    model: &SlowModel,
     parameters: Parameters,
     prior: &Prior,
     config: &Config,
     log: &mut Log<'_>,
 ) -> Result<Descent, PinnError> {
-    let device = config.backend.device();
-    let device = match config.optimiser {
-        Optimiser::LevenbergMarquardt => device,
-        Optimiser::Adam => device.autodiff(),
-    };
-    let physics = physics.on_device(samples, &parameters, config.backend, &device);
     match config.optimiser {
         Optimiser::LevenbergMarquardt => {
-            levenberg_marquardt::descend(&physics, parameters, prior, config.tolerance, log)
+            levenberg_marquardt::descend(model, parameters, prior, config.tolerance, log)
         }
         Optimiser::Adam => adam::descend(
-            &physics,
+            model,
             parameters,
             config.learning_rate,
             config.tolerance,
@@ -199,33 +310,39 @@ fn impedances(parameters: &Parameters, samples: &Normalised, tau_s: &[f64]) -> V
         .collect()
 }
 
+/// `spread` holds the variance of a residual and the prior's strength.
+#[allow(clippy::too_many_arguments)] // the parts of one result
 fn assemble(
     samples: &Normalised,
     config: &Config,
     branch: &HarmonicBranch,
+    model: &SlowModel,
+    (noise, strength): (f64, f64),
     descent: Descent,
     losses: Losses,
     log: Log<'_>,
-) -> Identified {
-    let last = (config.slow_points - 1) as f64;
-    let tau_s: Vec<f64> = (0..config.slow_points)
-        .map(|k| k as f64 / last * samples.duration_s())
-        .collect();
-    let (r_ohm, l_h) = tau_s
-        .iter()
-        .map(|tau| descent.parameters.r_l_at(samples.t0_s + tau))
-        .unzip();
-    let nmse_pct =
-        |l_i: f64, x: &[f64]| 100.0 * l_i * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>();
-    Identified {
+) -> Result<Identified, PinnError> {
+    let tau_s = result_times_s(samples, config);
+    let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
+    let parameters = descent.parameters;
+    let (r_ohm, l_h) = t_s.iter().map(|t| parameters.r_l_at(*t)).unzip();
+    let sigmas = laplace(model, &parameters, noise, strength, &t_s)?;
+    let (r_sigma_ohm, l_sigma_h) = sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
+    Ok(Identified {
         // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
         i_amplitude_a: tau_s
             .iter()
             .map(|&tau| branch.phasors(tau, 0).i.norm() * samples.i_max_ampere)
             .collect(),
-        t_s: tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
+        r_power_ohm: tau_s
+            .iter()
+            .map(|&tau| branch.power_ratio(tau) / samples.impedance_scale())
+            .collect(),
+        t_s,
         r_ohm,
         l_h,
+        r_sigma_ohm,
+        l_sigma_h,
         losses,
         iterations: log.iteration,
         passes: log.pass,
@@ -233,7 +350,8 @@ fn assemble(
         elapsed_s: log.elapsed_s(),
         nmse_v_pct: nmse_pct(losses.l_i1, &samples.v),
         nmse_i_pct: nmse_pct(losses.l_i2, &samples.i),
+        reconstruction: reconstruction(samples, branch.signals(samples)),
         history: log.history,
-        parameters: descent.parameters,
-    }
+        parameters,
+    })
 }

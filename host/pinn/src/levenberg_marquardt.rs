@@ -3,11 +3,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::PinnError;
-use crate::jacobian::jacobian;
-use crate::loss::SlowTensors;
 use crate::parameters::Parameters;
 use crate::progress::{Log, Settling, StoppedBecause};
-use crate::rl_mlp::RlMlp;
+use crate::slow_model::SlowModel;
 
 /// First damping, relative to the largest diagonal entry of J^T J.
 const FIRST_DAMPING: f64 = 1e-3;
@@ -57,7 +55,7 @@ struct Trial {
 }
 
 impl Trial {
-    fn of(physics: &SlowTensors, prior: &Prior, parameters: Parameters) -> Result<Self, PinnError> {
+    fn of(physics: &SlowModel, prior: &Prior, parameters: Parameters) -> Result<Self, PinnError> {
         let (residuals, outputs) = physics.evaluate(&parameters)?;
         let pull = prior.strength * prior.distance(&parameters).norm_squared();
         Ok(Self {
@@ -79,7 +77,7 @@ impl Trial {
 
 /// Minimises the residuals of `physics` and the `prior` from `parameters` on.
 pub(crate) fn descend(
-    physics: &SlowTensors,
+    physics: &SlowModel,
     parameters: Parameters,
     prior: &Prior,
     tolerance: f64,
@@ -99,15 +97,14 @@ pub(crate) fn descend(
         if let Some(limit) = log.exhausted() {
             return Ok(at.ends(limit));
         }
-        let network = RlMlp::from_parameters(&at.parameters, &physics.device);
-        let rows = jacobian(physics, &network)?;
+        let rows = physics.jacobian(&at.parameters)?;
         let model = Linearised::new(rows, &at, prior);
         let Some(next) = damping.search(physics, prior, &at, &model)? else {
             return Ok(at.ends(StoppedBecause::NoDescent));
         };
         at = next;
         let change = settling.change(at.outputs.clone());
-        log.record(squared(&at.residuals), change);
+        log.record(squared(&at.residuals), change, &at.outputs);
         if change < tolerance {
             return Ok(at.ends(StoppedBecause::Settled));
         }
@@ -134,7 +131,7 @@ impl Damping {
     /// Damps more and more until a step descends; nothing if none does.
     fn search(
         &mut self,
-        physics: &SlowTensors,
+        physics: &SlowModel,
         prior: &Prior,
         at: &Trial,
         model: &Linearised,

@@ -33,6 +33,9 @@ pub struct Parameters {
     pub l_scale_h: f64,
     /// Hidden layers (tanh) and the output layer.
     pub layers: Vec<Layer>,
+    /// The VI-MLP (sine) of the presets that have one.
+    #[serde(default)]
+    pub vi_layers: Vec<Layer>,
 }
 
 /// Number of outputs: R and L.
@@ -42,25 +45,35 @@ impl Parameters {
     /// R (ohm) and L (H) at `t_s` seconds after a mains zero crossing.
     #[must_use]
     pub fn r_l_at(&self, t_s: f64) -> (f64, f64) {
-        let mut activations = self.embedding.features(t_s, self.f_mains_hz).to_vec();
+        let [r, l] = self.outputs(&self.embedding.features(t_s, self.f_mains_hz));
+        (self.r_scale_ohm * r, self.l_scale_h * l)
+    }
+
+    /// R / r_scale and L / l_scale for these features.
+    pub(crate) fn outputs(&self, features: &[f64]) -> [f64; OUTPUTS] {
+        let mut activations = features.to_vec();
         for (index, layer) in self.layers.iter().enumerate() {
             let hidden = index + 1 < self.layers.len();
-            activations = (0..layer.outputs)
-                .map(|o| {
-                    let sum: f64 = activations
-                        .iter()
-                        .enumerate()
-                        .map(|(n, a)| a * layer.weights[n * layer.outputs + o])
-                        .sum();
-                    let sum = sum + layer.biases[o];
-                    if hidden { sum.tanh() } else { softplus(sum) }
-                })
-                .collect();
+            let mut sums = layer.biases.clone();
+            for (a, weights) in activations
+                .iter()
+                .zip(layer.weights.chunks_exact(layer.outputs))
+            {
+                for (sum, weight) in sums.iter_mut().zip(weights) {
+                    *sum += a * weight;
+                }
+            }
+            let activation = if hidden { f64::tanh } else { softplus };
+            sums.iter_mut().for_each(|sum| *sum = activation(*sum));
+            activations = sums;
         }
-        (
-            self.r_scale_ohm * activations[0],
-            self.l_scale_h * activations[1],
-        )
+        [activations[0], activations[1]]
+    }
+
+    /// Number of weights and biases.
+    pub(crate) fn flat_len(&self) -> usize {
+        let layers = self.layers.iter();
+        layers.map(|l| l.weights.len() + l.biases.len()).sum()
     }
 
     /// Widths of the hidden layers.
@@ -80,7 +93,7 @@ impl Parameters {
     ) -> Self {
         // Drawn here and not by burn, so that every backend starts from the same digits.
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut inputs = SlowEmbedding::WIDTH;
+        let mut inputs = self.embedding.width();
         self.layers = hidden_layers
             .iter()
             .copied()
@@ -144,7 +157,7 @@ impl Parameters {
 
     /// Whether the layers chain up from the features to R and L and hold finite numbers.
     pub(crate) fn is_sound(&self) -> bool {
-        let mut inputs = SlowEmbedding::WIDTH;
+        let mut inputs = self.embedding.width();
         let chained = self.layers.iter().all(|l| {
             let fits = l.inputs == inputs
                 && l.weights.len() == l.inputs * l.outputs
@@ -157,7 +170,7 @@ impl Parameters {
 }
 
 /// ln(1 + e^x), without overflow.
-fn softplus(x: f64) -> f64 {
+pub(crate) fn softplus(x: f64) -> f64 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 

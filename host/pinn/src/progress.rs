@@ -20,6 +20,10 @@ pub struct Progress {
     pub loss: f64,
     /// Eq. (4).
     pub l_f: f64,
+    /// Data terms, eqs. (5) and (6) together.
+    pub l_i: f64,
+    /// Mean relative errors of R and L at the slow times in %, where the truth is known.
+    pub mre_pct: Option<(f64, f64)>,
     /// Mean relative change of R and L (the larger) over the last few steps; infinite at first.
     pub change: f64,
     /// Time since the call, s.
@@ -71,7 +75,11 @@ pub(crate) struct Log<'a> {
     pub data_loss: f64,
     /// Part of `w_f L_f` that the network cannot change in this pass.
     pub floor: f64,
+    /// R / r_scale and L / l_scale of the truth, alternating, where it is known.
+    pub truth: Option<Vec<f64>>,
     w_f: f64,
+    w_i: f64,
+    deterministic: bool,
     max_iterations: usize,
     started: Instant,
     time_limit: Duration,
@@ -86,7 +94,10 @@ impl<'a> Log<'a> {
             pass: 0,
             data_loss: 0.0,
             floor: 0.0,
+            truth: None,
             w_f: config.w_f,
+            w_i: config.w_i,
+            deterministic: config.deterministic,
             max_iterations: config.max_iterations,
             started: Instant::now(),
             time_limit: Duration::try_from_secs_f64(config.time_limit_s).unwrap_or(Duration::MAX),
@@ -94,20 +105,38 @@ impl<'a> Log<'a> {
         }
     }
 
+    /// Goes on after these steps of an earlier sitting.
+    pub fn resume(&mut self, history: &mut Vec<Progress>) {
+        self.iteration = history.len();
+        self.history = std::mem::take(history);
+    }
+
     /// Time since the start, s.
     pub fn elapsed_s(&self) -> f64 {
         self.started.elapsed().as_secs_f64()
     }
 
-    /// Counts a step and tells the caller; `squares` is the sum of squared residuals.
-    pub fn record(&mut self, squares: f64, change: f64) {
-        self.iteration += 1;
+    /// Counts a step and tells the caller; `squares` is the sum of squared residuals, `outputs` what
+    /// the network says at the slow times.
+    pub fn record(&mut self, squares: f64, change: f64, outputs: &[f64]) {
         let physics = squares + self.floor;
+        let l_i = self.data_loss / self.w_i;
+        self.record_terms(physics / self.w_f, l_i, change, outputs);
+    }
+
+    /// The same with the terms of the loss as they are.
+    pub fn record_terms(&mut self, l_f: f64, l_i: f64, change: f64, outputs: &[f64]) {
+        self.iteration += 1;
         let now = Progress {
             pass: self.pass,
             iteration: self.iteration,
-            loss: physics + self.data_loss,
-            l_f: physics / self.w_f,
+            loss: self.w_f * l_f + self.w_i * l_i,
+            l_f,
+            l_i,
+            mre_pct: self.truth.as_ref().map(|truth| {
+                let [r, l] = relative_changes(outputs, truth);
+                (100.0 * r, 100.0 * l)
+            }),
             change,
             elapsed_s: self.elapsed_s(),
         };
@@ -119,7 +148,7 @@ impl<'a> Log<'a> {
     pub fn exhausted(&self) -> Option<StoppedBecause> {
         if self.iteration >= self.max_iterations {
             Some(StoppedBecause::IterationLimit)
-        } else if self.started.elapsed() >= self.time_limit {
+        } else if !self.deterministic && self.started.elapsed() >= self.time_limit {
             Some(StoppedBecause::TimeLimit)
         } else {
             None
@@ -142,6 +171,19 @@ impl Settling {
         }
     }
 
+    /// The same with what was seen before.
+    pub fn from_past(steps: usize, past: Vec<Vec<f64>>) -> Self {
+        Self {
+            steps,
+            past: past.into(),
+        }
+    }
+
+    /// What was seen so far, oldest first.
+    pub fn past(&self) -> Vec<Vec<f64>> {
+        self.past.iter().cloned().collect()
+    }
+
     /// Mean relative change against `steps` steps ago; infinite until there were that many.
     pub fn change(&mut self, outputs: Vec<f64>) -> f64 {
         let change = if self.past.len() < self.steps {
@@ -158,10 +200,16 @@ impl Settling {
 
 /// Mean relative change of R or of L, the larger; outputs alternate R, L.
 pub(crate) fn relative_change(old: &[f64], new: &[f64]) -> f64 {
+    let [r, l] = relative_changes(old, new);
+    f64::max(r, l)
+}
+
+/// Mean relative changes of R and of L.
+fn relative_changes(old: &[f64], new: &[f64]) -> [f64; OUTPUTS] {
     let mut sums = [0.0; OUTPUTS];
     for (at, (a, b)) in old.iter().zip(new).enumerate() {
         sums[at % OUTPUTS] += ((b - a) / b).abs();
     }
     let rows = (new.len() / OUTPUTS).max(1) as f64;
-    sums.iter().fold(0.0, |worst, s| f64::max(worst, s / rows))
+    sums.map(|sum| sum / rows)
 }

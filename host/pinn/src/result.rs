@@ -1,8 +1,14 @@
 //! What an identification hands back.
 
+use std::f64::consts::TAU;
+
+use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
-use crate::{Parameters, Progress, StoppedBecause};
+use crate::networks::Signals;
+use crate::progress::Log;
+use crate::waveform::Normalised;
+use crate::{Config, Parameters, Progress, StoppedBecause};
 
 /// The terms of the paper's loss at the end, in the paper's normalised units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -17,6 +23,17 @@ pub struct Losses {
     pub total: f64,
 }
 
+/// v and i as the VI branch says them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Reconstruction {
+    /// Indices of the window's samples that they belong to, ascending.
+    pub sample: Vec<usize>,
+    /// Voltage, V.
+    pub v_volt: Vec<f64>,
+    /// Current, A.
+    pub i_ampere: Vec<f64>,
+}
+
 /// R(t) and L(t) of one window, and how they came about.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identified {
@@ -26,6 +43,13 @@ pub struct Identified {
     pub r_ohm: Vec<f64>,
     /// L at those times, H.
     pub l_h: Vec<f64>,
+    /// Standard deviation of R at those times, ohm: Laplace's approximation, or the spread of an
+    /// ensemble; empty where there is neither. It knows noise, not a load that breaks eq. (1).
+    pub r_sigma_ohm: Vec<f64>,
+    /// Of L, H.
+    pub l_sigma_h: Vec<f64>,
+    /// P / I_rms^2 at those times, ohm, from the VI branch's signals with all their harmonics.
+    pub r_power_ohm: Vec<f64>,
     /// Amplitude of the current's fundamental at those times, A: the axis of an RL lookup.
     pub i_amplitude_a: Vec<f64>,
     /// The loss at the end.
@@ -44,6 +68,9 @@ pub struct Identified {
     pub nmse_v_pct: f64,
     /// The same of the current, %.
     pub nmse_i_pct: f64,
+    /// v and i as the VI branch says them; not serialised, as long as the window.
+    #[serde(skip)]
+    pub reconstruction: Reconstruction,
     /// The trained RL-MLP: put it into [`crate::Config::start`] for a warm start.
     pub parameters: Parameters,
 }
@@ -59,5 +86,125 @@ impl Identified {
     #[must_use]
     pub fn l_at(&self, t_s: f64) -> f64 {
         self.parameters.r_l_at(t_s).1
+    }
+
+    /// Means of sigma/R and sigma/L over the window, weighted with the squared current, in %:
+    /// what counts for power. Nothing where sigma is not known.
+    #[must_use]
+    pub fn relative_sigma_pct(&self) -> Option<(f64, f64)> {
+        let weights: Vec<f64> = self.i_amplitude_a.iter().map(|i| i * i).collect();
+        let mean = |sigma: &[f64], value: &[f64]| {
+            let terms = weights.iter().zip(sigma.iter().zip(value));
+            let sum: f64 = terms.map(|(w, (s, x))| w * s / x).sum();
+            100.0 * sum / weights.iter().sum::<f64>()
+        };
+        (!self.r_sigma_ohm.is_empty()).then(|| {
+            (
+                mean(&self.r_sigma_ohm, &self.r_ohm),
+                mean(&self.l_sigma_h, &self.l_h),
+            )
+        })
+    }
+}
+
+/// The signals in volt and ampere.
+pub(crate) fn reconstruction(samples: &Normalised, signals: Signals) -> Reconstruction {
+    let scaled = |x: &[f64], unit: f64| x.iter().map(|x| x * unit).collect();
+    Reconstruction {
+        v_volt: scaled(&signals.v, samples.v_max_volt),
+        i_ampere: scaled(&signals.i, samples.i_max_ampere),
+        sample: signals.sample,
+    }
+}
+
+/// Times after the first pair at which results are given, s.
+pub(crate) fn result_times_s(samples: &Normalised, config: &Config) -> Vec<f64> {
+    let last = (config.slow_points - 1) as f64;
+    (0..config.slow_points)
+        .map(|k| k as f64 / last * samples.duration_s())
+        .collect()
+}
+
+/// 100 * sum((x_hat - x)^2) / sum(x^2), `l_i` being the mean of the squared differences, %.
+pub(crate) fn nmse_pct(l_i: f64, x: &[f64]) -> f64 {
+    100.0 * l_i * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
+}
+
+/// The result of a training with the paper's VI-MLP.
+pub(crate) fn assemble_networks(
+    samples: &Normalised,
+    config: &Config,
+    parameters: Parameters,
+    signals: Signals,
+    losses: Losses,
+    stopped: StoppedBecause,
+    log: Log<'_>,
+) -> Identified {
+    let tau_s = result_times_s(samples, config);
+    let (r_ohm, l_h) = tau_s
+        .iter()
+        .map(|tau| parameters.r_l_at(samples.t0_s + tau))
+        .unzip();
+    let (mut i_amplitude_a, mut r_power_ohm) = (Vec::new(), Vec::new());
+    for tau in &tau_s {
+        let around = Around::of(samples, &signals, *tau);
+        i_amplitude_a.push(around.amplitude * samples.i_max_ampere);
+        r_power_ohm.push(around.power_ratio / samples.impedance_scale());
+    }
+    let at_points = |x: &[f64]| -> Vec<f64> { signals.sample.iter().map(|n| x[*n]).collect() };
+    Identified {
+        nmse_v_pct: nmse_pct(losses.l_i1, &at_points(&samples.v)),
+        nmse_i_pct: nmse_pct(losses.l_i2, &at_points(&samples.i)),
+        reconstruction: reconstruction(samples, signals),
+        t_s: tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
+        r_ohm,
+        l_h,
+        r_sigma_ohm: Vec::new(),
+        l_sigma_h: Vec::new(),
+        r_power_ohm,
+        i_amplitude_a,
+        losses,
+        iterations: log.iteration,
+        passes: log.pass,
+        stopped_because: stopped,
+        elapsed_s: log.elapsed_s(),
+        history: log.history,
+        parameters,
+    }
+}
+
+/// Switching periods on either side of a time that [`Around`] looks at.
+const PERIODS: f64 = 2.0;
+
+/// Current and power of the signals around one time.
+struct Around {
+    /// Amplitude of the current's fundamental, normalised.
+    amplitude: f64,
+    /// Mean of v i over mean of i^2, normalised.
+    power_ratio: f64,
+}
+
+impl Around {
+    fn of(samples: &Normalised, signals: &Signals, tau_s: f64) -> Self {
+        let reach_s = PERIODS * TAU / samples.omega;
+        let time = |n: &usize| *n as f64 * samples.dt_s;
+        // At the ends the same stretch lies on one side.
+        let end_s = signals.sample.last().map_or(0.0, time);
+        let from_s = (tau_s - reach_s).min(end_s - 2.0 * reach_s).max(0.0);
+        let first = signals.sample.partition_point(|n| time(n) < from_s);
+        let last = signals
+            .sample
+            .partition_point(|n| time(n) < from_s + 2.0 * reach_s);
+        let (mut sum, mut power, mut square) = (Complex::new(0.0, 0.0), 0.0, 0.0);
+        for at in first..last {
+            let (v, i) = (signals.v[at], signals.i[at]);
+            sum += Complex::from_polar(i, -samples.omega * time(&signals.sample[at]));
+            power += v * i;
+            square += i * i;
+        }
+        Self {
+            amplitude: 2.0 * sum.norm() / (last - first).max(1) as f64,
+            power_ratio: power / square,
+        }
     }
 }

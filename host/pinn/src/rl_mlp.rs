@@ -5,9 +5,9 @@ use burn::nn::Linear;
 use burn::tensor::activation::{softplus, tanh};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
+use crate::PinnError;
 use crate::backend::Backend;
 use crate::parameters::Parameters;
-use crate::{Layer, PinnError};
 
 /// Multilayer perceptron with tanh hidden layers and softplus outputs.
 ///
@@ -37,32 +37,6 @@ impl RlMlp {
             })
             .collect();
         Self { layers }
-    }
-
-    /// Reads the weights back into `like`, whose scales and embedding are kept.
-    pub fn to_parameters(
-        &self,
-        like: &Parameters,
-        backend: Backend,
-    ) -> Result<Parameters, PinnError> {
-        let mut parameters = like.clone();
-        parameters.layers = self
-            .layers
-            .iter()
-            .map(|linear| {
-                let [inputs, outputs] = linear.weight.val().dims();
-                Ok(Layer {
-                    inputs,
-                    outputs,
-                    weights: read(linear.weight.val(), backend)?,
-                    biases: match &linear.bias {
-                        Some(bias) => read(bias.val(), backend)?,
-                        None => vec![0.0; outputs],
-                    },
-                })
-            })
-            .collect::<Result<_, PinnError>>()?;
-        Ok(parameters)
     }
 
     /// R / r_scale and L / l_scale, one row per row of `features`.

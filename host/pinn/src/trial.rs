@@ -55,6 +55,7 @@ pub(crate) fn network() -> Parameters {
         r_scale_ohm: 4.0,
         l_scale_h: 20e-6,
         layers: Vec::new(),
+        vi_layers: Vec::new(),
     }
     .initial(&[5, 3], 11, [1.25, 1.25])
 }

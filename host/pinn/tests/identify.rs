@@ -81,10 +81,11 @@ fn other_pots_and_no_pot_are_within_reach_of_the_same_scales() {
 }
 
 #[test]
-fn both_backends_walk_the_same_loss_curve() {
+fn all_backends_walk_the_same_loss_curve() {
     let hob = Hob::at(45e3, 50.0);
     let recording = hob.record().quantised();
-    let [flex, ndarray] = Backend::ALL.map(|backend| {
+    let all = [Backend::Fused, Backend::Flex, Backend::Ndarray];
+    let [fused, flex, ndarray] = all.map(|backend| {
         let config = Config {
             backend,
             ..Config::default()
@@ -94,10 +95,12 @@ fn both_backends_walk_the_same_loss_curve() {
         found
     });
     // Double precision on both; only the order of additions differs.
-    for (a, b) in flex.history.iter().zip(&ndarray.history).take(20) {
-        assert!((a.loss / b.loss - 1.0).abs() < 1e-6, "{a:?} against {b:?}");
+    for other in [&ndarray, &fused] {
+        for (a, b) in flex.history.iter().zip(&other.history).take(20) {
+            assert!((a.loss / b.loss - 1.0).abs() < 1e-6, "{a:?} against {b:?}");
+        }
+        assert!((flex.losses.total / other.losses.total - 1.0).abs() < 1e-6);
     }
-    assert!((flex.losses.total / ndarray.losses.total - 1.0).abs() < 1e-6);
 }
 
 #[test]

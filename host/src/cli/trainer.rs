@@ -43,10 +43,11 @@ pub struct TrainerArgs {
         default_value = "1500,2000,1000,700,1500"
     )]
     power: Vec<u16>,
-    /// burn backend of the network: flex or ndarray.
+    /// What computes the network: fused (own code), flex or ndarray (burn).
     #[arg(long, value_name = "NAME")]
     backend: Option<Backend>,
-    /// TOML file with the network's settings; what it leaves out keeps its default.
+    /// TOML file with the network's settings over the preset that it names; what it leaves out keeps
+    /// the preset's value.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Folder in which each run gets a folder of its own, for the recording, the lookups and the
@@ -131,7 +132,7 @@ impl TrainerArgs {
             Some(path) => {
                 let text = std::fs::read_to_string(path)
                     .with_context(|| format!("cannot read {}", path.display()))?;
-                toml::from_str(&text)
+                Config::from_toml(&text)
                     .with_context(|| format!("{} is no configuration", path.display()))?
             }
         };

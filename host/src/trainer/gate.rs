@@ -11,6 +11,10 @@ pub const MAX_NMSE_I_PCT: f64 = 1.5;
 /// seventh harmonic are 2-4 % of its energy far from resonance and are not modelled.
 pub const MAX_NMSE_V_PCT: f64 = 8.0;
 
+/// Largest mean standard deviation of R and of L, in percent of the value, weighted with the squared
+/// current. White noise of 30 dB on a window of the device gives under 0.5 %, of 20 dB some 1.5 %.
+pub const MAX_SIGMA_PCT: f64 = 3.0;
+
 /// What the gate says.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GateVerdict {
@@ -43,6 +47,13 @@ pub fn judge(identified: &Identified) -> GateVerdict {
                 "the {name} is reproduced to {nmse:.2} % only (limit {limit} %)"
             ));
         }
+    }
+    if let Some((r, l)) = identified.relative_sigma_pct()
+        && !(r <= MAX_SIGMA_PCT && l <= MAX_SIGMA_PCT)
+    {
+        return GateVerdict::Reject(format!(
+            "noise leaves R uncertain by {r:.1} % and L by {l:.1} % (limit {MAX_SIGMA_PCT} %)"
+        ));
     }
     match (
         identified.r_ohm.iter().all(r_ok),

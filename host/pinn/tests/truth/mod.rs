@@ -76,7 +76,12 @@ impl Hob {
 
     /// The half-cycle as the device records it: 61/3 samples per switching period.
     pub fn record(&self) -> Recording {
-        let dt_s = 3.0 / (61.0 * self.f_sw_hz);
+        self.record_at(61.0 / 3.0 * self.f_sw_hz)
+    }
+
+    /// The half-cycle at a sampling rate in hertz.
+    pub fn record_at(&self, rate_hz: f64) -> Recording {
+        let dt_s = rate_hz.recip();
         let pairs = (self.half_cycle_s() / dt_s).floor() as usize;
         let (v, i) = (0..pairs).map(|n| self.v_i(n as f64 * dt_s)).unzip();
         Recording {

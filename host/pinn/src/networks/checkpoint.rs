@@ -1,0 +1,174 @@
+//! Training state as a burnpack file, from which a training goes on exactly as if never stopped.
+
+use std::path::Path;
+
+use burn_pack::{Bytes, DType, Reader, Tensor, Writer};
+
+use crate::PinnError;
+use crate::adam::Adam;
+use crate::progress::Progress;
+
+/// Everything that the next epoch depends on, and what was recorded so far.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct State {
+    pub epoch: usize,
+    pub theta: Vec<f64>,
+    pub adam: Adam,
+    /// Parameters of the least loss so far, and that loss.
+    pub best: Vec<f64>,
+    pub best_loss: f64,
+    /// Factor on the learning rate: halved by every rollback.
+    pub rate_factor: f64,
+    pub rollbacks: u32,
+    /// Weight of the physics term: loss balancing moves it.
+    pub w_f: f64,
+    /// R, L at the slow times of the last looks, oldest first.
+    pub past: Vec<Vec<f64>>,
+    pub history: Vec<Progress>,
+}
+
+/// Name under which the fingerprint of window and configuration is kept.
+const FINGERPRINT: &str = "ihd-fingerprint";
+
+/// Columns of a history row.
+const HISTORY_WIDTH: usize = 9;
+
+/// Writes `state` to `path`; a crash on the way leaves the old file.
+pub(crate) fn save(state: &State, fingerprint: &str, path: &Path) -> Result<(), PinnError> {
+    let numbers = vec![
+        state.epoch as f64,
+        f64::from(state.adam.steps),
+        state.best_loss,
+        state.rate_factor,
+        f64::from(state.rollbacks),
+        state.w_f,
+        state.past.len() as f64,
+    ];
+    let rows: Vec<f64> = state.history.iter().flat_map(history_row).collect();
+    let tensors = vec![
+        tensor("numbers", &numbers),
+        tensor("theta", &state.theta),
+        tensor("adam.mean", &state.adam.mean),
+        tensor("adam.square", &state.adam.square),
+        tensor("best", &state.best),
+        tensor("past", &state.past.concat()),
+        tensor("history", &rows),
+    ];
+    Writer::new(tensors)
+        .with_metadata("producer", "ihd-pinn checkpoint 1")
+        .with_metadata(FINGERPRINT, fingerprint)
+        .write_to_file(path)
+        .map_err(|e| broken(path, &e))
+}
+
+/// Reads the state at `path`; nothing if there is no such file.
+///
+/// # Errors
+/// [`PinnError::Checkpoint`] for a file of another window or configuration, or a damaged one.
+pub(crate) fn load(
+    path: &Path,
+    fingerprint: &str,
+    like: &State,
+) -> Result<Option<State>, PinnError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let reader = Reader::from_file(path).map_err(|e| broken(path, &e))?;
+    if reader.metadata().get(FINGERPRINT).map(String::as_str) != Some(fingerprint) {
+        let other = "belongs to another window or configuration; remove it or choose another file";
+        return Err(broken(path, &other));
+    }
+    let tensors = reader.into_tensors().map_err(|e| broken(path, &e))?;
+    let values = |name: &str| -> Result<Vec<f64>, PinnError> {
+        let found = tensors.iter().find(|t| t.name == name);
+        let found = found.ok_or_else(|| broken(path, &format!("has no tensor {name}")))?;
+        let bytes = found.to_bytes().map_err(|e| broken(path, &e))?;
+        let (chunks, _) = bytes.as_chunks::<8>();
+        Ok(chunks.iter().map(|c| f64::from_le_bytes(*c)).collect())
+    };
+    let numbers = values("numbers")?;
+    let [epoch, steps, best_loss, rate_factor, rollbacks, w_f, looks] = numbers[..] else {
+        return Err(broken(path, &"is damaged; remove it"));
+    };
+    let (past, history) = (values("past")?, values("history")?);
+    let width = past.len().checked_div(looks as usize).unwrap_or(0).max(1);
+    let mut adam = like.adam.clone();
+    adam.steps = steps as u32;
+    adam.mean = values("adam.mean")?;
+    adam.square = values("adam.square")?;
+    let state = State {
+        epoch: epoch as usize,
+        theta: values("theta")?,
+        adam,
+        best: values("best")?,
+        best_loss,
+        rate_factor,
+        rollbacks: rollbacks as u32,
+        w_f,
+        past: past.chunks_exact(width).map(<[f64]>::to_vec).collect(),
+        history: history.chunks_exact(HISTORY_WIDTH).map(progress).collect(),
+    };
+    let count = like.theta.len();
+    let whole = [
+        &state.theta,
+        &state.adam.mean,
+        &state.adam.square,
+        &state.best,
+    ]
+    .iter()
+    .all(|x| x.len() == count);
+    if whole {
+        Ok(Some(state))
+    } else {
+        Err(broken(
+            path,
+            &"is damaged: not all parameters are there; remove it",
+        ))
+    }
+}
+
+fn broken(path: &Path, detail: &dyn std::fmt::Display) -> PinnError {
+    PinnError::Checkpoint {
+        path: path.display().to_string(),
+        detail: detail.to_string(),
+    }
+}
+
+fn tensor(name: &str, values: &[f64]) -> Tensor {
+    let bytes: Vec<u8> = values.iter().flat_map(|x| x.to_le_bytes()).collect();
+    Tensor::new(
+        name.to_owned(),
+        DType::F64,
+        vec![values.len()],
+        None,
+        Bytes::from_bytes_vec(bytes),
+    )
+}
+
+fn history_row(p: &Progress) -> [f64; HISTORY_WIDTH] {
+    let (r, l) = p.mre_pct.unwrap_or((f64::NAN, f64::NAN));
+    [
+        p.pass as f64,
+        p.iteration as f64,
+        p.loss,
+        p.l_f,
+        p.l_i,
+        r,
+        l,
+        p.change,
+        p.elapsed_s,
+    ]
+}
+
+fn progress(row: &[f64]) -> Progress {
+    Progress {
+        pass: row[0] as usize,
+        iteration: row[1] as usize,
+        loss: row[2],
+        l_f: row[3],
+        l_i: row[4],
+        mre_pct: (!row[5].is_nan()).then_some((row[5], row[6])),
+        change: row[7],
+        elapsed_s: row[8],
+    }
+}

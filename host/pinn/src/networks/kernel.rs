@@ -1,0 +1,60 @@
+//! What computes eq. (7) and its gradient: the fused kernel, or burn on one of its backends.
+
+use std::ops::Range;
+
+use super::collocation::{Collocation, Impedances};
+use super::shape::Shape;
+use crate::PinnError;
+
+/// Weights of eq. (7).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Weights {
+    /// Of the physics term.
+    pub w_f: f32,
+    /// Of each data term.
+    pub w_i: f32,
+}
+
+/// Means over the points of a batch: eqs. (4), (5), (6).
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Terms {
+    pub l_f: f64,
+    pub l_i1: f64,
+    pub l_i2: f64,
+}
+
+impl Terms {
+    /// Eq. (7).
+    pub fn total(&self, weights: Weights) -> f64 {
+        f64::from(weights.w_f) * self.l_f + f64::from(weights.w_i) * (self.l_i1 + self.l_i2)
+    }
+}
+
+/// What stays the same through a training.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Problem<'a> {
+    pub shape: &'a Shape,
+    pub points: &'a Collocation,
+    pub impedances: Impedances,
+}
+
+/// Computes the loss.
+pub(crate) trait Kernel {
+    /// Terms of the loss over the points of `batch`, and the gradient of eq. (7) by `theta`,
+    /// written to `gradient`.
+    fn loss(
+        &mut self,
+        problem: &Problem<'_>,
+        theta: &[f32],
+        batch: Range<usize>,
+        weights: Weights,
+        gradient: &mut [f32],
+    ) -> Result<Terms, PinnError>;
+
+    /// `v_hat` and `i_hat` at all points, normalised.
+    fn signals(
+        &mut self,
+        problem: &Problem<'_>,
+        theta: &[f32],
+    ) -> Result<(Vec<f32>, Vec<f32>), PinnError>;
+}

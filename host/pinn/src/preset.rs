@@ -1,0 +1,220 @@
+//! Named configurations: the paper's as written, repaired, this project's, and one for each trick.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Config, Optimiser, PinnError, SlowEmbedding, ViMlp};
+
+/// A named [`Config`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// Harmonic VI branch solved linearly, RL-MLP of 2 x 8 by Levenberg-Marquardt.
+    #[default]
+    Hybrid,
+    /// The paper as written: eqs. (2), (3) with m, n from 1, outputs not scaled.
+    PaperLiteral,
+    /// The paper's networks with the repairs of the design notes, section 6.
+    PaperRepaired,
+    /// `paper-literal` with scaled outputs.
+    LiteralScaled,
+    /// `paper-repaired` without scaled outputs.
+    RepairedUnscaled,
+    /// `paper-repaired` with a VI-MLP that does not see the slow features.
+    RepairedFastOnly,
+    /// `paper-repaired` with the paper's eq. (3), n from 1.
+    RepairedEq3,
+    /// `paper-repaired` in minibatches of 5000 points.
+    RepairedMinibatch,
+    /// `paper-repaired` with a learning rate that falls to a thirtieth.
+    RepairedDecay,
+    /// `hybrid` with the paper's RL-MLP of 4 x 16.
+    HybridPaperNet,
+    /// `hybrid` trained by Adam.
+    HybridAdam,
+    /// `hybrid` with the physics term over all harmonics.
+    HybridAllHarmonics,
+    /// `hybrid` without the prior on the weights: eq. (7) alone.
+    HybridNoPrior,
+}
+
+/// Epochs of the paper's training.
+const PAPER_EPOCHS: usize = 5000;
+
+impl Preset {
+    /// All presets.
+    pub const ALL: [Self; 13] = [
+        Self::Hybrid,
+        Self::PaperLiteral,
+        Self::PaperRepaired,
+        Self::LiteralScaled,
+        Self::RepairedUnscaled,
+        Self::RepairedFastOnly,
+        Self::RepairedEq3,
+        Self::RepairedMinibatch,
+        Self::RepairedDecay,
+        Self::HybridPaperNet,
+        Self::HybridAdam,
+        Self::HybridAllHarmonics,
+        Self::HybridNoPrior,
+    ];
+
+    /// The name used on the command line and in configuration files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hybrid => "hybrid",
+            Self::PaperLiteral => "paper-literal",
+            Self::PaperRepaired => "paper-repaired",
+            Self::LiteralScaled => "literal-scaled",
+            Self::RepairedUnscaled => "repaired-unscaled",
+            Self::RepairedFastOnly => "repaired-fast-only",
+            Self::RepairedEq3 => "repaired-eq3",
+            Self::RepairedMinibatch => "repaired-minibatch",
+            Self::RepairedDecay => "repaired-decay",
+            Self::HybridPaperNet => "hybrid-paper-net",
+            Self::HybridAdam => "hybrid-adam",
+            Self::HybridAllHarmonics => "hybrid-all-harmonics",
+            Self::HybridNoPrior => "hybrid-no-prior",
+        }
+    }
+
+    /// Its settings.
+    #[must_use]
+    pub fn config(self) -> Config {
+        let hybrid = Config::default();
+        match self {
+            Self::Hybrid => hybrid,
+            Self::HybridPaperNet => Config {
+                hidden_layers: vec![16; 4],
+                ..hybrid
+            },
+            Self::HybridAdam => Config {
+                optimiser: Optimiser::Adam,
+                max_iterations: 10_000,
+                ..hybrid
+            },
+            Self::HybridAllHarmonics => Config {
+                physics_harmonics: hybrid.harmonics.clone(),
+                ..hybrid
+            },
+            Self::HybridNoPrior => Config {
+                weight_width: 0.0,
+                ..hybrid
+            },
+            Self::PaperLiteral => unscaled(Self::LiteralScaled.config()),
+            Self::LiteralScaled => Config {
+                embedding: PAPER_EQ_3,
+                ..paper(ViMlp {
+                    first_m: 1,
+                    slow: None,
+                    ..ViMlp::default()
+                })
+            },
+            Self::PaperRepaired => paper(ViMlp::default()),
+            Self::RepairedUnscaled => unscaled(paper(ViMlp::default())),
+            Self::RepairedFastOnly => paper(ViMlp {
+                slow: None,
+                ..ViMlp::default()
+            }),
+            Self::RepairedEq3 => Config {
+                embedding: PAPER_EQ_3,
+                ..paper(ViMlp::default())
+            },
+            Self::RepairedMinibatch => paper(ViMlp {
+                minibatch: Some(5000),
+                ..ViMlp::default()
+            }),
+            Self::RepairedDecay => paper(ViMlp {
+                last_rate: 1.0 / 30.0,
+                ..ViMlp::default()
+            }),
+        }
+    }
+}
+
+/// Eq. (3) with N_mains = 1.
+const PAPER_EQ_3: SlowEmbedding = SlowEmbedding::Fourier { first: 1, count: 1 };
+
+/// What all presets with a VI-MLP have in common: the paper's RL-MLP and training.
+fn paper(vi: ViMlp) -> Config {
+    Config {
+        vi_mlp: Some(vi),
+        embedding: SlowEmbedding::Symmetric,
+        hidden_layers: vec![16; 4],
+        optimiser: Optimiser::Adam,
+        learning_rate: 1e-3,
+        max_iterations: PAPER_EPOCHS,
+        tolerance: 0.0,
+        time_limit_s: 3600.0,
+        ..Config::default()
+    }
+}
+
+/// R in ohm and L in henry straight from the softplus.
+fn unscaled(config: Config) -> Config {
+    Config {
+        r_scale_ohm: 1.0,
+        l_scale_h: 1.0,
+        ..config
+    }
+}
+
+impl fmt::Display for Preset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Preset {
+    type Err = PinnError;
+
+    /// Reads the name of one of [`Self::ALL`].
+    ///
+    /// # Errors
+    /// [`PinnError::UnknownName`] for anything else.
+    fn from_str(name: &str) -> Result<Self, PinnError> {
+        let mut all = Self::ALL.into_iter();
+        all.find(|preset| preset.name() == name)
+            .ok_or_else(|| PinnError::UnknownName {
+                what: "preset",
+                name: name.to_owned(),
+                known: "hybrid, paper-literal, paper-repaired, literal-scaled, repaired-unscaled, \
+                        repaired-fast-only, repaired-eq3, repaired-minibatch, repaired-decay, \
+                        hybrid-paper-net, hybrid-adam, hybrid-all-harmonics, hybrid-no-prior",
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_of_serde_and_every_preset_is_valid() {
+        for preset in Preset::ALL {
+            assert_eq!(preset.name().parse(), Ok(preset));
+            let quoted = serde_json::to_string(&preset).expect("a name");
+            assert_eq!(quoted, format!("\"{}\"", preset.name()));
+            assert_eq!(preset.config().validate(), Ok(()));
+        }
+        assert!("paper".parse::<Preset>().is_err());
+    }
+
+    #[test]
+    fn the_literal_preset_is_what_the_paper_prints() {
+        let config = Preset::PaperLiteral.config();
+        let vi = config.vi_mlp.expect("has the paper's VI-MLP");
+        assert_eq!((vi.hidden_layers, vi.n_sw, vi.first_m), (vec![64; 3], 3, 1));
+        assert_eq!((vi.slow, vi.downsampling, vi.minibatch), (None, 10, None));
+        assert_eq!(config.hidden_layers, vec![16; 4]);
+        assert_eq!(
+            (config.w_f, config.w_i, config.learning_rate),
+            (5.0, 1.0, 1e-3)
+        );
+        assert_eq!(config.max_iterations, 5000);
+        assert_eq!((config.r_scale_ohm, config.l_scale_h), (1.0, 1.0));
+    }
+}

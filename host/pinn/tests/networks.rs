@@ -1,0 +1,235 @@
+//! The paper's two networks: training, limits, checkpoints, backends.
+
+mod truth;
+
+use std::path::Path;
+
+use ihd_pinn::{Backend, Config, Identified, Preset, StoppedBecause, Task, ViMlp, identify};
+use truth::{Hob, Recording};
+
+fn recording() -> Recording {
+    Hob::at(45e3, 50.0).record()
+}
+
+/// Small networks on few points, for tests of the training itself.
+fn small() -> Config {
+    Config {
+        vi_mlp: Some(ViMlp {
+            hidden_layers: vec![24, 24],
+            downsampling: 5,
+            ..ViMlp::default()
+        }),
+        learning_rate: 3e-3,
+        max_iterations: 150,
+        ..Preset::PaperRepaired.config()
+    }
+}
+
+fn trained(config: &Config) -> Identified {
+    identify(&recording().waveform(), config, &mut |_| {}).expect("a sound window")
+}
+
+fn resumed(config: &Config, checkpoint: &Path) -> Result<Identified, ihd_pinn::PinnError> {
+    let recording = recording();
+    let task = Task {
+        window: recording.waveform(),
+        config,
+        truth: None,
+        checkpoint: Some(checkpoint),
+    };
+    task.run(&mut |_| {})
+}
+
+#[test]
+fn the_loss_falls_and_the_best_parameters_are_the_result() {
+    let found = trained(&small());
+    assert_eq!(found.stopped_because, StoppedBecause::IterationLimit);
+    assert_eq!(found.history.len(), 150);
+    let first = found.history[0].loss;
+    let least = found
+        .history
+        .iter()
+        .map(|p| p.loss)
+        .fold(f64::INFINITY, f64::min);
+    assert!(least < 0.2 * first, "{first} {least}");
+    assert!((found.losses.total / least - 1.0).abs() < 1e-4);
+    let eq_7 = 5.0 * found.losses.l_f + found.losses.l_i1 + found.losses.l_i2;
+    assert!((found.losses.total / eq_7 - 1.0).abs() < 1e-6);
+    assert_eq!(
+        found.reconstruction.sample.len(),
+        recording().v.len().div_ceil(5)
+    );
+}
+
+#[test]
+fn flex_and_ndarray_and_the_fused_kernel_walk_one_loss_curve() {
+    let curve = |backend| {
+        let config = Config {
+            backend,
+            max_iterations: 30,
+            ..small()
+        };
+        trained(&config).history
+    };
+    let fused = curve(Backend::Fused);
+    for backend in [Backend::Flex, Backend::Ndarray] {
+        for (a, b) in fused.iter().zip(curve(backend)) {
+            // Single precision, and Adam divides by the gradient's own size.
+            assert!(
+                (a.loss / b.loss - 1.0).abs() < 2e-3,
+                "{backend}: {a:?} {b:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_training_that_was_stopped_goes_on_exactly() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("training.bpk");
+    for minibatch in [None, Some(500)] {
+        let mut config = small();
+        config.vi_mlp.as_mut().expect("has one").minibatch = minibatch;
+        let whole = trained(&config);
+        let half = Config {
+            max_iterations: 77,
+            ..config.clone()
+        };
+        resumed(&half, &path).expect("trains");
+        let found = resumed(&config, &path).expect("goes on");
+        assert_eq!(found.parameters, whole.parameters);
+        let losses =
+            |found: &Identified| -> Vec<f64> { found.history.iter().map(|p| p.loss).collect() };
+        assert_eq!(losses(&found), losses(&whole));
+        std::fs::remove_file(&path).expect("was written");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_training_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("training.bpk");
+    let config = Config {
+        max_iterations: 3,
+        ..small()
+    };
+    resumed(&config, &path).expect("trains");
+    let other = Config { seed: 2, ..config };
+    let error = resumed(&other, &path).expect_err("another seed");
+    assert!(
+        error
+            .to_string()
+            .contains("another window or configuration"),
+        "{error}"
+    );
+    std::fs::write(&path, b"no burnpack").expect("writable");
+    assert!(resumed(&other, &path).is_err());
+}
+
+#[test]
+fn a_loss_that_is_not_finite_is_rolled_back() {
+    let config = Config {
+        learning_rate: 1e300,
+        ..small()
+    };
+    let found = trained(&config);
+    assert_eq!(found.stopped_because, StoppedBecause::RolledBack);
+    assert!(found.losses.total.is_finite() && found.r_ohm.iter().all(|r| r.is_finite()));
+}
+
+#[test]
+fn limits_on_time_hold_unless_the_run_must_be_deterministic() {
+    let limited = Config {
+        time_limit_s: 1e-9,
+        max_iterations: 5,
+        ..small()
+    };
+    assert_eq!(trained(&limited).stopped_because, StoppedBecause::TimeLimit);
+    let deterministic = Config {
+        deterministic: true,
+        ..limited
+    };
+    let found = trained(&deterministic);
+    assert_eq!(found.stopped_because, StoppedBecause::IterationLimit);
+    assert_eq!(found.parameters, trained(&deterministic).parameters);
+}
+
+#[test]
+fn progress_carries_the_errors_where_the_truth_is_known() {
+    let (recording, config) = (
+        recording(),
+        Config {
+            max_iterations: 12,
+            ..small()
+        },
+    );
+    let hob = recording.hob;
+    let truth = |t_s: f64| (hob.r_ohm(t_s), hob.l_h(t_s));
+    let task = Task {
+        window: recording.waveform(),
+        config: &config,
+        truth: Some(&truth),
+        checkpoint: None,
+    };
+    let mut seen = Vec::new();
+    let found = task.run(&mut |p| seen.push(p.mre_pct)).expect("trains");
+    assert_eq!(seen.len(), 12);
+    // Against the errors at the end, computed from the result: R and L hardly move in one epoch.
+    let mre = |of: fn(&Identified, f64) -> f64, true_at: &dyn Fn(f64) -> f64| {
+        let at = |t: &f64| (of(&found, *t) / true_at(*t) - 1.0).abs();
+        100.0 * found.t_s.iter().map(at).sum::<f64>() / found.t_s.len() as f64
+    };
+    let (r, l) = seen[11].expect("the truth is known");
+    assert!((r - mre(Identified::r_at, &|t| hob.r_ohm(t))).abs() < 0.1 * r);
+    assert!((l - mre(Identified::l_at, &|t| hob.l_h(t))).abs() < 0.1 * l);
+}
+
+#[test]
+fn an_ensemble_gives_a_spread_and_loss_balancing_moves_the_weight() {
+    let config = Config {
+        ensemble: 3,
+        max_iterations: 10,
+        ..small()
+    };
+    let found = trained(&config);
+    assert_eq!(found.r_sigma_ohm.len(), found.r_ohm.len());
+    assert!(found.r_sigma_ohm.iter().all(|s| *s > 0.0));
+    let mut balanced = small();
+    balanced.vi_mlp.as_mut().expect("has one").balance_every = 10;
+    assert_ne!(trained(&balanced).parameters, trained(&small()).parameters);
+}
+
+#[test]
+fn a_warm_start_goes_on_from_its_weights() {
+    let cold = trained(&small());
+    let config = Config {
+        start: Some(cold.parameters.clone()),
+        ..small()
+    };
+    let warm = trained(&config);
+    assert!(warm.history[0].loss < 0.5 * cold.history[0].loss);
+}
+
+#[test]
+fn toml_files_lie_over_their_preset() {
+    let text = "preset = \"paper-repaired\"\nseed = 9\n[vi_mlp]\nn_sw = 5\n";
+    let config = Config::from_toml(text).expect("sound");
+    let mut expected = Preset::PaperRepaired.config();
+    expected.seed = 9;
+    expected.vi_mlp.as_mut().expect("has one").n_sw = 5;
+    assert_eq!(config, expected);
+    assert_eq!(Config::from_toml("").expect("empty"), Config::default());
+    for preset in Preset::ALL {
+        let named = Config::from_toml(&format!("preset = \"{preset}\"")).expect("known");
+        assert_eq!(named, preset.config());
+    }
+    for wrong in [
+        "preset = \"best\"",
+        "sed = 1",
+        "[vi_mlp]\nn_sww = 1",
+        "seed = -",
+        "w_f = -1.0",
+    ] {
+        assert!(Config::from_toml(wrong).is_err(), "{wrong}");
+    }
+}
