@@ -67,11 +67,13 @@ fn file(dir: &TempDir, bytes: &[u8]) -> PathBuf {
 }
 
 fn windows(events: &[Event]) -> Vec<&Window> {
-    let window = |e| match e {
-        &Event::Window(ref window) => Some(&**window),
-        _ => None,
-    };
-    events.iter().filter_map(window).collect()
+    let mut windows = Vec::new();
+    for event in events {
+        if let Event::Window(window) = event {
+            windows.push(&**window);
+        }
+    }
+    windows
 }
 
 #[test]

@@ -72,7 +72,7 @@ pub enum McapFileError {
     },
     /// More pairs than a capture in memory may have.
     #[error(
-        "{} holds more than {limit} pairs of samples; read a part of it (--from, --to)",
+        "{} holds more than {limit} pairs of samples; cut it first, for instance with `mcap filter`",
         path.display()
     )]
     TooManyPairs {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// would misunderstand; new topics and new fields do not raise it.
 pub const PROFILE: &str = "ihd-capture 1";
 
-/// Name of the MCAP metadata record that describes the whole capture ([`CaptureMeta`]).
+/// Name of the MCAP metadata record that describes the whole capture: its name and full scales.
 pub const META_CAPTURE: &str = "ihd-capture";
 
 /// Name of the MCAP metadata record of free text.
