@@ -1,5 +1,6 @@
 //! `ihd calibrate`: skew, gain and offsets of a measuring chain from a capture of a reference.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
@@ -8,7 +9,7 @@ use clap::Args;
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
 use super::simulate::quantity::quantity;
-use crate::identify::calibration::{Reference, estimate};
+use crate::identify::calibration::{Calibration, Reference, estimate};
 use crate::identify::survey::Survey;
 
 /// Find skew, gain and offsets of a measuring chain from a capture of a known load.
@@ -48,7 +49,9 @@ fn reference(text: &str) -> Result<Reference> {
         let slot = match word.split_once('=') {
             Some(("r", value)) => (&mut r_ohm, value),
             Some(("l", value)) => (&mut l_h, value),
-            _ => anyhow::bail!("`{word}` is not known: write no-pot, r=OHM or l=HENRY, as in r=3.3,l=25u"),
+            _ => anyhow::bail!(
+                "`{word}` is not known: write no-pot, r=OHM or l=HENRY, as in r=3.3,l=25u"
+            ),
         };
         let number = quantity(slot.1)?;
         ensure!(number > 0.0, "`{word}` must be above zero");
@@ -70,32 +73,37 @@ impl CalibrateArgs {
         let capture = self.capture.open()?;
         let survey = Survey::of(&capture, &self.hints.hints())?;
         let found = estimate(&capture, &survey, self.reference)?;
-        if self.json {
-            println!("{}", serde_json::to_string_pretty(&found)?);
-        } else {
-            println!(
-                "skew       {:.2} ± {:.2} ns (current later)",
-                found.skew_s * 1e9,
-                found.skew_sigma_s * 1e9
-            );
-            println!(
-                "gain       voltage over current {:.5} ± {:.5}",
-                found.gain_ratio, found.gain_ratio_sigma
-            );
-            println!(
-                "offsets    {:.4} V, {:.5} A",
-                found.v_offset_v, found.i_offset_a
-            );
-            println!("assumed    {}", found.assumed.join("; "));
-        }
         if let Some(path) = &self.out {
             found.write(path)?;
-            if !self.json {
-                println!("written    {}", path.display());
-            }
         }
+        let mut text = if self.json {
+            serde_json::to_string_pretty(&found)? + "\n"
+        } else {
+            summary(&found)
+        };
+        if let (Some(path), false) = (&self.out, self.json) {
+            text += &format!("written    {}\n", path.display());
+        }
+        std::io::stdout().write_all(text.as_bytes())?;
         Ok(())
     }
+}
+
+/// The calibration for a person.
+fn summary(found: &Calibration) -> String {
+    format!(
+        "skew       {:.2} ± {:.2} ns (current later)\n\
+         gain       voltage over current {:.5} ± {:.5}\n\
+         offsets    {:.4} V, {:.5} A\n\
+         assumed    {}\n",
+        found.skew_s * 1e9,
+        found.skew_sigma_s * 1e9,
+        found.gain_ratio,
+        found.gain_ratio_sigma,
+        found.v_offset_v,
+        found.i_offset_a,
+        found.assumed.join("; ")
+    )
 }
 
 #[cfg(test)]
@@ -110,8 +118,10 @@ mod tests {
         };
         assert_eq!(reference("no-pot").ok(), Some(empty));
         let known = reference("no-pot,r=0.1,l=72u").unwrap();
-        assert!(matches!(known, Reference::NoPot { r_ohm: Some(r), l_h: Some(l) }
-            if r == 0.1 && (l / 72e-6 - 1.0).abs() < 1e-9));
+        assert!(
+            matches!(known, Reference::NoPot { r_ohm: Some(r), l_h: Some(l) }
+            if r == 0.1 && (l / 72e-6 - 1.0).abs() < 1e-9)
+        );
         assert_eq!(known.to_string(), "no-pot,r=0.1,l=72.0000u");
         let load = reference("r=3.3").unwrap();
         assert_eq!(load.to_string(), "r=3.3");

@@ -69,7 +69,8 @@ impl Cli {
 }
 
 /// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
-/// 6 a capture unfit for identification, 1 anything else. Wrong usage is 2, by clap.
+/// 6 a replay that differs, 7 a capture unfit for identification, 1 anything else. Wrong usage is 2,
+/// by clap.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     #[cfg(feature = "pinn")]
     if let Some(error) = error.downcast_ref::<crate::trainer::TrainerError>() {
@@ -84,6 +85,9 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<replay::Differs>() {
         return 6;
     }
+    if error.is::<inspect::UnfitCapture>() {
+        return 7;
+    }
     if let Some(ReplayError::Link(_) | ReplayError::NotLocked { .. }) = error.downcast_ref() {
         return 3;
     }
@@ -92,8 +96,6 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if error.is::<LinkError>() || error.is::<ServerError>() {
         3
-    } else if error.is::<inspect::UnfitCapture>() {
-        6
     } else {
         1
     }

@@ -2,6 +2,7 @@
 
 mod report;
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -9,7 +10,7 @@ use clap::Args;
 
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
-use crate::identify::survey::{Severity, Survey, figure};
+use crate::identify::survey::{Finding, Severity, Survey, figure};
 
 /// Show what is in a capture: channels, rate, switching frequency, mains, noise, and what is wrong.
 #[derive(Debug, Args)]
@@ -18,7 +19,7 @@ use crate::identify::survey::{Severity, Survey, figure};
     ihd inspect scope_ch1.isf scope_ch2.isf --plot capture.svg\n  \
     ihd inspect capture.mcap --json | jq '.findings[].message'\n\n\
     Exit codes: 0 fit for identification, 1 cannot be read or has no switching frequency, 2 wrong \
-    usage, 6 R and L would be wrong (a finding of severity error)")]
+    usage, 7 R and L would be wrong (a finding of severity error)")]
 pub struct InspectArgs {
     #[command(flatten)]
     capture: CaptureArgs,
@@ -45,15 +46,16 @@ impl InspectArgs {
     pub fn run(&self) -> Result<()> {
         let capture = self.capture.open()?;
         let survey = Survey::of(&capture, &self.hints.hints())?;
-        if self.json {
-            println!("{}", serde_json::to_string_pretty(&report::json(&survey))?);
+        let text = if self.json {
+            serde_json::to_string_pretty(&report::json(&survey))? + "\n"
         } else {
-            print!("{}", report::text(&capture, &survey));
-        }
+            report::text(&capture, &survey)
+        };
+        std::io::stdout().write_all(text.as_bytes())?;
         if let Some(path) = &self.plot {
             figure::write(&capture, &survey, path)?;
         }
-        let is_error = |f: &&_| crate::identify::survey::Finding::severity(f) == Severity::Error;
+        let is_error = |f: &&Finding| f.severity() == Severity::Error;
         match survey.findings.iter().filter(is_error).count() {
             0 => Ok(()),
             errors => Err(UnfitCapture(errors).into()),

@@ -54,8 +54,14 @@ pub fn text(capture: &Capture, survey: &Survey) -> String {
             survey.start_s * 1e3
         ),
     );
-    line("voltage", channel(&survey.voltage, "V", capture.v_full_scale_v));
-    line("current", channel(&survey.current, "A", capture.i_full_scale_a));
+    line(
+        "voltage",
+        channel(&survey.voltage, "V", capture.v_full_scale_v),
+    );
+    line(
+        "current",
+        channel(&survey.current, "A", capture.i_full_scale_a),
+    );
     line("mains", mains(survey));
     if let [span] = &survey.spans[..] {
         line(
@@ -67,7 +73,11 @@ pub fn text(capture: &Capture, survey: &Survey) -> String {
             ),
         );
         if let Some(z) = span.load {
-            let text = format!("R {:.3} ohm, L {:.2} µH (fundamental)", z.r_ohm, z.l_h * 1e6);
+            let text = format!(
+                "R {:.3} ohm, L {:.2} µH (fundamental)",
+                z.r_ohm,
+                z.l_h * 1e6
+            );
             line("load", text);
         }
     } else {
@@ -112,7 +122,8 @@ fn mains(survey: &Survey) -> String {
         "{:.2} Hz ({}), zero crossing at {:.3} ms ({}), {} whole half-cycles",
         m.hz,
         word(m.hz_source),
-        m.zero_crossing_s * 1e3,
+        // No minus before a zero.
+        m.zero_crossing_s * 1e3 + 0.0,
         word(m.zero_crossing_source),
         survey.half_cycles_s.len()
     )
@@ -123,7 +134,9 @@ fn spans(survey: &Survey) -> String {
     let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
     for span in &survey.spans {
         let load = |value: fn(&crate::identify::survey::impedance::Impedance) -> f64| {
-            span.load.as_ref().map_or("-".to_owned(), |z| format!("{:.3}", value(z)))
+            span.load
+                .as_ref()
+                .map_or("-".to_owned(), |z| format!("{:.3}", value(z)))
         };
         table.row([
             format!("{:.3}", span.t0_s * 1e3),

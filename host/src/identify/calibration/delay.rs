@@ -21,7 +21,11 @@ pub(super) fn delay(x: &mut [f32], by: f64) {
             let d = j as f64 - HALF as f64 + part;
             let phase = d / HALF as f64;
             let window = 0.42 + 0.5 * libm::cos(PI * phase) + 0.08 * libm::cos(TAU * phase);
-            let sinc = if d == 0.0 { 1.0 } else { libm::sin(PI * d) / (PI * d) };
+            let sinc = if d == 0.0 {
+                1.0
+            } else {
+                libm::sin(PI * d) / (PI * d)
+            };
             sinc * if phase.abs() < 1.0 { window } else { 0.0 }
         })
         .collect();

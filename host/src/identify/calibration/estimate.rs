@@ -139,7 +139,9 @@ fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
 fn phase_sigma(track: &Track, order: usize, noise: [f64; 2]) -> f64 {
     let hop = (track.frame / 2) as f64;
     let energy = |x: Option<&Vec<Complex<f64>>>| -> f64 {
-        x.map_or(0.0, |x| 0.5 * hop * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
+        x.map_or(0.0, |x| {
+            0.5 * hop * x.iter().map(|x| x.norm_sqr()).sum::<f64>()
+        })
     };
     let channels = [track.v_v.get(order), track.i_a.get(order)];
     let variance: f64 = channels
@@ -262,7 +264,9 @@ fn load(
                 (theta, 1.0 / theta.tan())
             }
             (None, l) => {
-                let theta = (p.omega * l.unwrap_or(0.0) / magnitude).clamp(-1.0, 1.0).asin();
+                let theta = (p.omega * l.unwrap_or(0.0) / magnitude)
+                    .clamp(-1.0, 1.0)
+                    .asin();
                 (theta, theta.tan())
             }
         };
@@ -284,10 +288,17 @@ fn load(
         assumed.push("right gains".to_owned());
     }
     assumed.push("R and L of the reference independent of frequency and current".to_owned());
-    let gain = if gains.is_empty() { (1.0, 0.0) } else { weighted(gains.into_iter()) };
+    let gain = if gains.is_empty() {
+        (1.0, 0.0)
+    } else {
+        weighted(gains.into_iter())
+    };
     let skew = weighted(skews.into_iter());
-    if !(skew.0.abs() <= super::LARGEST_SKEW_S) {
-        return Err(wrong(format!("it would take a skew of {:.1} µs", skew.0 * 1e6)));
+    if skew.0.is_nan() || skew.0.abs() > super::LARGEST_SKEW_S {
+        return Err(wrong(format!(
+            "it would take a skew of {:.1} µs",
+            skew.0 * 1e6
+        )));
     }
     Ok(Found { skew, gain })
 }

@@ -125,7 +125,9 @@ impl Calibration {
             ("i_offset_a", self.i_offset_a, -1e5, 1e5),
         ] {
             if !(least..=most).contains(&value) {
-                return Err(format!("{name} is {value}, but must lie between {least} and {most}"));
+                return Err(format!(
+                    "{name} is {value}, but must lie between {least} and {most}"
+                ));
             }
         }
         Ok(())
@@ -156,13 +158,18 @@ impl Calibration {
                 delay::delay(i, self.skew_s / run.dt_s);
             }
         }
-        let note = format!("skew {:.3} ns, against {}", self.skew_s * 1e9, self.reference);
+        let note = format!(
+            "skew {:.3} ns, against {}",
+            self.skew_s * 1e9,
+            self.reference
+        );
         capture.metadata.insert("calibration".to_owned(), note);
     }
 }
 
 fn is_json(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"))
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("json"))
 }
 
 #[cfg(test)]

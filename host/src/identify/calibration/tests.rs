@@ -54,7 +54,10 @@ fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
     let found = calibrated(&c, EMPTY).unwrap();
     let error_s = (found.skew_s - 37e-9).abs();
     assert!(error_s < 1.5e-9, "{found:?}");
-    assert!(error_s < 2.0 * found.skew_sigma_s && found.skew_sigma_s < 2e-9, "{found:?}");
+    assert!(
+        error_s < 2.0 * found.skew_sigma_s && found.skew_sigma_s < 2e-9,
+        "{found:?}"
+    );
     assert_eq!((found.gain_ratio, found.gain_ratio_sigma), (1.0, 0.0));
     assert!((found.v_offset_v - 4.0).abs() < 0.2, "{found:?}");
     assert!((found.i_offset_a + 0.7).abs() < 0.1, "{found:?}");
@@ -81,7 +84,10 @@ fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
         change: Change::Frequency(75e3),
     }];
     let found = calibrated(&capture(&s), EMPTY).unwrap();
-    assert!((found.skew_s - 37e-9).abs() < 2.0 * found.skew_sigma_s, "{found:?}");
+    assert!(
+        (found.skew_s - 37e-9).abs() < 2.0 * found.skew_sigma_s,
+        "{found:?}"
+    );
     assert!((found.skew_s - 37e-9).abs() < 1.5e-9, "{found:?}");
 }
 
@@ -97,7 +103,10 @@ fn a_known_load_gives_skew_and_gains() {
     };
     let found = calibrated(&capture(&s), both).unwrap();
     assert!((found.skew_s - 37e-9).abs() < 0.5e-9, "{found:?}");
-    assert!((found.gain_ratio / (1.02 / 0.99) - 1.0).abs() < 1e-3, "{found:?}");
+    assert!(
+        (found.gain_ratio / (1.02 / 0.99) - 1.0).abs() < 1e-3,
+        "{found:?}"
+    );
     // R alone: the gains have to be right.
     (s.sensing.v_gain, s.sensing.i_gain) = (1.0, 1.0);
     let r_only = Reference::Load {
@@ -131,7 +140,10 @@ fn the_deviation_told_is_that_of_many_seeds() {
     let mean = skews.iter().sum::<f64>() / n;
     let shown = (skews.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     // 16 seeds know a deviation to some 18 %.
-    assert!((0.5..2.0).contains(&(told / shown)), "told {told:e} s, shown {shown:e} s");
+    assert!(
+        (0.5..2.0).contains(&(told / shown)),
+        "told {told:e} s, shown {shown:e} s"
+    );
     assert!((mean - 37e-9).abs() < 1e-9, "{mean:e}");
 }
 
@@ -147,7 +159,9 @@ fn applied_it_takes_the_error_out_of_another_capture() {
                 ..sensing
             };
             let c = capture(&settings(pot, sensing, 5));
-            let z = Survey::of(&c, &Hints::default()).unwrap().spans[0].load.unwrap();
+            let z = Survey::of(&c, &Hints::default()).unwrap().spans[0]
+                .load
+                .unwrap();
             (c, z)
         };
         let (_, truth) = with(Sensing::default());
@@ -167,8 +181,14 @@ fn applied_it_takes_the_error_out_of_another_capture() {
         found.apply(&mut c);
         let survey = Survey::of(&c, &Hints::default()).unwrap();
         let right = survey.spans[0].load.unwrap();
-        assert!((right.r_ohm / truth.r_ohm - 1.0).abs() < 2e-3, "{right:?} {truth:?} {found:?}");
-        assert!((right.l_h / truth.l_h - 1.0).abs() < 1e-3, "{right:?} {truth:?}");
+        assert!(
+            (right.r_ohm / truth.r_ohm - 1.0).abs() < 2e-3,
+            "{right:?} {truth:?} {found:?}"
+        );
+        assert!(
+            (right.l_h / truth.l_h - 1.0).abs() < 1e-3,
+            "{right:?} {truth:?}"
+        );
         assert!(survey.voltage.mean.abs() < 0.1 && survey.current.mean.abs() < 0.1);
     }
 }
@@ -197,7 +217,10 @@ fn files_come_back_and_others_are_refused() {
             assert!(e.contains(name) && e.contains("ihd calibrate"), "{e}");
         }
         for wrong in [f64::NAN, 1.0] {
-            let c = Calibration { skew_s: wrong, ..c.clone() };
+            let c = Calibration {
+                skew_s: wrong,
+                ..c.clone()
+            };
             let _ = c.write(&path);
             assert!(Calibration::read(&path).is_err());
         }

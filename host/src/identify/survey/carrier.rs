@@ -2,11 +2,10 @@
 
 use std::f64::consts::TAU;
 use std::ops::Range;
-use std::sync::Arc;
 
 use nalgebra::Complex;
-use realfft::{RealFftPlanner, RealToComplex};
 
+use super::lines::{HOPS, Lines};
 use super::time::Run;
 use super::track;
 use crate::capture::Capture;
@@ -20,15 +19,6 @@ pub const LARGEST_HZ: f64 = 150e3;
 /// Relative width around a given frequency in which it is looked for.
 const HINT_WIDTH: f64 = 0.1;
 
-/// Rate to which samples are averaged for the search, in hertz: four times the largest frequency.
-const SEARCH_RATE_HZ: f64 = 4.0 * LARGEST_HZ;
-
-/// Length of a spectrum's frame in seconds: tells 1.25 kHz apart and follows the mains' envelope.
-const FRAME_S: f64 = 0.8e-3;
-
-/// Frames a frame's length: each begins an eighth later.
-const HOPS: usize = 8;
-
 /// A line must stand this much above the median of the spectrum, in power: noise of a thousand
 /// bins reaches 10.
 const LINE_OVER_MEDIAN: f64 = 30.0;
@@ -37,9 +27,9 @@ const LINE_OVER_MEDIAN: f64 = 30.0;
 /// amplitude.
 const WEAK: f64 = 1e-4;
 
-/// A line where a person says it is may be weaker than the strongest by this much in power; a third
-/// harmonic is weaker.
-const BESIDE: f64 = 0.1;
+/// Share of the current's amplitude nearby above which it is on: well above noise of 30 dB, and low
+/// enough for an edge at a zero crossing.
+const EDGE: f64 = 0.1;
 
 /// Change of frequency that counts as a step, in hertz: an eighth of the spectrum's resolution.
 const STEP_HZ: f64 = 150.0;
@@ -70,15 +60,6 @@ pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
     hint_hz.map_or((LEAST_HZ, LARGEST_HZ), |f| {
         (f * (1.0 - HINT_WIDTH), f * (1.0 + HINT_WIDTH))
     })
-}
-
-/// One frame's strongest line.
-#[derive(Clone, Copy, Debug)]
-struct Line {
-    f_hz: f64,
-    power: f64,
-    /// Power over the median of the band.
-    contrast: f64,
 }
 
 /// Finds the stretches of a run in which it switches at one frequency, within `band_hz`.
@@ -155,8 +136,8 @@ fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
         let f_hz = lines.frames[frame].f_hz;
         let track = track::fundamental(capture, &zone, f_hz);
         let amplitude: Vec<f64> = track.i_a.iter().map(|i| i.norm()).collect();
-        let half = 0.5 * amplitude.iter().copied().fold(0.0, f64::max);
-        let strong = |a: &f64| *a >= half;
+        let least = EDGE * amplitude.iter().copied().fold(0.0, f64::max);
+        let strong = |a: &f64| *a >= least;
         let at = if rising {
             amplitude.iter().position(strong)
         } else {
@@ -168,8 +149,16 @@ fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
         run.samples.start + ((at_s + guard_s - run.t0_s) / run.dt_s).max(0.0) as usize
     };
     let (first, last) = (on.frames.start, on.frames.end - 1);
-    let start = if on.off_before { edge(first, true) } else { lines.begin(first) };
-    let end = if on.off_after { edge(last, false) } else { lines.end(last) };
+    let start = if on.off_before {
+        edge(first, true)
+    } else {
+        lines.begin(first)
+    };
+    let end = if on.off_after {
+        edge(last, false)
+    } else {
+        lines.end(last)
+    };
     run.part(start..end)
 }
 
@@ -182,52 +171,7 @@ fn steps(
     frames: Range<usize>,
     out: &mut Vec<Piece>,
 ) {
-    // Weak frames carry the frequency of the last strong one.
-    let Some(first) = frames.clone().find(|&k| valid[k]) else {
-        return;
-    };
-    let mut f_hz = Vec::with_capacity(frames.len());
-    let mut last = lines.frames[first].f_hz;
-    for k in frames.clone() {
-        if valid[k] {
-            last = lines.frames[k].f_hz;
-        }
-        f_hz.push(last);
-    }
-    let half = HOPS / 2;
-    // Frames a whole frame apart share no sample.
-    let steps = |k: usize| {
-        k >= half && k + half < f_hz.len() && (f_hz[k + half] - f_hz[k - half]).abs() > STEP_HZ
-    };
-    let median = |range: Range<usize>| {
-        let mut x = f_hz[range].to_vec();
-        x.sort_by(f64::total_cmp);
-        x[x.len() / 2]
-    };
-    let mut start = 0;
-    let mut cuts: Vec<(Range<usize>, f64)> = Vec::new();
-    let mut k = 0;
-    while k < f_hz.len() {
-        if !steps(k) {
-            k += 1;
-            continue;
-        }
-        let from = k;
-        while k < f_hz.len() && steps(k) {
-            k += 1;
-        }
-        if from > start {
-            cuts.push((start..from, median(start..from)));
-        }
-        start = k;
-    }
-    if start < f_hz.len() {
-        cuts.push((start..f_hz.len(), median(start..f_hz.len())));
-    }
-    // What is shorter than a frame is a transition, and nothing of its own.
-    if cuts.iter().any(|(range, _)| range.len() >= HOPS) {
-        cuts.retain(|(range, _)| range.len() >= HOPS);
-    }
+    let cuts = steady(&held(lines, valid, frames.clone()));
     let end = run.samples.end;
     let mut from = run.samples.start;
     for (n, (range, f)) in cuts.iter().enumerate() {
@@ -246,6 +190,52 @@ fn steps(
         });
         from = next;
     }
+}
+
+/// Frequencies of frames in hertz; weak ones carry that of the last strong one. Empty when none is
+/// strong.
+fn held(lines: &Lines, valid: &[bool], frames: Range<usize>) -> Vec<f64> {
+    let Some(first) = frames.clone().find(|&k| valid[k]) else {
+        return Vec::new();
+    };
+    let mut last = lines.frames[first].f_hz;
+    frames
+        .map(|k| {
+            if valid[k] {
+                last = lines.frames[k].f_hz;
+            }
+            last
+        })
+        .collect()
+}
+
+/// Ranges of frames in which the frequency stays, and its median there.
+fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
+    let half = HOPS / 2;
+    // Frames a whole frame apart share no sample.
+    let steps = |k: usize| {
+        k >= half && k + half < f_hz.len() && (f_hz[k + half] - f_hz[k - half]).abs() > STEP_HZ
+    };
+    let median = |range: Range<usize>| {
+        let mut x = f_hz[range].to_vec();
+        x.sort_by(f64::total_cmp);
+        x[x.len() / 2]
+    };
+    let mut start = 0;
+    let mut out: Vec<(Range<usize>, f64)> = Vec::new();
+    for k in 0..=f_hz.len() {
+        if k == f_hz.len() || steps(k) {
+            if k > start {
+                out.push((start..k, median(start..k)));
+            }
+            start = k + 1;
+        }
+    }
+    // What is shorter than a frame is a transition, and nothing of its own.
+    if out.iter().any(|(range, _)| range.len() >= HOPS) {
+        out.retain(|(range, _)| range.len() >= HOPS);
+    }
+    out
 }
 
 /// Sample at which the frequency changes from `before` to `after`, in hertz: where the current's
@@ -274,181 +264,6 @@ fn boundary(capture: &Capture, zone: &Run, before: f64, after: f64) -> usize {
     zone.samples.start + ((t_s - zone.t0_s) / zone.dt_s).round().max(0.0) as usize
 }
 
-/// The strongest line of every frame.
-struct Lines {
-    frames: Vec<Line>,
-    /// Samples averaged into one.
-    every: usize,
-    /// Index of the run's first sample.
-    first: usize,
-    /// Index after its last.
-    last: usize,
-    /// Averaged samples from frame to frame.
-    hop: usize,
-    /// Averaged samples a frame.
-    length: usize,
-}
-
-impl Lines {
-    fn of(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Self {
-        let every = ((1.0 / (run.dt_s * SEARCH_RATE_HZ)) as usize).max(1);
-        let dt_s = run.dt_s * every as f64;
-        let channels = [&capture.v_v, &capture.i_a].map(|x| {
-            let x = averaged(&x[run.samples.clone()], every);
-            let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
-            (x, mean_square)
-        });
-        let n = channels[0].0.len();
-        let length = ((FRAME_S / dt_s) as usize).clamp(1, n.max(1));
-        let hop = (length / HOPS).max(1);
-        let mut spectrum = Spectrum::new(length, dt_s, band_hz);
-        let mut frames = Vec::new();
-        let mut start = 0;
-        while start + length <= n {
-            let line = spectrum.line(
-                channels
-                    .iter()
-                    .map(|(x, p)| (&x[start..start + length], *p)),
-            );
-            frames.push(line);
-            start += hop;
-        }
-        Self {
-            frames,
-            every,
-            first: run.samples.start,
-            last: run.samples.end,
-            hop,
-            length,
-        }
-    }
-
-    /// First sample that frame `k` stands for: all of the run before the first frame's middle.
-    fn begin(&self, k: usize) -> usize {
-        if k == 0 { self.first } else { self.middle(k) }
-    }
-
-    /// Sample after the last that frame `k` stands for.
-    fn end(&self, k: usize) -> usize {
-        if k + 1 >= self.frames.len() {
-            self.last
-        } else {
-            self.middle(k)
-        }
-    }
-
-    /// Frames of a range whose windows lie within these samples; all of them when none does.
-    fn within(&self, samples: &Range<usize>, frames: &Range<usize>) -> Range<usize> {
-        let half = self.length / 2 * self.every;
-        let inside = |k: &usize| {
-            let middle = self.middle(*k);
-            middle >= samples.start + half && middle + half <= samples.end
-        };
-        match (frames.clone().find(inside), frames.clone().rfind(inside)) {
-            (Some(first), Some(last)) => first..last + 1,
-            _ => frames.clone(),
-        }
-    }
-
-    fn middle(&self, k: usize) -> usize {
-        self.first + (k * self.hop + self.length / 2) * self.every
-    }
-}
-
-fn averaged(x: &[f32], every: usize) -> Vec<f64> {
-    let scale = 1.0 / every as f64;
-    x.chunks_exact(every)
-        .map(|c| scale * f64::from(c.iter().sum::<f32>()))
-        .collect()
-}
-
-/// Spectrum of Hann-windowed frames, voltage and current together, each by its own power.
-struct Spectrum {
-    fft: Arc<dyn RealToComplex<f64>>,
-    window: Vec<f64>,
-    input: Vec<f64>,
-    output: Vec<Complex<f64>>,
-    power: Vec<f64>,
-    bins: Range<usize>,
-    /// Bins of every frequency that a hob may have.
-    all: Range<usize>,
-    hz_per_bin: f64,
-}
-
-impl Spectrum {
-    fn new(length: usize, dt_s: f64, (from_hz, to_hz): (f64, f64)) -> Self {
-        // Twice the length, so that a line's top lies within a third of a bin of a parabola.
-        let n = (2 * length).next_power_of_two().max(8);
-        let fft = RealFftPlanner::new().plan_fft_forward(n);
-        let hz_per_bin = 1.0 / (dt_s * n as f64);
-        let bin = |f: f64| ((f / hz_per_bin).max(1.0) as usize).min(n / 2 - 1);
-        Self {
-            window: track::hann(length),
-            input: fft.make_input_vec(),
-            output: fft.make_output_vec(),
-            power: vec![0.0; n / 2 + 1],
-            bins: bin(from_hz)..bin(to_hz) + 1,
-            all: bin(LEAST_HZ)..bin(LARGEST_HZ) + 1,
-            hz_per_bin,
-            fft,
-        }
-    }
-
-    fn line<'a>(&mut self, channels: impl Iterator<Item = (&'a [f64], f64)>) -> Line {
-        self.power.fill(0.0);
-        for (x, mean_square) in channels {
-            if mean_square <= 0.0 {
-                continue;
-            }
-            let mean = x.iter().sum::<f64>() / x.len() as f64;
-            self.input.fill(0.0);
-            for ((y, x), w) in self.input.iter_mut().zip(x).zip(&self.window) {
-                *y = (x - mean) * w;
-            }
-            // Lengths are those of the plan.
-            if self.fft.process(&mut self.input, &mut self.output).is_ok() {
-                for (p, y) in self.power.iter_mut().zip(&self.output) {
-                    *p += y.norm_sqr() / mean_square;
-                }
-            }
-        }
-        let (bins, power) = (self.bins.clone(), &self.power);
-        let top = bins
-            .clone()
-            .max_by(|a, b| power[*a].total_cmp(&power[*b]))
-            .unwrap_or(bins.start);
-        let mut sorted = power[bins.clone()].to_vec();
-        let middle = sorted.len() / 2;
-        let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        // A narrow band around a hint holds little but the line: its floor is the whole spectrum's.
-        let mut all = power.clone();
-        let middle = all.len() / 2;
-        let (_, floor, _) = all.select_nth_unstable_by(middle, f64::total_cmp);
-        let floor = median.min(*floor).max(f64::MIN_POSITIVE);
-        let strongest = power[self.all.clone()].iter().copied().fold(0.0, f64::max);
-        let is_line = power[top] > 0.0
-            && power[top] >= power[top - 1].max(power[top + 1])
-            && power[top] >= BESIDE * strongest;
-        Line {
-            f_hz: (top as f64 + self.summit(top)) * self.hz_per_bin,
-            power: power[top],
-            contrast: if is_line { power[top] / floor } else { 0.0 },
-        }
-    }
-
-    /// Where between the bins the top lies: the parabola through three logarithms.
-    fn summit(&self, top: usize) -> f64 {
-        let log = |k: usize| self.power[k].max(f64::MIN_POSITIVE).ln();
-        let (a, b, c) = (log(top - 1), log(top), log(top + 1));
-        let curvature = a - 2.0 * b + c;
-        if curvature < 0.0 {
-            (0.5 * (a - c) / curvature).clamp(-0.5, 0.5)
-        } else {
-            0.0
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -465,17 +280,5 @@ mod tests {
         let off: Vec<_> = on.iter().map(|on| (on.off_before, on.off_after)).collect();
         assert_eq!(off, [(false, true), (true, false)]);
         assert!(on_ranges(&[false; 50]).is_empty());
-    }
-
-    #[test]
-    fn a_line_is_found_between_the_bins() {
-        let (f, dt_s) = (45_123.0, 1.0 / SEARCH_RATE_HZ);
-        let x: Vec<f64> = (0..480)
-            .map(|k| (TAU * f * dt_s * f64::from(k)).cos())
-            .collect();
-        let mut spectrum = Spectrum::new(480, dt_s, band(None));
-        let line = spectrum.line([(x.as_slice(), 0.5)].into_iter());
-        assert!((line.f_hz - f).abs() < 10.0, "{}", line.f_hz);
-        assert!(line.contrast > 1e6);
     }
 }

@@ -34,7 +34,7 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
             (a.min(x), b.max(x))
         });
     let (low, high) = (f64::from(low), f64::from(high));
-    if !(high > low) {
+    if low >= high || !(high - low).is_finite() {
         return Clipped::default();
     }
     if let Some(full_scale) = full_scale.filter(|f| f.is_finite() && *f > 0.0) {

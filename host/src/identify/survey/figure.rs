@@ -19,7 +19,13 @@ const CLOSE_UP_PERIODS: f64 = 2.0;
 const HARMONICS: f64 = 12.0;
 
 /// Letters in a line of findings.
-const LINE: usize = 82;
+const LINE: usize = 160;
+
+/// Height of the panels in pixels.
+const WAVES_PX: u32 = 520;
+
+/// Height of a line of text in pixels.
+const LINE_PX: u32 = 18;
 
 const VOLTAGE: RGBColor = RGBColor(31, 119, 180);
 const CURRENT: RGBColor = RGBColor(214, 39, 40);
@@ -44,9 +50,11 @@ pub fn write(capture: &Capture, survey: &Survey, path: &Path) -> Result<(), Figu
 }
 
 fn draw(capture: &Capture, survey: &Survey, path: &Path) -> Drawn {
-    let root = SVGBackend::new(path, (1200, 760)).into_drawing_area();
+    let text = lines(survey);
+    let height = WAVES_PX + LINE_PX * (text.len() as u32 + 1);
+    let root = SVGBackend::new(path, (1200, height)).into_drawing_area();
     root.fill(&WHITE)?;
-    let (waves, text) = root.split_vertically(520);
+    let (waves, below) = root.split_vertically(WAVES_PX);
     let (overview, details) = waves.split_vertically(250);
     let (close_up, spectrum) = details.split_horizontally(600);
     overview_panel(&overview, capture, survey)?;
@@ -54,7 +62,7 @@ fn draw(capture: &Capture, survey: &Survey, path: &Path) -> Drawn {
         close_up_panel(&close_up, capture, span, peak)?;
         spectrum_panel(&spectrum, capture, span)?;
     }
-    findings(&text, survey)?;
+    findings(&below, text)?;
     root.present()?;
     Ok(())
 }
@@ -64,7 +72,9 @@ fn strongest<'a>(capture: &Capture, survey: &'a Survey) -> Option<(&'a Span, usi
     let peak = |span: &Span| {
         let range = span.first..span.first + span.samples;
         let size = |k: &usize| capture.i_a.get(*k).map_or(0.0, |i| i.abs());
-        range.max_by(|a, b| size(a).total_cmp(&size(b))).unwrap_or(span.first)
+        range
+            .max_by(|a, b| size(a).total_cmp(&size(b)))
+            .unwrap_or(span.first)
     };
     let all = survey.spans.iter().map(|span| (span, peak(span)));
     let size = |k: usize| capture.i_a.get(k).map_or(0.0, |i| i.abs());
@@ -98,7 +108,7 @@ fn overview_panel(area: &Panel<'_>, capture: &Capture, survey: &Survey) -> Drawn
     let t_s = |k: usize| capture.time.at(k).unwrap_or(f64::NAN);
     let curves = waves(capture, 0..capture.len(), t_s, 1e-3);
     let title = format!(
-        "{}: {} samples at {:.4} MS/s; grey: left out; dotted: mains zero crossings",
+        "{}: {} samples at {:.4} MS/s; grey: left out; dashed: mains zero crossings",
         survey.name,
         survey.samples,
         survey.rate_hz * 1e-6
@@ -112,7 +122,12 @@ fn overview_panel(area: &Panel<'_>, capture: &Capture, survey: &Survey) -> Drawn
     }
     out.push((at_s * 1e3, to_s * 1e3));
     out.retain(|(a, b)| b > a);
-    let marks: Vec<f64> = survey.mains.crossings_s(from_s, to_s).iter().map(|t| t * 1e3).collect();
+    let marks: Vec<f64> = survey
+        .mains
+        .crossings_s(from_s, to_s)
+        .iter()
+        .map(|t| t * 1e3)
+        .collect();
     panel(area, &title, "t / ms", &curves, &out, &marks)
 }
 
@@ -124,7 +139,10 @@ fn close_up_panel(area: &Panel<'_>, capture: &Capture, span: &Span, peak: usize)
     let t_s = |k: usize| (k - first) as f64 * span.dt_s;
     let curves = waves(capture, range, t_s, 1e-6);
     let at_ms = span.run().t_s(first) * 1e3;
-    let title = format!("Two periods from {at_ms:.3} ms, {:.3} kHz", span.f_sw_hz * 1e-3);
+    let title = format!(
+        "Two periods from {at_ms:.3} ms, {:.3} kHz",
+        span.f_sw_hz * 1e-3
+    );
     panel(area, &title, "t / µs", &curves, &[], &[])
 }
 
@@ -138,18 +156,21 @@ fn panel(
     marks: &[f64],
 ) -> Drawn {
     let xs = || curves[0].points.iter().map(|p| p.0);
-    let (from, to) = (xs().fold(f64::INFINITY, f64::min), xs().fold(f64::NEG_INFINITY, f64::max));
+    let (from, to) = (
+        xs().fold(f64::INFINITY, f64::min),
+        xs().fold(f64::NEG_INFINITY, f64::max),
+    );
     let size = |c: &Curve| c.points.iter().map(|p| p.1.abs()).fold(1e-9, f64::max) * 1.08;
     let (v, i) = (size(&curves[0]), size(&curves[1]));
-    if !(to > from) {
+    if from >= to {
         return Ok(());
     }
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 15))
         .margin(8)
         .x_label_area_size(32)
-        .y_label_area_size(46)
-        .right_y_label_area_size(46)
+        .y_label_area_size(60)
+        .right_y_label_area_size(60)
         .build_cartesian_2d(from..to, -v..v)?
         .set_secondary_coord(from..to, -i..i);
     chart
@@ -171,7 +192,10 @@ fn panel(
             PathElement::new([(*t, y(k)), (*t, y(k + 1))], BLACK.mix(0.4))
         })
     }))?;
-    let line = |c: &Curve| LineSeries::new(c.points.clone(), c.colour.stroke_width(1));
+    // Where a carrier becomes a band, the one behind has to show.
+    let dense = curves[0].points.len() > 1000;
+    let opacity = if dense { 0.6 } else { 1.0 };
+    let line = |c: &Curve| LineSeries::new(c.points.clone(), c.colour.mix(opacity).stroke_width(1));
     chart.draw_series(line(&curves[0]))?;
     chart.draw_secondary_series(line(&curves[1]))?;
     Ok(())
@@ -221,12 +245,10 @@ fn spectrum_panel(area: &Panel<'_>, capture: &Capture, span: &Span) -> Drawn {
 }
 
 /// Numbers and findings as text.
-fn findings(area: &Panel<'_>, survey: &Survey) -> Drawn {
-    let mut y = 8;
-    for (colour, text) in lines(survey) {
+fn findings(area: &Panel<'_>, text: Vec<(RGBColor, String)>) -> Drawn {
+    for (row, (colour, text)) in text.into_iter().enumerate() {
         let style = ("sans-serif", 14).into_font().color(&colour);
-        area.draw_text(&text, &style, (16, y))?;
-        y += 18;
+        area.draw_text(&text, &style, (16, LINE_PX as i32 * row as i32 + 8))?;
     }
     Ok(())
 }
@@ -265,7 +287,7 @@ fn wrapped(text: &str) -> Vec<String> {
     for word in text.split_whitespace() {
         let last = lines.len() - 1;
         let line = &mut lines[last];
-        if line.chars().count() + word.chars().count() > 2 * LINE {
+        if line.chars().count() + word.chars().count() > LINE {
             lines.push(format!("    {word}"));
         } else {
             if !line.is_empty() {

@@ -53,6 +53,9 @@ const GROWS: f64 = 1.0 / FALLS;
 /// amplitude.
 const VISIBLE: f64 = 1e-5;
 
+/// A harmonic of a channel through time.
+type Phasors<'a> = &'a [Complex<f64>];
+
 /// The two rows of V = R I + L (jhω I + dI/dt) at frame `k`: I, and what L multiplies. The
 /// derivative is that of the phasor, from its neighbours.
 fn row(i: &[Complex<f64>], k: usize, hop_s: f64, omega: f64) -> Option<[Complex<f64>; 2]> {
@@ -106,11 +109,7 @@ pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Impedance
 }
 
 /// Voltage and current of a harmonic in their right places.
-fn channels(
-    track: &Track,
-    order: usize,
-    wiring: Wiring,
-) -> Option<(&[Complex<f64>], &[Complex<f64>])> {
+fn channels(track: &Track, order: usize, wiring: Wiring) -> Option<(Phasors<'_>, Phasors<'_>)> {
     let (v, i) = (track.v_v.get(order)?, track.i_a.get(order)?);
     Some(if wiring.swapped { (i, v) } else { (v, i) })
 }

@@ -8,12 +8,16 @@
 
 pub mod aliasing;
 pub mod carrier;
+pub mod channel;
 pub mod clipping;
+pub mod error;
 pub mod figure;
 pub mod finding;
 pub mod impedance;
+mod lines;
 pub mod mains;
 pub mod noise;
+mod pieces;
 pub mod spectrum;
 pub mod time;
 pub mod track;
@@ -22,12 +26,14 @@ use serde::Serialize;
 
 use self::aliasing::Aliasing;
 use self::carrier::Piece;
-pub use self::finding::{Channel, Finding, Severity, SurveyError};
+pub use self::channel::ChannelSurvey;
+pub use self::error::SurveyError;
+pub use self::finding::{Channel, Finding, Severity};
 use self::impedance::{Impedance, SkewCost, Wiring};
 use self::mains::Mains;
 use self::time::Run;
 use self::track::Track;
-use super::segment::{MIN_PERIODS, Segment};
+use super::segment::Segment;
 use crate::capture::{Capture, TimeBase};
 
 /// What a person tells about a capture; it goes before what the capture tells.
@@ -74,25 +80,6 @@ impl Span {
     }
 }
 
-/// One channel in numbers, in its unit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct ChannelSurvey {
-    /// Smallest sample.
-    pub min: f64,
-    /// Largest sample.
-    pub max: f64,
-    /// Mean over the stretches with switching.
-    pub mean: f64,
-    /// Rms value over them, the mean taken off.
-    pub rms: f64,
-    /// Standard deviation of white noise; `None` when the capture is too short to tell.
-    pub noise: Option<f64>,
-    /// Signal-to-noise ratio in decibel (paper, section V).
-    pub snr_db: Option<f64>,
-    /// Samples at an end of the range.
-    pub clipped: usize,
-}
-
 /// What is in a capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Survey {
@@ -127,27 +114,9 @@ pub struct Survey {
     pub findings: Vec<Finding>,
 }
 
-/// Offset above which it is told, in percent of the rms value.
-const OFFSET_PCT: f64 = 1.0;
-
-/// SNR below which it is told, in decibel: the paper's noisiest case is 30.
-const NOISY_DB: f64 = 25.0;
-
 /// Samples a period below which it is told: filters in the time domain degrade (design notes,
 /// section 5: 1 MS/s, 14 to 22 samples).
 const COARSE: f64 = 12.0;
-
-/// Share of a channel's power in its fundamental below which it is dead.
-const DEAD: f64 = 1e-2;
-
-/// Relative difference of frequencies that is told.
-const DIFFERS: f64 = 5e-3;
-
-/// Left-out pieces below this length in all are not worth a word, in seconds.
-const SCRAPS_S: f64 = 0.5e-3;
-
-/// Frequency difference between neighbouring spans that is a step, in hertz.
-const STEP_HZ: f64 = 50.0;
 
 impl Survey {
     /// Surveys a capture.
@@ -159,15 +128,15 @@ impl Survey {
         check(capture)?;
         let mut findings = Vec::new();
         let runs = time::runs(capture, &mut findings);
-        let (pieces, tracks) = pieces(capture, hints, &runs, &mut findings)?;
-        frequency_findings(capture, hints, &pieces, &mut findings);
+        let (pieces, tracks) = pieces::find(capture, hints, &runs, &mut findings)?;
+        pieces::frequency_findings(capture, hints, &pieces, &mut findings);
         let strongest = strongest(&tracks);
         let wiring = tracks
             .get(strongest)
             .map(impedance::wiring)
             .unwrap_or_default();
-        let voltage = channel(Channel::Voltage, capture, &pieces, &tracks, &mut findings);
-        let current = channel(Channel::Current, capture, &pieces, &tracks, &mut findings);
+        let voltage = channel::survey(Channel::Voltage, capture, &pieces, &tracks, &mut findings);
+        let current = channel::survey(Channel::Current, capture, &pieces, &tracks, &mut findings);
         let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
         let (wiring, loads) = if alive {
             wiring_findings(&tracks, strongest, wiring, &mut findings);
@@ -222,13 +191,21 @@ impl Survey {
     /// not be measured.
     pub fn skew_note(&self) -> Option<String> {
         let list = |value: fn(&SkewCost) -> f64| {
-            let words: Vec<_> = self.skew.iter().map(|c| format!("{:.1}", value(c))).collect();
+            let words: Vec<_> = self
+                .skew
+                .iter()
+                .map(|c| format!("{:.1}", value(c)))
+                .collect();
             words.join("/")
         };
         (!self.skew.is_empty()).then(|| {
             format!(
                 "{} ns between the channels would be {} % of R, {} % of L",
-                self.skew.iter().map(|c| format!("{:.0}", c.skew_s * 1e9)).collect::<Vec<_>>().join("/"),
+                self.skew
+                    .iter()
+                    .map(|c| format!("{:.0}", c.skew_s * 1e9))
+                    .collect::<Vec<_>>()
+                    .join("/"),
                 list(|c| c.r_pct),
                 list(|c| c.l_pct)
             )
@@ -284,148 +261,6 @@ fn check(capture: &Capture) -> Result<(), SurveyError> {
     }
 }
 
-/// Stretches of one switching frequency, the frequency refined, with their phasors.
-fn pieces(
-    capture: &Capture,
-    hints: &Hints,
-    runs: &[Run],
-    findings: &mut Vec<Finding>,
-) -> Result<(Vec<Piece>, Vec<Track>), SurveyError> {
-    let band = carrier::band(hints.f_sw_hz);
-    let longest = runs
-        .iter()
-        .max_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
-    let needed_s = MIN_PERIODS / hints.f_sw_hz.unwrap_or(carrier::LARGEST_HZ);
-    let Some(longest) = longest.filter(|r| r.duration_s() >= needed_s) else {
-        return Err(SurveyError::TooShort {
-            name: capture.name.clone(),
-            samples: longest.map_or(0, |r| r.samples.len()),
-            ms: longest.map_or(0.0, Run::duration_s) * 1e3,
-            needed: needed_s * 1e3,
-        });
-    };
-    if 2.0 * band.0 * longest.dt_s >= 1.0 {
-        return Err(SurveyError::TooSlow {
-            name: capture.name.clone(),
-            rate_hz: 1.0 / longest.dt_s,
-            least_hz: band.0,
-        });
-    }
-    let (mut pieces, mut tracks) = (Vec::new(), Vec::new());
-    let mut scraps = (0, 0.0);
-    for run in told_parts(capture, runs) {
-        let found = carrier::find(capture, &run, band);
-        for (from_s, to_s) in found.off_s {
-            findings.push(Finding::CarrierAbsent { from_s, to_s });
-        }
-        for piece in found.pieces {
-            if piece.run.duration_s() * piece.f_hz < MIN_PERIODS {
-                scraps = (scraps.0 + 1, scraps.1 + piece.run.duration_s());
-                continue;
-            }
-            let (piece, track) = refined(capture, piece);
-            pieces.push(piece);
-            tracks.push(track);
-        }
-    }
-    if scraps.1 > SCRAPS_S {
-        findings.push(Finding::PieceTooShort {
-            pieces: scraps.0,
-            total_s: scraps.1,
-        });
-    }
-    if pieces.is_empty() {
-        return Err(no_carrier(capture, hints, longest, band));
-    }
-    Ok((pieces, tracks))
-}
-
-/// Runs cut where the capture tells of another switching frequency.
-fn told_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
-    let mut out = Vec::new();
-    for run in runs {
-        let mut start = run.samples.start;
-        for step in capture.f_sw.iter().skip(1) {
-            let at = (step.t_s - run.t0_s) / run.dt_s;
-            // The period that the step cuts belongs to neither side.
-            let guard = (1.0 / (step.f_sw_hz * run.dt_s)).clamp(0.0, run.samples.len() as f64);
-            if at > guard && at + guard < run.samples.len() as f64 {
-                let (at, guard) = (run.samples.start + at as usize, guard as usize);
-                out.push(run.part(start..at.saturating_sub(guard)));
-                start = at + guard;
-            }
-        }
-        out.push(run.part(start..run.samples.end));
-    }
-    out.retain(|run| run.samples.len() > 1);
-    out
-}
-
-/// Why no stretch was found.
-fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
-    let name = capture.name.clone();
-    if let Some(told_hz) = hints.f_sw_hz {
-        let elsewhere = carrier::find(capture, run, carrier::band(None));
-        if let Some(piece) = elsewhere.pieces.first() {
-            return SurveyError::NotAtHint {
-                name,
-                told_khz: told_hz * 1e-3,
-                found_khz: piece.f_hz * 1e-3,
-            };
-        }
-    }
-    SurveyError::NoCarrier {
-        name,
-        from_khz: band.0 * 1e-3,
-        to_khz: band.1 * 1e-3,
-        what: "voltage and current",
-    }
-}
-
-/// The frequency from the slope of the phase, and the phasors at it.
-fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
-    // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
-    let f_hz = piece.f_hz.round();
-    let rough = track::track(capture, &piece.run, f_hz);
-    let f_hz = f_hz + rough.frequency_error_hz();
-    let track = track::track(capture, &piece.run, f_hz);
-    (Piece { f_hz, ..piece }, track)
-}
-
-/// Steps of the frequency, and where it is not what was told.
-fn frequency_findings(
-    capture: &Capture,
-    hints: &Hints,
-    pieces: &[Piece],
-    findings: &mut Vec<Finding>,
-) {
-    for pair in pieces.windows(2) {
-        let [a, b] = pair else { continue };
-        if (a.f_hz - b.f_hz).abs() > STEP_HZ {
-            findings.push(Finding::FrequencyStep {
-                t_s: 0.5 * (a.run.t_s(a.run.samples.end) + b.run.t0_s),
-                from_hz: a.f_hz,
-                to_hz: b.f_hz,
-            });
-        }
-    }
-    let told = |t_s: f64| {
-        let steps = &capture.f_sw;
-        let before = steps.partition_point(|s| s.t_s <= t_s).max(1);
-        hints.f_sw_hz.or(steps.get(before - 1).map(|s| s.f_sw_hz))
-    };
-    let differs = pieces.iter().find_map(|p| {
-        let told_hz = told(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
-        ((p.f_hz / told_hz - 1.0).abs() > DIFFERS).then_some((told_hz, p.f_hz))
-    });
-    if let Some((told_hz, measured_hz)) = differs {
-        findings.push(Finding::FrequencyDiffers {
-            told_hz,
-            measured_hz,
-        });
-    }
-}
-
 /// Index of the track with the largest current.
 fn strongest(tracks: &[Track]) -> usize {
     let energy = |t: &Track| -> f64 {
@@ -435,83 +270,6 @@ fn strongest(tracks: &[Track]) -> usize {
     };
     let by_energy = |a: &usize, b: &usize| energy(&tracks[*a]).total_cmp(&energy(&tracks[*b]));
     (0..tracks.len()).max_by(by_energy).unwrap_or(0)
-}
-
-/// One channel's numbers and findings.
-fn channel(
-    which: Channel,
-    capture: &Capture,
-    pieces: &[Piece],
-    tracks: &[Track],
-    findings: &mut Vec<Finding>,
-) -> ChannelSurvey {
-    let (x, full_scale) = match which {
-        Channel::Voltage => (&capture.v_v, capture.v_full_scale_v),
-        Channel::Current => (&capture.i_a, capture.i_full_scale_a),
-    };
-    let mut out = ChannelSurvey {
-        min: f64::INFINITY,
-        max: f64::NEG_INFINITY,
-        ..ChannelSurvey::default()
-    };
-    let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
-    for piece in pieces {
-        for x in &x[piece.run.samples.clone()] {
-            let x = f64::from(*x);
-            (out.min, out.max) = (out.min.min(x), out.max.max(x));
-            sum += x;
-            square += x * x;
-        }
-        n += piece.run.samples.len() as f64;
-    }
-    out.mean = sum / n;
-    let variance = (square / n - out.mean * out.mean).max(0.0);
-    out.rms = variance.sqrt();
-    let clipped = clipping::clipped(x, full_scale);
-    out.clipped = clipped.samples;
-    let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
-    out.noise = longest.and_then(|p| {
-        let per_period = 1.0 / (p.f_hz * p.run.dt_s);
-        noise::deviation(&x[p.run.samples.clone()], per_period)
-    });
-    let signal =
-        |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
-    out.snr_db = out.noise.filter(|s| *s > 0.0).map(signal);
-    let fundamental: f64 = tracks
-        .iter()
-        .filter_map(|t| match which {
-            Channel::Voltage => t.v_v.first(),
-            Channel::Current => t.i_a.first(),
-        })
-        .map(|x| 0.5 * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
-        .sum();
-    let frames: usize = tracks.iter().map(|t| t.t_s.len()).sum();
-    if !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0) {
-        findings.push(Finding::Dead { channel: which });
-        return out;
-    }
-    if clipped.samples > 0 {
-        findings.push(Finding::Clipping {
-            channel: which,
-            samples: clipped.samples,
-            level: clipped.level,
-        });
-    }
-    let of_rms_pct = 100.0 * out.mean.abs() / out.rms;
-    if of_rms_pct > OFFSET_PCT {
-        findings.push(Finding::Offset {
-            channel: which,
-            mean: out.mean,
-            of_rms_pct,
-        });
-    }
-    if let Some(snr_db) = out.snr_db.filter(|db| *db < NOISY_DB) {
-        findings.push(Finding::Noisy {
-            channel: which,
-            snr_db,
-        });
-    }
-    out
 }
 
 /// What the impedance of the strongest track tells of the wiring.
@@ -602,11 +360,12 @@ fn span((piece, load): (&Piece, &Option<Impedance>)) -> Span {
     }
 }
 
-/// Half-cycles that lie within one span; a sample's time at either end is forgiven.
+/// Half-cycles that lie within one span; at either end a fiftieth is forgiven, where there is no
+/// current to speak of.
 fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
     let mut out = Vec::new();
     for span in spans {
-        let slack_s = 2.0 / span.f_sw_hz;
+        let slack_s = 0.02 * 0.5 / mains.hz;
         let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
         out.extend(crossings.windows(2).map(|w| (w[0], w[1])));
     }

@@ -29,7 +29,10 @@ pub fn amplitude_db(x: &[f32], dt_s: f64, to_hz: f64) -> Vec<(f64, f64)> {
     let hz = 1.0 / (n as f64 * dt_s);
     let last = ((to_hz / hz) as usize).min(output.len() - 1);
     let shown = &output[1..=last.max(1)];
-    let top = shown.iter().map(|y| y.norm_sqr()).fold(f64::MIN_POSITIVE, f64::max);
+    let top = shown
+        .iter()
+        .map(|y| y.norm_sqr())
+        .fold(f64::MIN_POSITIVE, f64::max);
     let db = |power: f64| (10.0 * (power / top).log10()).max(FLOOR_DB);
     let line = |(k, y): (usize, &nalgebra::Complex<f64>)| ((k + 1) as f64 * hz, db(y.norm_sqr()));
     shown.iter().enumerate().map(line).collect()

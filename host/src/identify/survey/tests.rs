@@ -1,5 +1,7 @@
 //! The survey against captures of the simulator, whose settings are the truth.
 
+mod bad_input;
+
 use super::*;
 use crate::sim::inverter::meter::PeriodMeter;
 use crate::sim::recording::run::record;
@@ -78,7 +80,11 @@ fn rates_frequencies_mains_and_noise() {
             assert_eq!(got.spans.len(), 1, "{case} {:?}", got.spans);
             let f = got.spans[0].f_sw_hz;
             assert!((f - f_sw_hz).abs() < 1.0, "{case}: {f}");
-            assert!((got.mains.hz - mains_hz).abs() < 0.5, "{case}: {:?}", got.mains);
+            assert!(
+                (got.mains.hz - mains_hz).abs() < 0.5,
+                "{case}: {:?}",
+                got.mains
+            );
             let off_s = off_crossing_s(got.mains.zero_crossing_s, &s);
             assert!(off_s < 0.15e-3, "{case}: {off_s}");
             for channel in [got.voltage, got.current] {
@@ -87,7 +93,11 @@ fn rates_frequencies_mains_and_noise() {
                 let error_db = channel.snr_db.unwrap() - snr_db;
                 assert!(error_db.abs() < tolerance_db, "{case}: {channel:?}");
             }
-            assert!(got.worst() != Some(Severity::Error), "{case}: {:?}", got.findings);
+            assert!(
+                got.worst() != Some(Severity::Error),
+                "{case}: {:?}",
+                got.findings
+            );
         }
     }
 }
@@ -100,7 +110,11 @@ fn a_part_of_a_half_cycle_gives_its_frequency_and_says_what_it_lacks() {
         s.sensing.rate = Rate::Hz(12.5e6);
         let got = survey(&capture(&s));
         // 20 Hz turn the phase by a twentieth of a circle, and are 0.04 % of L.
-        assert!((got.spans[0].f_sw_hz - 45e3).abs() < 20.0, "{:?}", got.spans);
+        assert!(
+            (got.spans[0].f_sw_hz - 45e3).abs() < 20.0,
+            "{:?}",
+            got.spans
+        );
         let unknown = |f: &Finding| matches!(f, Finding::MainsUnknown { .. });
         assert!(got.findings.iter().any(unknown), "{:?}", got.findings);
         let hints = Hints {
@@ -125,27 +139,44 @@ fn frequency_steps_and_pauses_cut_the_capture_where_they_are() {
             event(7e-3, Change::Frequency(46e3)),
             event(16e-3, Change::Frequency(60e3)),
             event(24e-3, Change::Off),
-            event(32e-3, Change::On),
+            event(30e-3, Change::On),
         ];
         let got = survey(&capture(&s));
-        let spans: Vec<_> = got.spans.iter().map(|p| (p.t0_s, p.end_s(), p.f_sw_hz)).collect();
+        let spans: Vec<_> = got
+            .spans
+            .iter()
+            .map(|p| (p.t0_s, p.end_s(), p.f_sw_hz))
+            .collect();
         let truth = [
             (0.0, 7e-3, 45e3),
             (7e-3, 16e-3, 46e3),
             (16e-3, 24e-3, 60e3),
-            (32e-3, 40e-3, 60e3),
+            (30e-3, 40e-3, 60e3),
         ];
-        assert_eq!(spans.len(), truth.len(), "{rate:?} {spans:?} {:?}", got.findings);
+        assert_eq!(
+            spans.len(),
+            truth.len(),
+            "{rate:?} {spans:?} {:?}",
+            got.findings
+        );
         for (got, truth) in spans.iter().zip(truth) {
             assert!((got.2 - truth.2).abs() < 3.0, "{got:?} {truth:?}");
             // Nothing of another frequency, and little lost. The change waits for the period's end.
             let period_s = 1.0 / 45e3;
-            assert!(got.0 > truth.0 && got.0 < truth.0 + 0.8e-3 || truth.0 == 0.0, "{got:?}");
+            assert!(
+                got.0 > truth.0 && got.0 < truth.0 + 0.8e-3 || truth.0 == 0.0,
+                "{got:?}"
+            );
             assert!(got.1 < truth.1 + 1.2 * period_s, "{got:?} {truth:?}");
             assert!(got.1 > truth.1 - 0.8e-3, "{got:?} {truth:?}");
         }
-        let steps = got.findings.iter().filter(|f| matches!(f, Finding::FrequencyStep { .. }));
+        let steps = got
+            .findings
+            .iter()
+            .filter(|f| matches!(f, Finding::FrequencyStep { .. }));
         assert_eq!(steps.count(), 2);
+        // Switched on at a zero crossing: the half-cycle counts, as does the one from 10 to 20 ms not.
+        assert_eq!(got.half_cycles_s.len(), 1, "{:?}", got.half_cycles_s);
         let off = |f: &Finding| matches!(f, Finding::CarrierAbsent { .. });
         assert_eq!(got.findings.iter().filter(|f| off(f)).count(), 1);
     }
@@ -195,7 +226,10 @@ fn r_error_pct(skew_s: f64) -> f64 {
             meter.push(n, r.v_clean_v[from + n], r.i_clean_a[from + n]);
         }
         let got = meter.truth(truth.t_s, 50e3, r.i_clean_a[from + 1000]);
-        sum = (sum.0 + (got.r_ohm[0] / truth.r_ohm[0] - 1.0).abs(), sum.1 + 1);
+        sum = (
+            sum.0 + (got.r_ohm[0] / truth.r_ohm[0] - 1.0).abs(),
+            sum.1 + 1,
+        );
     }
     assert!(sum.1 > 300, "{sum:?}");
     100.0 * sum.0 / f64::from(sum.1)
@@ -300,60 +334,15 @@ fn a_dead_channel_and_a_gap_are_told() {
     }
     let got = survey(&c);
     assert_eq!(got.spans.len(), 2);
-    assert!(matches!(got.findings[0], Finding::Gap { gaps: 1, .. }), "{:?}", got.findings);
+    assert!(
+        matches!(got.findings[0], Finding::Gap { gaps: 1, .. }),
+        "{:?}",
+        got.findings
+    );
     c.i_a.fill(0.25);
     let got = survey(&c);
     let dead = Finding::Dead {
         channel: Channel::Current,
     };
     assert!(got.findings.contains(&dead), "{:?}", got.findings);
-}
-
-#[test]
-fn what_was_told_wrongly_is_told_back() {
-    let mut s = settings(45e3, 20e-3);
-    s.sensing.rate = Rate::Locked;
-    let mut c = capture(&s);
-    c.f_sw = vec![crate::capture::FrequencyStep {
-        t_s: 0.0,
-        f_sw_hz: 50e3,
-    }];
-    let differs = |f: &Finding| matches!(f, Finding::FrequencyDiffers { .. });
-    assert!(survey(&c).findings.iter().any(differs));
-    let hints = Hints {
-        f_sw_hz: Some(60e3),
-        ..Hints::default()
-    };
-    let refused = Survey::of(&c, &hints).unwrap_err();
-    assert!(matches!(refused, SurveyError::NotAtHint { .. }), "{refused:?}");
-    let text = refused.to_string();
-    assert!(text.contains("60.00 kHz") && text.contains("45.00 kHz"), "{text}");
-}
-
-#[test]
-fn captures_with_nothing_in_them_are_refused_with_the_reason() {
-    use rand::{RngExt, SeedableRng};
-    let s = settings(45e3, 1e-3);
-    let good = capture(&s);
-    let refused = |c: &Capture| Survey::of(c, &Hints::default()).unwrap_err();
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-    for n in [1_000, 30_000] {
-        let noise: Vec<f32> = (0..n).map(|_| rng.random::<f32>() - 0.5).collect();
-        let mut c = good.clone();
-        (c.v_v, c.i_a) = (noise.clone(), noise.iter().rev().copied().collect());
-        c.time = TimeBase::Even { t0_s: 0.0, dt_s: 1e-6 };
-        assert!(matches!(refused(&c), SurveyError::NoCarrier { .. }), "{n}");
-    }
-    let mut c = good.clone();
-    c.v_v.truncate(2000);
-    assert!(matches!(refused(&c), SurveyError::Lengths { v: 2000, .. }));
-    c.i_a.truncate(2000);
-    assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
-    c.time = TimeBase::Even { t0_s: 0.0, dt_s: f64::NAN };
-    assert!(matches!(refused(&c), SurveyError::TimeStep { .. }));
-    c.time = TimeBase::Even { t0_s: 0.0, dt_s: 1e-3 };
-    assert!(matches!(refused(&c), SurveyError::TooSlow { .. }));
-    (c.v_v, c.i_a) = (Vec::new(), Vec::new());
-    c.time = TimeBase::Stamps(Vec::new());
-    assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
 }
