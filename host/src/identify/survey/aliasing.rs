@@ -18,6 +18,9 @@ use super::track::{ORDERS, Track};
 /// demodulator; longer ones let less through).
 const BOXCAR_S: f64 = 0.2e-3;
 
+/// No order beyond this is looked at, however low the frequency.
+const MOST_ORDERS: u32 = 10_000;
+
 /// What aliasing may do.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Aliasing {
@@ -43,7 +46,7 @@ pub fn expected(track: &Track, dt_s: f64, z: Impedance) -> Option<Aliasing> {
     let edge = edge_strength(track, v1);
     let t_e_s = f64::from(EDGE_NS) * 1e-9;
     // Beyond the second null of an edge's spectrum nothing counts.
-    let last = (2.0 / (track.f_sw_hz * t_e_s)) as u32;
+    let last = ((2.0 / (track.f_sw_hz * t_e_s)) as u32).min(MOST_ORDERS);
     let (mut power, mut first) = (0.0, None);
     for h in (3..=last).step_by(2).filter(|&h| f64::from(h) > 0.5 * n) {
         let m = |shift: f64| {

@@ -128,7 +128,9 @@ fn overview_panel(area: &Panel<'_>, capture: &Capture, survey: &Survey) -> Drawn
         .iter()
         .map(|t| t * 1e3)
         .collect();
-    panel(area, &title, "t / ms", &curves, &out, &marks)
+    // More than this would be a wall.
+    let marks = if marks.len() > 200 { &[] } else { &marks[..] };
+    panel(area, &title, "t / ms", &curves, &out, marks)
 }
 
 fn close_up_panel(area: &Panel<'_>, capture: &Capture, span: &Span, peak: usize) -> Drawn {

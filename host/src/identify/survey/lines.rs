@@ -122,7 +122,7 @@ impl Lines {
 fn averaged(x: &[f32], every: usize) -> Vec<f64> {
     let scale = 1.0 / every as f64;
     x.chunks_exact(every)
-        .map(|c| scale * f64::from(c.iter().sum::<f32>()))
+        .map(|c| scale * c.iter().map(|x| f64::from(*x)).sum::<f64>())
         .collect()
 }
 

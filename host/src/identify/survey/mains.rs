@@ -41,16 +41,19 @@ pub struct Mains {
 }
 
 impl Mains {
-    /// Zero crossings from `from_s` to `to_s`, in seconds.
+    /// Zero crossings from `from_s` to `to_s`, in seconds; the first million.
     pub fn crossings_s(&self, from_s: f64, to_s: f64) -> Vec<f64> {
         let half_s = 0.5 / self.hz;
         let first = ((from_s - self.zero_crossing_s) / half_s).ceil();
         let count = ((to_s - self.zero_crossing_s) / half_s - first).floor() + 1.0;
-        (0..count.max(0.0) as usize)
+        (0..(count.max(0.0) as usize).min(MOST_CROSSINGS))
             .map(|k| self.zero_crossing_s + (first + k as f64) * half_s)
             .collect()
     }
 }
+
+/// Most zero crossings that are listed: three hours.
+const MOST_CROSSINGS: usize = 1_000_000;
 
 /// The envelope of one stretch: times in seconds and amplitudes.
 #[derive(Clone, Debug, Default, PartialEq)]

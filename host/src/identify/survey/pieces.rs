@@ -47,7 +47,8 @@ pub(super) fn find(
     }
     let (mut pieces, mut tracks) = (Vec::new(), Vec::new());
     let mut scraps = (0, 0.0);
-    for run in told_parts(capture, runs) {
+    let shows = |run: &Run| 2.0 * band.0 * run.dt_s < 1.0;
+    for run in told_parts(capture, runs).into_iter().filter(shows) {
         let found = carrier::find(capture, &run, band);
         for (from_s, to_s) in found.off_s {
             findings.push(Finding::CarrierAbsent { from_s, to_s });

@@ -175,7 +175,7 @@ impl Gaps {
         {
             *gaps += 1;
             *longest_s = longest_s.max(here);
-            *missing += lost;
+            *missing = missing.saturating_add(lost);
         } else {
             self.0 = Some(Finding::Gap {
                 gaps: 1,

@@ -65,3 +65,70 @@ fn captures_with_nothing_in_them_are_refused_with_the_reason() {
     c.time = TimeBase::Stamps(Vec::new());
     assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
 }
+
+/// Any samples and times: a survey of finite numbers, or a typed error.
+#[test]
+fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
+    use rand::{RngExt, SeedableRng};
+    let mut s = settings(45e3, 4e-3);
+    s.sensing.rate = Rate::Locked;
+    let good = capture(&s);
+    let TimeBase::Stamps(stamps) = &good.time else {
+        panic!("locked captures have stamps")
+    };
+    let (mut surveyed, mut refused) = (0, 0);
+    for seed in 0..150 {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut c = good.clone();
+        let mut t_s = stamps.clone();
+        let scale = 10f32.powi(rng.random_range(-30..37));
+        for _ in 0..rng.random_range(0..6) {
+            let at = rng.random_range(0..c.len());
+            let length = rng.random_range(1..400).min(c.len() - at);
+            match rng.random_range(0..8) {
+                0 => c.v_v[at..at + length].fill(f32::NAN),
+                1 => c.i_a[at..at + length].fill(0.0),
+                2 => c.i_a[at] = f32::MAX,
+                3 => t_s[at..].iter_mut().for_each(|t| *t += 1e9),
+                4 => t_s[at] = f64::NAN,
+                5 => t_s[at..].iter_mut().for_each(|t| *t -= 1e-3),
+                6 => c.v_v.iter_mut().for_each(|v| *v *= scale),
+                _ => t_s[at..].iter_mut().for_each(|t| *t *= 1.0 + 1e-3),
+            }
+        }
+        let even = rng.random_range(0..4) == 0;
+        c.time = if even {
+            let dt_s = 10f64.powi(rng.random_range(-320..10));
+            TimeBase::Even { t0_s: 1e3, dt_s }
+        } else {
+            TimeBase::Stamps(t_s)
+        };
+        let hints = Hints {
+            f_sw_hz: [None, Some(45e3), Some(f64::NAN), Some(-1.0), Some(1e-9)][seed as usize % 5],
+            mains_hz: [None, Some(0.0), Some(f64::INFINITY)][seed as usize % 3],
+            zero_crossing_s: [None, Some(f64::NAN)][seed as usize % 2],
+        };
+        match Survey::of(&c, &hints) {
+            Ok(survey) => {
+                surveyed += 1;
+                for span in &survey.spans {
+                    assert!(
+                        span.f_sw_hz.is_finite() && span.dt_s > 0.0,
+                        "{seed}: {span:?}"
+                    );
+                    assert!(span.first + span.samples <= c.len(), "{seed}: {span:?}");
+                    let segment = survey.segment(&c, span);
+                    let finite = |x: &Vec<f64>| x.iter().all(|x| x.is_finite());
+                    assert!(finite(&segment.v_v) && finite(&segment.i_a), "{seed}");
+                }
+                assert!(survey.mains.hz.is_finite() && survey.mains.zero_crossing_s.is_finite());
+                assert!(survey.voltage.rms.is_finite() && survey.current.rms.is_finite());
+            }
+            Err(e) => {
+                refused += 1;
+                assert!(e.to_string().starts_with("simulated: "), "{e}");
+            }
+        }
+    }
+    assert!(surveyed > 20 && refused > 20, "{surveyed} {refused}");
+}
