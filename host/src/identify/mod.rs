@@ -145,6 +145,8 @@ pub struct Settings {
     pub least_squares: least_squares::LeastSquaresSettings,
     /// Of the recursive least squares.
     pub rls: rls::RlsSettings,
+    /// Of the PINN.
+    pub pinn: pinn::PinnSettings,
 }
 
 /// Identifies R(t) and L(t) of a segment.

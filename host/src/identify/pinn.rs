@@ -1,6 +1,40 @@
 //! The hybrid-timescale PINN of `ihd_pinn`, half-cycle by half-cycle.
 
+use serde::{Deserialize, Serialize};
+
 use super::{Estimate, IdentifyError, Segment, Settings};
+
+/// What of the network may be chosen; words, so that they mean the same in a build without it.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PinnSettings {
+    /// Preset, such as `hybrid`, `paper-literal` or `paper-repaired`; `hybrid` if not given.
+    pub preset: Option<String>,
+    /// `fused`, `flex` or `ndarray`; the preset's if not given.
+    pub backend: Option<String>,
+    /// No wall-clock limit, so that two runs give the same digits.
+    pub deterministic: bool,
+    /// Any other setting of `ihd_pinn::Config` by its name.
+    pub config: toml::Table,
+}
+
+#[cfg(feature = "pinn")]
+impl PinnSettings {
+    /// The network's configuration.
+    fn resolve(&self) -> Result<ihd_pinn::Config, ihd_pinn::PinnError> {
+        let mut table = self.config.clone();
+        if let Some(preset) = &self.preset {
+            table.insert("preset".into(), preset.clone().into());
+        }
+        if let Some(backend) = &self.backend {
+            table.insert("backend".into(), backend.clone().into());
+        }
+        if self.deterministic {
+            table.insert("deterministic".into(), true.into());
+        }
+        ihd_pinn::Config::from_toml(&table.to_string())
+    }
+}
 
 /// Trains the network on each mains half-cycle of the segment.
 ///
@@ -19,15 +53,20 @@ pub fn identify(_: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
 /// # Errors
 /// [`IdentifyError::Unfit`] with what the network says.
 #[cfg(feature = "pinn")]
-pub fn identify(segment: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
+pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
     use std::time::Instant;
 
-    use ihd_pinn::{Config, Waveform};
+    use ihd_pinn::Waveform;
 
     use super::Method;
     use super::segment::MIN_PERIODS;
 
     let started = Instant::now();
+    let unfit = |e: ihd_pinn::PinnError| IdentifyError::Unfit {
+        method: Method::Pinn,
+        why: e.to_string(),
+    };
+    let config = settings.pinn.resolve().map_err(unfit)?;
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
@@ -46,12 +85,7 @@ pub fn identify(segment: &Segment, _: &Settings) -> Result<Estimate, IdentifyErr
             v_volt: &segment.v_v[from..to],
             i_ampere: &segment.i_a[from..to],
         };
-        let found = ihd_pinn::identify(&window, &Config::default(), &mut |_| {}).map_err(|e| {
-            IdentifyError::Unfit {
-                method: Method::Pinn,
-                why: e.to_string(),
-            }
-        })?;
+        let found = ihd_pinn::identify(&window, &config, &mut |_| {}).map_err(unfit)?;
         estimate.notes.push(format!(
             "half-cycle from {crossing_s:.4} s: {} steps, {:?}",
             found.iterations, found.stopped_because
@@ -61,6 +95,8 @@ pub fn identify(segment: &Segment, _: &Settings) -> Result<Estimate, IdentifyErr
             .extend(found.t_s.iter().map(|t| t + crossing_s));
         estimate.r_ohm.extend(found.r_ohm);
         estimate.l_h.extend(found.l_h);
+        estimate.r_sigma_ohm.extend(found.r_sigma_ohm);
+        estimate.l_sigma_h.extend(found.l_sigma_h);
     }
     if estimate.t_s.is_empty() {
         return Err(IdentifyError::TooShort {

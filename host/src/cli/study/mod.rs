@@ -1,6 +1,8 @@
 //! `ihd study`: many captures with truth, many estimators, one table.
 
 mod estimators;
+#[cfg(feature = "pinn")]
+mod paper;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -15,6 +17,8 @@ pub struct StudyArgs {
 #[derive(Debug, Subcommand)]
 enum Study {
     Estimators(estimators::EstimatorsArgs),
+    #[cfg(feature = "pinn")]
+    Paper(paper::PaperArgs),
 }
 
 impl StudyArgs {
@@ -22,6 +26,8 @@ impl StudyArgs {
     pub fn run(&self) -> Result<()> {
         match &self.study {
             Study::Estimators(args) => args.run(),
+            #[cfg(feature = "pinn")]
+            Study::Paper(args) => args.run(),
         }
     }
 }
