@@ -1,0 +1,17 @@
+//! What all targets do with a file whose header was accepted.
+
+use ihd::capture::error::FormatError;
+use ihd::capture::formats::Source;
+
+/// Reads the first two channels: every sample must be finite, and columns of one length.
+pub fn drain(opened: Result<impl Source, FormatError>) {
+    let Ok(mut source) = opened else { return };
+    let wanted = [0, source.channels().len().min(2) - 1];
+    if let Ok(samples) = source.read(&wanted, &mut |_| ()) {
+        let length = samples.columns[0].len();
+        for column in &samples.columns {
+            assert_eq!(column.len(), length);
+            assert!(column.iter().all(|x| x.is_finite()));
+        }
+    }
+}
