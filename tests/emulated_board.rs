@@ -13,6 +13,7 @@ use ihd::link::tcp::TcpTransport;
 use ihd::link::{Client, Event, LinkError, Window};
 use ihd::lookup::builder::LookupBuilder;
 use ihd::lookup::curve::{LoadCurve, LoadPoint};
+use ihd::trainer::{self, NetworkConfig, Recorded, Settings, Source};
 use ihd_firmware::realtime::{Block, RealTime};
 use ihd_firmware::reset::Reason;
 use ihd_shared::fault::Fault;
@@ -181,6 +182,42 @@ fn estimates_equal_those_of_this_machine_bit_for_bit() {
             assert!(high > 1.2 * low, "{f} Hz {noise}: R {low}..{high} ohm");
         }
     }
+}
+
+/// `ihd trainer` on the board: each recorded half-cycle goes through the board's sampling path, comes
+/// back as a window, is identified by the network, and the lookup is active at the end.
+#[test]
+fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
+    let board = Board::start("");
+    let half_cycles = F_SW_HZ.map(|f| HalfCycle::load(f, "noiseless").unwrap());
+    let recorded = |h: &HalfCycle| Recorded {
+        f_sw_hz: h.f_sw_hz,
+        pairs: h.pairs.clone(),
+        bus_dv: BUS_DV,
+    };
+    let settings = Settings {
+        source: Source::Replay(half_cycles.iter().map(recorded).collect()),
+        pinn: NetworkConfig::default(),
+        store: None,
+        follow: None,
+    };
+    let report = trainer::run(board.connect(), None, &settings, &mut |_| ()).unwrap();
+    for (point, h) in report.points.iter().zip(&half_cycles) {
+        let (r_ohm, l_h) = h.at(5e-3);
+        let (r, l) = (point.pinn.r_ohm / r_ohm, point.pinn.l_h / l_h);
+        println!("{} Hz: R {:.4}, L {:.4} of the truth", point.f_sw_hz, r, l);
+        assert_eq!((point.f_sw_hz, point.asked_w), (h.f_sw_hz, None));
+        // The fixtures have no anti-alias filter: the edges' 121st and 123rd harmonics alias onto
+        // the fundamental and cost up to 0.15 % of V, of which R feels four times as much.
+        assert!((r - 1.0).abs() <= 1e-2 && (l - 1.0).abs() <= 5e-3);
+    }
+    let built = report.built.expect("four half-cycles teach something");
+    assert_eq!(report.points.len(), half_cycles.len());
+    assert_eq!(report.status.lookup_version, built.lookup.version);
+    let mut client = board.connect();
+    assert!(built.lookup.observed_cells() > 20);
+    assert_eq!(client.hello().capabilities, CAP_SIMULATED, "not replaying");
+    assert_eq!(client.read_lookup().unwrap(), built.lookup);
 }
 
 fn spread(estimates: &[Option<TrackEntry>]) -> (f64, f64) {

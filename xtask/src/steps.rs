@@ -240,12 +240,12 @@ impl Session {
             Ok(found) => found,
             Err(why) => return (Err(why), None),
         };
+        // The whole workspace's features, as the tests before: what they built serves here too.
         let args = [
             "test",
-            "--package",
-            "ihd-tests",
+            "--workspace",
             "--features",
-            "emulator",
+            "ihd-tests/emulator",
             "--test",
             "emulated_board",
             "--no-fail-fast",

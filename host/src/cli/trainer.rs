@@ -12,11 +12,13 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt;
 use super::simulated::SimulatedHobArgs;
+use crate::capture::{OpenOptions, open};
+use crate::identify::survey::{Hints, Survey};
 use crate::link::{Client, DeviceSpec};
 use crate::report::{figure, training};
 use crate::sim::hob::SimHob;
 use crate::sim::transport::SharedHob;
-use crate::trainer::{Progress, Settings, run};
+use crate::trainer::{Progress, Recorded, Settings, Source, run};
 
 /// Most runs in one store.
 const MAX_RUNS: u32 = 9_999;
@@ -28,7 +30,8 @@ const MAX_RUNS: u32 = 9_999;
 #[command(after_help = "Examples:\n  \
     ihd trainer\n  \
     ihd trainer --power 1500 --backend ndarray --json\n  \
-    ihd trainer --device tcp:127.0.0.1:4711 --follow\n\n\
+    ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
+    ihd trainer --replay capture.mcap\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 fault on the device,\n\
     5 nothing fit for the lookup")]
 pub struct TrainerArgs {
@@ -43,6 +46,9 @@ pub struct TrainerArgs {
         default_value = "1500,2000,1000,700,1500"
     )]
     power: Vec<u16>,
+    /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["power", "follow"])]
+    replay: Option<PathBuf>,
     /// What computes the network: fused (own code), flex or ndarray (burn).
     #[arg(long, value_name = "NAME")]
     backend: Option<Backend>,
@@ -92,7 +98,7 @@ impl TrainerArgs {
         })?;
         let client = Client::connect(transport)?;
         let settings = Settings {
-            powers_w: self.power.clone(),
+            source: self.source()?,
             pinn,
             store: if self.no_store {
                 None
@@ -124,6 +130,22 @@ impl TrainerArgs {
             }
         }
         Ok(())
+    }
+
+    fn source(&self) -> Result<Source> {
+        let Some(path) = &self.replay else {
+            return Ok(Source::Powers(self.power.clone()));
+        };
+        let capture = open(path, &OpenOptions::default())?;
+        let survey = Survey::of(&capture, &Hints::default())?;
+        let segments = survey.segments(&capture);
+        let half_cycles: Vec<_> = segments.iter().flat_map(Recorded::half_cycles).collect();
+        ensure!(
+            !half_cycles.is_empty(),
+            "{} holds no whole mains half-cycle to replay",
+            path.display()
+        );
+        Ok(Source::Replay(half_cycles))
     }
 
     fn pinn_config(&self) -> Result<Config> {
@@ -184,8 +206,8 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             f64::from(t.f_sw_hz) * 1e-3,
             t.pot
         )),
-        Progress::AwaitingWindow { asked_w } => {
-            bar.set_message(format!("{asked_w} W: settled, waiting for a window"));
+        Progress::AwaitingWindow { point } => {
+            bar.set_message(format!("{point}: waiting for a window"));
         }
         Progress::Training { seq, step } => bar.set_message(format!(
             "window {seq}: step {}, loss {:.3e}, change of R, L {:.1e}",

@@ -89,8 +89,8 @@ fn points(points: &[Point]) -> String {
     let l = |at| cell(at, |at: LoadAt| at.l_h * 1e6, 2);
     for p in points {
         t.row([
-            p.asked_w.to_string(),
-            format!("{:.0}", p.delivered_w),
+            p.asked_w.map_or("–".into(), |w| w.to_string()),
+            p.delivered_w.map_or("–".into(), |w| format!("{w:.0}")),
             format!("{:.2}", f64::from(p.f_sw_hz) * 1e-3),
             format!("{:.1}", p.i_crest_a),
             r(Some(p.pinn)),

@@ -2,6 +2,7 @@
 
 use ihd_shared::fault::Fault;
 
+use super::OperatingPoint;
 use crate::capture::mcap::McapFileError;
 use crate::link::LinkError;
 
@@ -12,12 +13,12 @@ pub enum TrainerError {
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The device went to its safe state.
-    #[error("fault {number} on the device at {asked_w} W: {text}", number = .fault.number(), text = fault_text(*.fault))]
+    #[error("fault {number} on the device at {point}: {text}", number = .fault.number(), text = fault_text(*.fault))]
     Fault {
         /// The fault.
         fault: Fault,
-        /// Power that was asked for, in watt.
-        asked_w: u16,
+        /// Where it happened.
+        point: OperatingPoint,
     },
     /// The power did not settle.
     #[error(
@@ -45,10 +46,10 @@ pub enum TrainerError {
         windows: String,
     },
     /// Several windows in a row were not fit for the lookup.
-    #[error("no window at {asked_w} W was fit for the lookup; the last one: {why}")]
+    #[error("no window at {point} was fit for the lookup; the last one: {why}")]
     NoFit {
-        /// Power that was asked for, in watt.
-        asked_w: u16,
+        /// Where.
+        point: OperatingPoint,
         /// What the gate said.
         why: String,
     },

@@ -33,10 +33,10 @@ pub struct Errors {
 /// One operating point.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// Power asked for, in watt.
-    pub asked_w: u16,
-    /// Power of the half-cycle before the window arrived, in watt.
-    pub delivered_w: f64,
+    /// Power asked for, in watt; none in a replay.
+    pub asked_w: Option<u16>,
+    /// Power of the half-cycle before the window arrived, in watt; none in a replay.
+    pub delivered_w: Option<f64>,
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
@@ -106,13 +106,13 @@ pub fn errors(
     })
 }
 
-/// Compares a window's estimates with each other and with the truth.
+/// Compares a window's estimates with each other and with the truth; `power` is the asked and the
+/// delivered one, in watt.
 pub fn compare(
     window: &Window,
     identified: &Identified,
     truth: Option<&Truth>,
-    asked_w: u16,
-    delivered_w: f64,
+    power: Option<(u16, f64)>,
 ) -> Point {
     let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
     let (crest_s, i_crest_a) = crest(identified);
@@ -126,8 +126,8 @@ pub fn compare(
     let network = network.map(|((&t, &r), &l)| (t, r, l));
     let track: Vec<_> = track(window).collect();
     Point {
-        asked_w,
-        delivered_w,
+        asked_w: power.map(|p| p.0),
+        delivered_w: power.map(|p| p.1),
         f_sw_hz: window.f_sw_hz,
         i_crest_a,
         window_seq: window.seq,

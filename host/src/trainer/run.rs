@@ -12,10 +12,10 @@ use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::Status;
 use serde::Serialize;
 
-use super::TrainerError;
 use super::gate::{GateVerdict, judge};
 use super::point::{self, Point};
 use super::session::{Progress, Session, TruthSource};
+use super::{OperatingPoint, Source, TrainerError};
 use crate::capture::mcap::SessionRecorder;
 use crate::link::{Client, Counters, Window};
 use crate::lookup::{Built, LoadCurve, LookupBuilder};
@@ -38,13 +38,13 @@ const WORTH_PUSHING_FROM_A: f64 = 5.0;
 
 /// What a run does.
 pub struct Settings<'a> {
-    /// Operating points, in watt, in order.
-    pub powers_w: Vec<u16>,
+    /// Operating points.
+    pub source: Source,
     /// The network's settings.
     pub pinn: Config,
     /// An existing folder for the recording, the lookups and the figure; `None` keeps nothing.
     pub store: Option<PathBuf>,
-    /// Go on after the last point until this becomes true.
+    /// Go on heating after the last power until this becomes true.
     pub follow: Option<&'a AtomicBool>,
 }
 
@@ -137,28 +137,45 @@ pub fn run(
 
 impl Run<'_, '_> {
     fn all_points(&mut self) -> Result<(), TrainerError> {
-        for &asked_w in &self.settings.powers_w {
-            let since = self.session.settle(asked_w)?;
-            self.point(asked_w, since)?;
-        }
-        if let (Some(stop), Some(&asked_w)) = (self.settings.follow, self.settings.powers_w.last())
-        {
-            self.follow(asked_w, stop)?;
+        let settings = self.settings;
+        match &settings.source {
+            Source::Powers(powers_w) => {
+                for &asked_w in powers_w {
+                    let since = self.session.settle(asked_w)?;
+                    let point = OperatingPoint::Heating { asked_w };
+                    self.point(point, |session| session.window_after(since, point))?;
+                }
+                if let (Some(stop), Some(&asked_w)) = (settings.follow, powers_w.last()) {
+                    self.follow(OperatingPoint::Heating { asked_w }, stop)?;
+                }
+            }
+            Source::Replay(half_cycles) => {
+                for recorded in half_cycles {
+                    let point = OperatingPoint::Replayed {
+                        f_sw_hz: recorded.f_sw_hz,
+                    };
+                    self.point(point, |session| session.replayed_window(recorded))?;
+                }
+            }
         }
         Ok(())
     }
 
     /// One window that passes the gate, identified, taught and reported.
-    fn point(&mut self, asked_w: u16, since: u32) -> Result<(), TrainerError> {
+    fn point(
+        &mut self,
+        point: OperatingPoint,
+        next: impl Fn(&mut Session<'_>) -> Result<Box<Window>, TrainerError>,
+    ) -> Result<(), TrainerError> {
         let mut why = String::new();
         for _ in 0..TRIES {
-            let window = self.session.window_after(since, asked_w)?;
+            let window = next(&mut self.session)?;
             match self.identify(&window) {
-                Ok(identified) => return self.learn(window, identified, asked_w, true),
+                Ok(identified) => return self.learn(window, identified, point, true),
                 Err(reason) => why = reason,
             }
         }
-        Err(TrainerError::NoFit { asked_w, why })
+        Err(TrainerError::NoFit { point, why })
     }
 
     /// R(t) and L(t) of a window that may teach; else why not, told and counted.
@@ -202,16 +219,14 @@ impl Run<'_, '_> {
         &mut self,
         window: Box<Window>,
         identified: Identified,
-        asked_w: u16,
+        at: OperatingPoint,
         always: bool,
     ) -> Result<(), TrainerError> {
         let truth = self.session.truth_of(&window);
-        let delivered_w = self
-            .session
-            .last
-            .as_ref()
-            .map_or(0.0, |t| f64::from(t.power_mw) * 1e-3);
-        let mut point = point::compare(&window, &identified, truth.as_ref(), asked_w, delivered_w);
+        let last = self.session.last.as_ref();
+        let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
+        let power = at.asked_w().zip(delivered_w);
+        let mut point = point::compare(&window, &identified, truth.as_ref(), power);
         let curve = point::curve(&window, &identified);
         self.warm = Some(identified.parameters.clone());
         let news = always
@@ -279,14 +294,14 @@ impl Run<'_, '_> {
     }
 
     /// Identifies every window until told to stop.
-    fn follow(&mut self, asked_w: u16, stop: &AtomicBool) -> Result<(), TrainerError> {
+    fn follow(&mut self, point: OperatingPoint, stop: &AtomicBool) -> Result<(), TrainerError> {
         let last = self.report.last.as_ref();
         let mut since = last.map_or(0, |(window, _, _)| window.half_cycle);
         while !stop.load(Ordering::Relaxed) {
-            let window = self.session.window_after(since, asked_w)?;
+            let window = self.session.window_after(since, point)?;
             since = window.half_cycle;
             if let Ok(identified) = self.identify(&window) {
-                self.learn(window, identified, asked_w, false)?;
+                self.learn(window, identified, point, false)?;
             }
         }
         Ok(())

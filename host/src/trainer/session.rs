@@ -5,9 +5,10 @@ use std::time::Duration;
 use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{State, Telemetry};
 
-use super::TrainerError;
+use super::{OperatingPoint, Recorded, TrainerError};
 use crate::link::{Client, Event, LinkError, Window};
 use crate::sim::transport::SharedHob;
 use crate::sim::truth::Truth;
@@ -43,8 +44,8 @@ pub enum Progress<'a> {
     },
     /// Settled; a window is on its way.
     AwaitingWindow {
-        /// Power asked for, in watt.
-        asked_w: u16,
+        /// Where.
+        point: OperatingPoint,
     },
     /// The network trains.
     Training {
@@ -145,20 +146,21 @@ impl<'a> Session<'a> {
 
     /// The next telemetry, `None` for another event; faults and silence are errors.
     fn next_telemetry(&mut self, asked_w: u16) -> Result<Option<Telemetry>, TrainerError> {
+        let point = OperatingPoint::Heating { asked_w };
         match self.next_event("telemetry")? {
             Event::Telemetry(t) => {
                 self.last = Some(t.clone());
                 if t.fault != Fault::None {
                     return Err(TrainerError::Fault {
                         fault: t.fault,
-                        asked_w,
+                        point,
                     });
                 }
                 Ok(Some(t))
             }
             Event::Fault(f) if f.fault != Fault::None => Err(TrainerError::Fault {
                 fault: f.fault,
-                asked_w,
+                point,
             }),
             Event::Fault(_) | Event::Window(_) => Ok(None),
             Event::WindowRejected { seq, reason } => {
@@ -175,9 +177,9 @@ impl<'a> Session<'a> {
     pub fn window_after(
         &mut self,
         half_cycle: u32,
-        asked_w: u16,
+        point: OperatingPoint,
     ) -> Result<Box<Window>, TrainerError> {
-        self.report(Progress::AwaitingWindow { asked_w });
+        self.report(Progress::AwaitingWindow { point });
         let limit = PATIENCE_S * 100;
         for _ in 0..limit {
             match self.next_event("a window")? {
@@ -193,13 +195,37 @@ impl<'a> Session<'a> {
                 Event::Fault(f) if f.fault != Fault::None => {
                     return Err(TrainerError::Fault {
                         fault: f.fault,
-                        asked_w,
+                        point,
                     });
                 }
                 Event::Fault(_) => {}
             }
         }
         Err(self.silent("a window"))
+    }
+
+    /// The window that the device records while a half-cycle is replayed to it: twice, because the
+    /// zero crossing that begins the second run ends the first.
+    pub fn replayed_window(&mut self, recorded: &Recorded) -> Result<Box<Window>, TrainerError> {
+        let f_sw_hz = recorded.f_sw_hz;
+        let (r, l) = prior().interpolate(f_sw_hz, 0);
+        self.client.stream(0, 1)?;
+        let mut replay = self.client.start_replay(f_sw_hz, r, l)?;
+        let replayed = (0..2).try_for_each(|_| {
+            let answer = replay.blocks(&recorded.pairs, Some(0), recorded.bus_dv);
+            answer.map(drop)
+        });
+        let taken = replay.taken();
+        // Entering replay mode has discarded any window under way: the next one is this.
+        let point = OperatingPoint::Replayed { f_sw_hz };
+        let window = replayed
+            .map_err(TrainerError::from)
+            .and_then(|()| self.window_after(0, point));
+        // Even after a failure: the device must not stay in replay mode.
+        let ended = self.client.continue_replay(taken).end();
+        let window = window?;
+        ended?;
+        Ok(window)
     }
 
     fn next_event(&mut self, what: &'static str) -> Result<Event, TrainerError> {
