@@ -107,7 +107,7 @@ impl Recursion {
     fn solve(&self) -> Option<([f64; 2], [f64; 2])> {
         let [a, b, c] = self.a;
         let determinant = a * c - b * b;
-        if !(determinant > 1e-9 * a * c) {
+        if determinant.is_nan() || determinant <= 1e-9 * a * c {
             return None;
         }
         let theta = [

@@ -105,7 +105,7 @@ impl Segment {
             ("time of the first sample in s", self.t0_s),
             ("time of the mains zero crossing in s", self.zero_crossing_s),
         ] {
-            if !(value.abs() <= LATEST_S) {
+            if value.is_nan() || value.abs() > LATEST_S {
                 let allowed = "within ±1e6 s: count time from the capture's start";
                 return Err(IdentifyError::OutOfRange {
                     what,
@@ -122,7 +122,7 @@ impl Segment {
             });
         }
         let per_period = self.samples_per_period();
-        if !(per_period > MIN_SAMPLES_PER_PERIOD) {
+        if per_period.is_nan() || per_period <= MIN_SAMPLES_PER_PERIOD {
             return Err(IdentifyError::SamplingTooSlow {
                 rate_hz: 1.0 / self.dt_s,
                 f_sw_hz: self.f_sw_hz,
@@ -167,7 +167,7 @@ impl Segment {
 const LARGEST: f64 = 1e30;
 
 fn check_channel(channel: &'static str, x: &[f64]) -> Result<(), IdentifyError> {
-    if let Some(index) = x.iter().position(|x| !(x.abs() <= LARGEST)) {
+    if let Some(index) = x.iter().position(|x| x.is_nan() || x.abs() > LARGEST) {
         return Err(IdentifyError::NotFinite {
             channel,
             index,
