@@ -152,13 +152,14 @@ impl CsvSource {
                 values.push(row.number(row.field(*index)?)? as f32);
             }
             columns.rows += 1;
-            let byte = self.rows.position().byte();
             if columns.rows == ESTIMATE_AFTER {
+                let byte = self.rows.position().byte();
                 let per_row = (byte - begin) as f64 / ESTIMATE_AFTER as f64;
                 let left = self.length.saturating_sub(byte) as f64;
                 columns.reserve((1.02 * left / per_row) as usize);
             }
             if columns.rows.is_multiple_of(REPORT_EVERY) {
+                let byte = self.rows.position().byte();
                 progress(byte as f64 / self.length.max(1) as f64);
             }
         }

@@ -46,8 +46,12 @@ impl Syntax {
 
     /// The number in a field, whether finite or not.
     pub fn number(self, field: &[u8]) -> Option<f64> {
-        let text = std::str::from_utf8(field.trim_ascii()).ok()?;
-        let text = text.trim_matches('"');
+        let text = std::str::from_utf8(field).ok()?;
+        // Most fields are a bare number.
+        if let Ok(value) = text.parse() {
+            return Some(value);
+        }
+        let text = text.trim().trim_matches('"');
         if self.decimal_comma && text.contains(',') {
             return text.replace(',', ".").parse().ok();
         }
