@@ -81,15 +81,20 @@ fn filter(c: &mut Criterion) {
         b.iter(|| fixed.iter().for_each(|z| ekf.step(black_box(z))));
     });
     let (r_ohm, l_h) = (START.0.ohm(), START.1.henry());
-    let mut ekf = oracle::Ekf::new(F_SW_HZ, r_ohm, l_h, oracle::Jacobian::Exact);
-    group.bench_function("f64 twin", |b| {
-        b.iter(|| {
-            for &(v, i) in &float {
-                ekf.step(black_box(v), i);
-            }
-            ekf.r_l()
+    for (name, jacobian) in [
+        ("f64 twin", oracle::Jacobian::Analytic),
+        ("f64 twin, exact Jacobian", oracle::Jacobian::Exact),
+    ] {
+        let mut ekf = oracle::Ekf::new(F_SW_HZ, r_ohm, l_h, jacobian);
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                for &(v, i) in &float {
+                    ekf.step(black_box(v), i);
+                }
+                ekf.r_l()
+            });
         });
-    });
+    }
     group.finish();
 }
 

@@ -69,9 +69,12 @@ pub fn mat(folder: &Path, samples: usize) -> PathBuf {
     let mut bytes = vec![b' '; 124];
     bytes.extend([0, 1, b'I', b'M']);
     let word = |bytes: &mut Vec<u8>, x: usize| bytes.extend((x as u32).to_le_bytes());
-    let columns: [(&str, fn(usize) -> f64); 3] =
-        [("t", |k| k as f64 * DT_S), ("v_V", volts), ("i_A", amperes)];
-    for (name, value) in columns {
+    let time = |k: usize| k as f64 * DT_S;
+    for (name, value) in [
+        ("t", time as fn(usize) -> f64),
+        ("v_V", volts),
+        ("i_A", amperes),
+    ] {
         let data = 8 * samples;
         // Matrix of flags (class double), sizes, name, and the numbers.
         for x in [
