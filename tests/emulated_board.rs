@@ -9,10 +9,13 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 use std::{env, fs};
 
+use ihd::capture::mcap;
+use ihd::identify::survey::{Hints, Survey};
 use ihd::link::tcp::TcpTransport;
 use ihd::link::{Client, Event, LinkError, Window};
 use ihd::lookup::builder::LookupBuilder;
 use ihd::lookup::curve::{LoadCurve, LoadPoint};
+use ihd::replay::{self, Stretch};
 use ihd::trainer::{self, NetworkConfig, Recorded, Settings, Source};
 use ihd_firmware::realtime::{Block, RealTime};
 use ihd_firmware::reset::Reason;
@@ -25,6 +28,7 @@ use ihd_shared::window::TrackEntry;
 use ihd_shared::wire::hello::{CAP_REPLAYING, CAP_SIMULATED};
 use ihd_shared::wire::messages::{Outcome, State};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
+use ihd_tests::regression_captures;
 
 /// Bus voltage that the replays state, in decivolt.
 const BUS_DV: u16 = 3_000;
@@ -158,7 +162,7 @@ fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrackEntry>> {
         .collect()
 }
 
-fn replay(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrackEntry>> {
+fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrackEntry>> {
     let mut replay = client.start_replay(h.f_sw_hz, START.0, START.1).unwrap();
     let estimates = replay.blocks(&h.pairs, Some(0), BUS_DV).unwrap();
     replay.end().unwrap();
@@ -173,7 +177,7 @@ fn estimates_equal_those_of_this_machine_bit_for_bit() {
     for f in F_SW_HZ {
         for noise in ["noiseless", "snr30"] {
             let h = HalfCycle::load(f, noise).unwrap();
-            let (here, there) = (on_this_machine(&h), replay(&mut client, &h));
+            let (here, there) = (on_this_machine(&h), replayed(&mut client, &h));
             assert_eq!(there, here, "{f} Hz {noise}");
             let made = there.iter().flatten().count();
             assert!(made > 100, "{f} Hz {noise}: {made} estimates");
@@ -313,6 +317,32 @@ fn replay_mode_says_so_and_locks_the_power_outputs() {
     replay.end().unwrap();
     client.set_power(1_000).unwrap();
     assert_eq!(client.status().unwrap().state, State::Probing);
+}
+
+#[test]
+fn a_capture_replays_with_the_same_bits_windows_and_states() {
+    let board = Board::start("");
+    let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
+    let survey = Survey::of(&capture, &Hints::default()).unwrap();
+    let segments = survey.segments(&capture);
+    let stretches: Vec<_> = segments.iter().filter_map(Stretch::of).collect();
+    let settings = replay::Settings {
+        // A busy machine emulates slowly.
+        patience: Some(Duration::from_secs(20)),
+        ..replay::Settings::default()
+    };
+    let outcome = replay::run(
+        &stretches,
+        settings,
+        &mut || Ok(board.connect()),
+        &mut |_| (),
+    );
+    let outcome = outcome.unwrap();
+    assert!(outcome.is_identical(), "{:?}", outcome.first);
+    // 20 ms at 45 kHz, three periods a block; zero crossings at 0 and 10 ms, a window between them.
+    assert_eq!((outcome.blocks, outcome.estimates), (300, 300));
+    assert_eq!((outcome.windows.compared, outcome.windows.lost), (1, 0));
+    assert_eq!((outcome.telemetry.compared, outcome.telemetry.lost), (2, 0));
 }
 
 fn replay_power(mut replay: ihd::link::replay::Replay<'_>) -> LinkError {
