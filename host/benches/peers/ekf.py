@@ -25,7 +25,7 @@ for y in data:
     P = F @ P @ F.T + Q
     H[1] = x[2], x[3], x[0], x[1]
     S = H @ P @ H.T + R
-    K = np.linalg.solve(S, H @ P).T
+    K = np.linalg.solve(S, (P @ H.T).T).T
     x = x + K @ (y - np.array([x[0], x[0] * x[2] + x[1] * x[3]]))
     P = (I4 - K @ H) @ P
 seconds = time.perf_counter() - started

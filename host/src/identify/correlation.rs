@@ -62,6 +62,16 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
     /// The sums over a block that begins with sample `first` of the segment; a block shorter than
     /// the table is taken as it is.
     pub fn block(&self, first: usize, v_v: &[f64], i_a: &[f64]) -> BlockSums<ORDERS> {
+        self.block_turned(&self.turn(first), v_v, i_a)
+    }
+
+    /// The same, given e^(−jhωt) of the block's first sample.
+    pub fn block_turned(
+        &self,
+        turn: &[Complex<f64>; ORDERS],
+        v_v: &[f64],
+        i_a: &[f64],
+    ) -> BlockSums<ORDERS> {
         let mut sums = [[0.0; ORDERS]; 4];
         let samples = v_v.iter().zip(i_a);
         for ((v, i), (cos, sin)) in samples.zip(self.cos.iter().zip(&self.minus_sin)) {
@@ -72,7 +82,6 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
                 sums[3][h] += i * sin[h];
             }
         }
-        let turn = self.turn(first);
         let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
             std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
         };

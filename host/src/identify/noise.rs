@@ -15,8 +15,8 @@ const ORDER: f64 = 1.5;
 /// Switching periods of one window.
 const PERIODS: f64 = 16.0;
 
-/// Most windows that are looked at: their median is within 15 %.
-const MOST_WINDOWS: usize = 24;
+/// Most windows that are looked at: their median is within 20 %.
+const MOST_WINDOWS: usize = 16;
 
 /// Standard deviation of one sample's white noise.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]

@@ -10,9 +10,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use self::report::Outcome;
 use super::capture_args::CaptureArgs;
+use super::hint_args::HintArgs;
 use super::simulate::quantity::quantity;
 use crate::identify::accuracy::Accuracy;
-use crate::identify::survey::{Hints, Severity, Survey};
+use crate::identify::survey::{Severity, Survey};
 use crate::identify::{Method, Settings, reconstruction, run};
 use crate::report::identified;
 
@@ -27,8 +28,6 @@ use crate::report::identified;
     ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
     Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage")]
 pub struct IdentifyArgs {
-    #[command(flatten)]
-    capture: CaptureArgs,
     /// Estimators, with commas between them, or all
     #[arg(
         long,
@@ -38,16 +37,7 @@ pub struct IdentifyArgs {
         default_value = "least-squares"
     )]
     method: Vec<MethodWord>,
-    /// Switching frequency in Hz, instead of the capture's
-    #[arg(long, value_parser = quantity)]
-    fsw: Option<f64>,
-    /// Mains frequency in Hz, instead of the capture's
-    #[arg(long, value_parser = quantity)]
-    mains: Option<f64>,
-    /// Time of a mains zero crossing in s, instead of the capture's
-    #[arg(long, value_name = "S", value_parser = quantity, allow_negative_numbers = true)]
-    zero_crossing: Option<f64>,
-    /// Compare with the truth, and report, from this time on, in s
+    /// Compare with the truth from this time on, in s
     #[arg(long, value_name = "S", value_parser = quantity, allow_negative_numbers = true)]
     from: Option<f64>,
     /// TOML file with the estimators' settings; what it leaves out keeps its default
@@ -65,6 +55,11 @@ pub struct IdentifyArgs {
     /// Draw R, L and the reconstructed waveforms to this file (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    // Last: their heading in the help is that of all that follows.
+    #[command(flatten)]
+    capture: CaptureArgs,
+    #[command(flatten)]
+    hints: HintArgs,
 }
 
 /// A method, or all of this build.
@@ -114,12 +109,7 @@ impl IdentifyArgs {
     pub fn run(&self) -> Result<()> {
         let settings = self.settings()?;
         let capture = self.capture.open()?;
-        let hints = Hints {
-            f_sw_hz: self.fsw,
-            mains_hz: self.mains,
-            zero_crossing_s: self.zero_crossing,
-        };
-        let survey = Survey::of(&capture, &hints)?;
+        let survey = Survey::of(&capture, &self.hints.hints())?;
         for finding in survey
             .findings
             .iter()
@@ -175,7 +165,7 @@ impl IdentifyArgs {
                 serde_json::to_string_pretty(&report::json(&outcomes))?
             );
         } else {
-            print!("{}", report::text(&survey, &segments, &outcomes));
+            print!("{}", report::text(&survey, &capture, &segments, &outcomes));
         }
         if outcomes.iter().all(|o| o.result.is_err()) {
             bail!("no method could identify {}", self.capture.path().display());

@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+use crate::capture::Capture;
 use crate::identify::accuracy::Accuracy;
 use crate::identify::survey::Survey;
 use crate::identify::{Estimate, IdentifyError, Method, Segment};
@@ -113,7 +114,12 @@ pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
 }
 
 /// The outcomes as text: a table a stretch.
-pub fn text(survey: &Survey, segments: &[Segment], outcomes: &[Outcome]) -> String {
+pub fn text(
+    survey: &Survey,
+    capture: &Capture,
+    segments: &[Segment],
+    outcomes: &[Outcome],
+) -> String {
     let mut out = String::new();
     let per_segment = outcomes.len() / segments.len().max(1);
     for (segment, outcomes) in segments.iter().zip(outcomes.chunks(per_segment.max(1))) {
@@ -140,6 +146,15 @@ pub fn text(survey: &Survey, segments: &[Segment], outcomes: &[Outcome]) -> Stri
                 }
             }
         }
+    }
+    match (capture.metadata.get("calibration"), survey.skew_note()) {
+        (Some(calibration), _) => {
+            let _ = writeln!(out, "calibrated: {calibration}");
+        }
+        (None, Some(note)) => {
+            let _ = writeln!(out, "not calibrated: {note}");
+        }
+        (None, None) => {}
     }
     out
 }

@@ -3,7 +3,7 @@
 //! State x = (i, change of i, R, L/T_s). The transition only adds x2 to x1, the first measurement
 //! sees x1 alone, and the second (v = x1·x3 + x2·x4) has the gradient (x3, x4, x1, x2): nothing needs
 //! a 4×4 product. Both measurements are linearised at the prediction and taken together; the
-//! second's gain is found from sums that do not wait for the first's division.
+//! second's gain is found from sums that wait neither for the prediction nor for the first's division.
 
 /// State.
 pub type State = [f64; 4];
@@ -53,8 +53,32 @@ impl Filter {
         let [x1, x2, x3, x4] = self.x;
         let [p11, p12, p13, p14, p22, p23, p24, p33, p34, p44] = self.p;
         let (f, q) = (model.f12, &model.q);
-        // x ← F x, P ← F P Fᵀ + Q.
         let x1 = x1 + f * x2;
+        // u = P⁻h and s = hᵀP⁻h + r of the voltage, with P⁻ = F P Fᵀ + Q and g = Fᵀh: from the old P,
+        // so that they need not wait for the prediction.
+        let h = [x3, x4, x1, x2];
+        let g = [h[0], h[1] + f * h[0], h[2], h[3]];
+        let w = [
+            (p11 * g[0] + p12 * g[1]) + (p13 * g[2] + p14 * g[3]),
+            (p12 * g[0] + p22 * g[1]) + (p23 * g[2] + p24 * g[3]),
+            (p13 * g[0] + p23 * g[1]) + (p33 * g[2] + p34 * g[3]),
+            (p14 * g[0] + p24 * g[1]) + (p34 * g[2] + p44 * g[3]),
+        ];
+        let qh = [
+            q[0] * h[0],
+            q[1] * h[1],
+            q[2] * h[2] + model.q34 * h[3],
+            q[3] * h[3] + model.q34 * h[2],
+        ];
+        let noise = (qh[0] * h[0] + qh[1] * h[1]) + (qh[2] * h[2] + qh[3] * h[3]) + model.r[1];
+        let s_v = (w[0] * g[0] + w[1] * g[1]) + (w[2] * g[2] + w[3] * g[3]) + noise;
+        let u = [
+            w[0] + (f * w[1] + qh[0]),
+            w[1] + qh[1],
+            w[2] + qh[2],
+            w[3] + qh[3],
+        ];
+        // P ← P⁻.
         let p11 = p11 + f * (2.0 * p12 + f * p22) + q[0];
         let p12 = p12 + f * p22;
         let p13 = p13 + f * p23;
@@ -63,20 +87,10 @@ impl Filter {
         let p33 = p33 + q[2];
         let p34 = p34 + model.q34;
         let p44 = p44 + q[3];
-        // u = P hᵀ at the prediction, for the voltage.
-        let h = [x3, x4, x1, x2];
-        let u = [
-            (p11 * h[0] + p12 * h[1]) + (p13 * h[2] + p14 * h[3]),
-            (p12 * h[0] + p22 * h[1]) + (p23 * h[2] + p24 * h[3]),
-            (p13 * h[0] + p23 * h[1]) + (p33 * h[2] + p34 * h[3]),
-            (p14 * h[0] + p24 * h[1]) + (p34 * h[2] + p44 * h[3]),
-        ];
-        let s_v = (u[0] * h[0] + u[1] * h[1]) + (u[2] * h[2] + u[3] * h[3]) + model.r[1];
-        // Current first.
+        // Current first: what its update leaves of u and s, and of the voltage's innovation.
         let by_s1 = 1.0 / (p11 + model.r[0]);
         let k1 = [p11 * by_s1, p12 * by_s1, p13 * by_s1, p14 * by_s1];
         let e1 = i - x1;
-        // What the current's update leaves of u and s, and of the voltage's innovation.
         let c = u[0] * by_s1;
         let by_s2 = 1.0 / (s_v - u[0] * c);
         let u = [
@@ -85,26 +99,27 @@ impl Filter {
             u[2] - p13 * c,
             u[3] - p14 * c,
         ];
-        let k2 = [u[0] * by_s2, u[1] * by_s2, u[2] * by_s2, u[3] * by_s2];
         let e2 = (v - (x1 * x3 + x2 * x4)) - c * e1;
+        // All products before the second division is needed.
         self.x = [
-            x1 + k1[0] * e1 + k2[0] * e2,
-            x2 + k1[1] * e1 + k2[1] * e2,
-            x3 + k1[2] * e1 + k2[2] * e2,
-            x4 + k1[3] * e1 + k2[3] * e2,
+            (x1 + k1[0] * e1) + (u[0] * e2) * by_s2,
+            (x2 + k1[1] * e1) + (u[1] * e2) * by_s2,
+            (x3 + k1[2] * e1) + (u[2] * e2) * by_s2,
+            (x4 + k1[3] * e1) + (u[3] * e2) * by_s2,
         ];
         self.p = [
-            p11 - k1[0] * p11 - k2[0] * u[0],
-            p12 - k1[0] * p12 - k2[0] * u[1],
-            p13 - k1[0] * p13 - k2[0] * u[2],
-            p14 - k1[0] * p14 - k2[0] * u[3],
-            p22 - k1[1] * p12 - k2[1] * u[1],
-            p23 - k1[1] * p13 - k2[1] * u[2],
-            p24 - k1[1] * p14 - k2[1] * u[3],
-            p33 - k1[2] * p13 - k2[2] * u[2],
-            p34 - k1[2] * p14 - k2[2] * u[3],
-            p44 - k1[3] * p14 - k2[3] * u[3],
+            (p11 - k1[0] * p11) - (u[0] * u[0]) * by_s2,
+            (p12 - k1[0] * p12) - (u[0] * u[1]) * by_s2,
+            (p13 - k1[0] * p13) - (u[0] * u[2]) * by_s2,
+            (p14 - k1[0] * p14) - (u[0] * u[3]) * by_s2,
+            (p22 - k1[1] * p12) - (u[1] * u[1]) * by_s2,
+            (p23 - k1[1] * p13) - (u[1] * u[2]) * by_s2,
+            (p24 - k1[1] * p14) - (u[1] * u[3]) * by_s2,
+            (p33 - k1[2] * p13) - (u[2] * u[2]) * by_s2,
+            (p34 - k1[2] * p14) - (u[2] * u[3]) * by_s2,
+            (p44 - k1[3] * p14) - (u[3] * u[3]) * by_s2,
         ];
+        let k2 = u.map(|u| u * by_s2);
         Innovation {
             h,
             k: [k1, k2],

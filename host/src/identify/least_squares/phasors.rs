@@ -19,6 +19,9 @@ use crate::identify::{IdentifyError, Method, Segment};
 /// modulation reaches over to it.
 const ORDERS: [usize; 4] = [1, 3, 5, 7];
 
+// The turns of the harmonics are odd powers of the fundamental's.
+const _: () = assert!(ORDERS[1] == 3 && ORDERS[2] == 5 && ORDERS[3] == 7);
+
 /// Sums and differences of two orders, halved: 0, 2, … 14.
 const PRODUCTS: usize = 8;
 
@@ -92,6 +95,7 @@ impl Fit {
         let spline = CubicSpline::new(count, duration_s);
         let block = ((per_period / BLOCKS_PER_PERIOD).round() as usize).max(1);
         let correlator = Correlator::new(segment, block, ORDERS.map(|h| h as f64));
+        let fundamental = Correlator::new(segment, 0, [1.0]);
         // Σ e^(−j2kωt) over a block from its first sample, which is at angle 0.
         let within: [Phasor; PRODUCTS] = std::array::from_fn(|k| {
             let turns = 2.0 * k as f64 / per_period;
@@ -110,8 +114,9 @@ impl Fit {
                 normal.add(&interval);
                 interval = Interval::empty(local.first);
             }
-            let sums = correlator.block(first, v, i);
-            let products = turned(&within, correlator.turn(first)[0]);
+            let turn = fundamental.turn(first)[0];
+            let sums = correlator.block_turned(&odd_powers(turn), v, i);
+            let products = turned(&within, turn);
             let mut pair = 0;
             for (m, &value) in local.values.iter().enumerate() {
                 for h in 0..ORDERS.len() {
@@ -152,6 +157,18 @@ impl Fit {
             i_slope: sum(&self.i, &local.slopes_per_s),
         }
     }
+}
+
+/// e^(−jhωt) of [`ORDERS`], given that of the fundamental: one sine a block instead of four.
+fn odd_powers(turn: Phasor) -> [Phasor; ORDERS.len()] {
+    let square = turn * turn;
+    let mut power = turn;
+    std::array::from_fn(|k| {
+        if k > 0 {
+            power *= square;
+        }
+        power
+    })
 }
 
 /// The block's sums Σ e^(−j2kωt), given e^(−jωt) of its first sample.

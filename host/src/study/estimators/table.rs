@@ -24,12 +24,14 @@ pub fn markdown(cells: &[Cell], seeds: u64) -> String {
             continue;
         }
         let _ = writeln!(out, "### {}\n", title(reference));
-        for method in Method::ALL {
-            let own = |c: &&Cell| c.reference == reference && c.method == method;
-            let of_method: Vec<&Cell> = cells.iter().filter(own).collect();
-            if !of_method.is_empty() {
-                out.push_str(&method_table(method, &of_method));
+        let of_reference: Vec<&Cell> = cells.iter().filter(|c| c.reference == reference).collect();
+        if reference == Reference::Behavioural {
+            for method in methods(&of_reference) {
+                let own = of_reference.iter().filter(|c| c.method == method);
+                out.push_str(&method_table(method, &own.copied().collect::<Vec<_>>()));
             }
+        } else {
+            out.push_str(&field_table(&of_reference));
         }
     }
     out.push_str(&verdicts(cells));
@@ -65,34 +67,69 @@ fn pair(e: Errors) -> String {
     format!("{}/{}", pct(e.r_pct), pct(e.l_pct))
 }
 
-fn method_table(method: Method, cells: &[&Cell]) -> String {
-    let mut out = format!("| {method} |");
+/// The methods that have cells, in the order of tables.
+fn methods(cells: &[&Cell]) -> Vec<Method> {
+    let known = |m: &Method| cells.iter().any(|c| c.method == *m);
+    Method::ALL.into_iter().filter(known).collect()
+}
+
+fn heading(name: &str) -> String {
+    let mut out = format!("| {name} |");
     for f in F_SW_HZ {
         let _ = write!(out, " {:.0} kHz |", f * 1e-3);
     }
     out.push_str("\n|---|---:|---:|---:|---:|\n");
-    for snr_db in SNR_DB {
-        let _ = write!(out, "| {} |", snr(snr_db));
-        for f in F_SW_HZ {
-            let found = cells.iter().find(|c| c.f_sw_hz == f && c.snr_db == snr_db);
-            let text = match found {
-                Some(c) if c.runs == 0 => "failed".into(),
-                Some(c) => {
-                    let all = [c.whole, c.middle, c.weighted].map(pair).join(" · ");
-                    match c.failed {
-                        0 => all,
-                        n => format!("{all} ({n} of {} failed)", n + c.runs),
-                    }
+    out
+}
+
+/// One line: a method at one SNR, over the frequencies.
+fn row(name: &str, cells: &[&Cell], snr_db: Option<f64>) -> String {
+    let mut out = format!("| {name} |");
+    for f in F_SW_HZ {
+        let found = cells.iter().find(|c| c.f_sw_hz == f && c.snr_db == snr_db);
+        let text = match found {
+            Some(c) if c.runs == 0 => "failed".into(),
+            Some(c) => {
+                let all = [c.whole, c.middle, c.weighted].map(pair).join(" · ");
+                match c.failed {
+                    0 => all,
+                    n => format!("{all} ({n} of {} failed)", n + c.runs),
                 }
-                None => "–".into(),
-            };
-            let _ = write!(out, " {text} |");
-        }
-        out.push('\n');
+            }
+            None => "–".into(),
+        };
+        let _ = write!(out, " {text} |");
+    }
+    out.push('\n');
+    out
+}
+
+/// Every SNR of one method.
+fn method_table(method: Method, cells: &[&Cell]) -> String {
+    let mut out = heading(method.name());
+    for snr_db in SNR_DB {
+        out.push_str(&row(&snr(snr_db), cells, snr_db));
     }
     let failure = cells.iter().find_map(|c| c.failure.as_ref());
     if let Some(failure) = failure {
         let _ = writeln!(out, "\nWhy it failed: {failure}");
+    }
+    out.push('\n');
+    out
+}
+
+/// Every method without noise and at the largest; the noise between is in the JSON.
+fn field_table(cells: &[&Cell]) -> String {
+    let mut out = heading("method");
+    for method in methods(cells) {
+        let own: Vec<&Cell> = cells
+            .iter()
+            .filter(|c| c.method == method)
+            .copied()
+            .collect();
+        for snr_db in [SNR_DB[0], SNR_DB[SNR_DB.len() - 1]] {
+            out.push_str(&row(&format!("{method}, {}", snr(snr_db)), &own, snr_db));
+        }
     }
     out.push('\n');
     out
