@@ -16,7 +16,9 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::CAP_REPLAYING;
-use ihd_shared::wire::messages::{AnyMessage, Outcome as Answer, Raw, ReplayEstimates, State};
+use ihd_shared::wire::messages::{
+    AnyMessage, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry, WindowEnd,
+};
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 
 /// 25 ms with a frequency step, sampled by an oscilloscope.
@@ -274,6 +276,33 @@ fn one_bit_of_one_estimate_is_seen_and_told() {
         (difference.t_s - 117.0 * 3.0 / 45e3).abs() < 1e-4,
         "{difference:?}"
     );
+}
+
+/// Telemetry withheld by a device whose link loses nothing: frames count, and none is missing.
+#[test]
+fn what_a_device_does_not_send_over_a_sound_link_is_a_difference() {
+    let desk = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut deframer = Deframer::new();
+    desk.hob().mangle = Box::new(move |frame| {
+        for &byte in frame {
+            if let Some(Ok(whole)) = deframer.push(byte)
+                && whole.id == Telemetry::ID
+            {
+                // Another message of the same number, which means nothing to a replay.
+                let mut out = [0; MAX_ENCODED];
+                let nothing = WindowEnd { seq: 7, crc32: 0 };
+                let length = encode(&nothing, whole.seq, &mut out).unwrap();
+                return out[..length].to_vec();
+            }
+        }
+        frame.to_vec()
+    });
+    let outcome = replayed(QUICK, &mut || client(desk.clone()));
+    assert!(
+        outcome.telemetry.lost > 0 && !outcome.is_identical(),
+        "{outcome:?}"
+    );
+    assert_eq!(outcome.first[0].what, "windows and telemetry");
 }
 
 #[test]

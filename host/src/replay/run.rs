@@ -21,6 +21,9 @@ const RECONNECTS: u32 = 8;
 /// How long to wait before the link is made anew.
 const RECONNECT_AFTER: Duration = Duration::from_millis(200);
 
+/// How long a window may take: 57 kB on a serial line of 115 200 baud take 5 s.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 /// How a replay runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Settings {
@@ -114,6 +117,7 @@ pub fn run(
         }
         outcome?;
     }
+    run.judge_lost();
     run.outcome.seconds = started.elapsed().as_secs_f64();
     Ok(run.outcome)
 }
@@ -241,7 +245,7 @@ impl Run<'_> {
         while let Some(event) = self.host.next_event(Duration::ZERO)? {
             self.owed.push_back(event);
         }
-        let patience = self.settings.patience.unwrap_or(Duration::from_secs(2));
+        let patience = self.settings.patience.unwrap_or(PATIENCE);
         while !self.owed.is_empty() {
             match self.device.next_event(patience) {
                 Ok(Some(event)) => self.event(t_s, &event),
@@ -255,6 +259,43 @@ impl Run<'_> {
             }
         }
         Ok(())
+    }
+
+    /// What the device says and this build has no counterpart of: a window that the link has damaged
+    /// or both reject, or a fault that only the device has. A window of a half-cycle that this build
+    /// did not record is none of either.
+    fn unmatched(&mut self, t_s: f64, device: &Event) {
+        match device {
+            Event::WindowRejected { reason, .. } => {
+                let window =
+                    |e: &Event| matches!(e, Event::Window(_) | Event::WindowRejected { .. });
+                let at = self.owed.iter().position(window);
+                match at.and_then(|at| self.owed.remove(at)) {
+                    Some(Event::WindowRejected { reason: host, .. }) if host == *reason => {
+                        self.outcome.windows.compared += 1;
+                    }
+                    Some(_) => self.outcome.windows.lost += 1,
+                    None => {}
+                }
+            }
+            Event::Fault(f) => {
+                self.outcome
+                    .value(t_s, "fault", f.fault, Fault::None, |f| format!("{f:?}"));
+            }
+            Event::Window(_) | Event::Telemetry(_) => {}
+        }
+    }
+
+    /// On a link that lost nothing, what the device did not send is a difference.
+    fn judge_lost(&mut self) {
+        let (c, o) = (self.device.counters(), &self.outcome);
+        let whole = (c.frames_bad, c.frames_lost, o.repeats, o.reconnects) == (0, 0, 0, 0);
+        let lost = o.windows.lost + o.telemetry.lost;
+        if whole {
+            let words = |n: &u32| format!("{n} messages missing");
+            self.outcome
+                .value(0.0, "windows and telemetry", lost, 0, words);
+        }
     }
 
     fn lost(&mut self, event: &Event) {
@@ -283,15 +324,7 @@ impl Run<'_> {
         let found = self.owed.iter().enumerate();
         let found = found.filter_map(|(k, host)| Some((k, same(host).and_then(fits)?)));
         let Some((at, by)) = found.min() else {
-            // The rest of a half-cycle whose window this build did not record, or a damaged one.
-            if let Event::WindowRejected { .. } = device {
-                let window = |e: &Event| matches!(e, Event::Window(_));
-                if let Some(at) = self.owed.iter().position(window) {
-                    self.owed.remove(at);
-                    self.outcome.windows.lost += 1;
-                }
-            }
-            return;
+            return self.unmatched(t_s, device);
         };
         let Some(host) = self.owed.remove(at) else {
             return;
