@@ -3,9 +3,10 @@
 use serde::Serialize;
 
 use super::carrier::Piece;
+use super::clipping::{self, Clipped};
 use super::finding::{Channel, Finding};
+use super::noise;
 use super::track::Track;
-use super::{clipping, noise};
 use crate::capture::Capture;
 
 /// Offset above which it is told, in percent of the rms value.
@@ -76,6 +77,16 @@ pub(super) fn survey(
     let signal =
         |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
     out.snr_db = out.noise.filter(|s| *s > 0.0).map(signal);
+    if is_dead(which, tracks, variance) {
+        findings.push(Finding::Dead { channel: which });
+    } else {
+        tell(which, &out, clipped, findings);
+    }
+    out
+}
+
+/// Whether next to nothing of the channel's variance is its fundamental.
+fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
     let fundamental: f64 = tracks
         .iter()
         .filter_map(|t| match which {
@@ -85,10 +96,11 @@ pub(super) fn survey(
         .map(|x| 0.5 * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
         .sum();
     let frames: usize = tracks.iter().map(|t| t.t_s.len()).sum();
-    if !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0) {
-        findings.push(Finding::Dead { channel: which });
-        return out;
-    }
+    !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0)
+}
+
+/// Clipping, offset and noise of a channel that is alive.
+fn tell(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Vec<Finding>) {
     if clipped.samples > 0 {
         findings.push(Finding::Clipping {
             channel: which,
@@ -96,19 +108,18 @@ pub(super) fn survey(
             level: clipped.level,
         });
     }
-    let of_rms_pct = 100.0 * out.mean.abs() / out.rms;
+    let of_rms_pct = 100.0 * c.mean.abs() / c.rms;
     if of_rms_pct > OFFSET_PCT {
         findings.push(Finding::Offset {
             channel: which,
-            mean: out.mean,
+            mean: c.mean,
             of_rms_pct,
         });
     }
-    if let Some(snr_db) = out.snr_db.filter(|db| *db < NOISY_DB) {
+    if let Some(snr_db) = c.snr_db.filter(|db| *db < NOISY_DB) {
         findings.push(Finding::Noisy {
             channel: which,
             snr_db,
         });
     }
-    out
 }
