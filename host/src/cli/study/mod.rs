@@ -9,6 +9,9 @@ use clap::{Args, Subcommand};
 
 /// Run a study and print its tables.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd study estimators --quick\n  \
+    ihd study paper --quick --out paper-study")]
 pub struct StudyArgs {
     #[command(subcommand)]
     study: Study,
