@@ -59,6 +59,8 @@ fn every_subcommand_shows_examples() {
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .take_while(|line| !line.is_empty())
+        // Deeper lines go on with the description of the one before.
+        .filter(|line| !line.starts_with("   "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|name| *name != "help")
         .collect();
@@ -139,6 +141,37 @@ fn the_trainer_identifies_and_teaches() {
         assert!(of("ekf_errors/r_middle_pct") <= 1.0, "{report:#}");
         assert!(of("ekf_errors/l_middle_pct") <= 0.5, "{report:#}");
     }
+}
+
+/// A capture of truth (a) (design notes, section 6) stands for the heating; nothing of the simulated
+/// hob's own load may be compared with it.
+#[test]
+fn the_trainer_teaches_from_a_capture() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("a.mcap");
+    let made = format!(
+        "simulate --load behavioural --fsw 50k --out {}",
+        file.display()
+    );
+    assert_eq!(run(&made).0, 0);
+    let report = trained(&format!("--replay {}", file.display()));
+    assert_eq!(
+        report["points"].as_array().map(Vec::len),
+        Some(2),
+        "{report:#}"
+    );
+    let i_a = number(&report, "/points/1/i_crest_a");
+    let r_ohm = (2.2 + 3.5 / (1.0 + i_a / 15.0)) * (50.0f64 / 45.0).sqrt();
+    let error = number(&report, "/points/1/pinn/r_ohm") / r_ohm - 1.0;
+    assert!(error.abs() <= 0.01, "{report:#}");
+    assert!(report["points"][1]["truth"].is_null(), "{report:#}");
+    assert_eq!(number(&report, "/lookup_version"), 2.0);
+    assert_eq!(report["state"], "idle");
+    refused(
+        &format!("trainer --replay {} --power 900", file.display()),
+        2,
+        &["--power"],
+    );
 }
 
 #[test]

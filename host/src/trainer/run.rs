@@ -222,7 +222,8 @@ impl Run<'_, '_> {
         at: OperatingPoint,
         always: bool,
     ) -> Result<(), TrainerError> {
-        let truth = self.session.truth_of(&window);
+        // The simulated hob knows nothing of a load that was recorded elsewhere.
+        let truth = at.asked_w().and_then(|_| self.session.truth_of(&window));
         let last = self.session.last.as_ref();
         let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
         let power = at.asked_w().zip(delivered_w);

@@ -25,6 +25,7 @@ use crate::report::identified;
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \
     ihd identify capture.csv --method all --plot identified.svg\n  \
+    ihd identify capture.mcap --method pinn --preset hybrid --backend flex\n  \
     ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
     Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage")]
 pub struct IdentifyArgs {
@@ -43,6 +44,15 @@ pub struct IdentifyArgs {
     /// TOML file with the estimators' settings; what it leaves out keeps its default
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// With the method pinn: preset of the network, as in docs/pinn.md
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// With the method pinn: what computes the network, fused, flex or ndarray
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// With the method pinn: no wall-clock limit, so that two runs give the same digits
+    #[arg(long)]
+    deterministic: bool,
     /// Identify even where the survey says that R and L would be wrong
     #[arg(long)]
     anyway: bool,
@@ -174,9 +184,15 @@ impl IdentifyArgs {
     }
 
     fn settings(&self) -> Result<Settings> {
-        self.config
-            .as_deref()
-            .map_or(Ok(Settings::default()), read_settings)
+        let mut settings = match &self.config {
+            Some(path) => read_settings(path)?,
+            None => Settings::default(),
+        };
+        let pinn = &mut settings.pinn;
+        pinn.preset = self.preset.clone().or(pinn.preset.take());
+        pinn.backend = self.backend.clone().or(pinn.backend.take());
+        pinn.deterministic |= self.deterministic;
+        Ok(settings)
     }
 }
 
