@@ -31,8 +31,14 @@ fn targets_on_truth_a_are_met_at_45_and_70_khz() {
                 None => {
                     within(Method::LeastSquares, 0.1, 0.3);
                     within(Method::Lockin, 0.2, 0.15);
+                    #[cfg(feature = "pinn")]
+                    within(Method::Pinn, 0.5, 0.5);
                 }
-                Some(_) => within(Method::LeastSquares, 0.5, 0.6),
+                Some(_) => {
+                    within(Method::LeastSquares, 0.5, 0.6);
+                    #[cfg(feature = "pinn")]
+                    within(Method::Pinn, 1.0, 1.0);
+                }
             }
             let paper = published::ekf(f_sw_hz, snr_db).expect("a cell of the paper");
             within(Method::Ekf, paper.r_pct, paper.l_pct);

@@ -81,6 +81,11 @@ pub struct Config {
     /// Standard deviation expected of the RL-MLP's weights: with noise in the samples, a prior of
     /// that width keeps R and L from following it. 0 for eq. (7) alone. Levenberg-Marquardt only.
     pub weight_width: f64,
+    /// Standard deviation of one sample's white noise in volt and ampere, where it was measured. Else
+    /// the residual of the data terms stands for it, which also holds the harmonics that the VI branch
+    /// leaves out: the prior is then stronger than the noise asks for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<[f64; 2]>,
     /// What trains the RL-MLP.
     pub optimiser: Optimiser,
     /// Learning rate of Adam; Levenberg-Marquardt has none.
@@ -123,6 +128,7 @@ impl Default for Config {
             w_f: 5.0,
             w_i: 1.0,
             weight_width: 1.0,
+            noise: None,
             optimiser: Optimiser::default(),
             learning_rate: 1e-2,
             vi_mlp: None,
@@ -199,6 +205,17 @@ impl Config {
                     problem: format!("is {value}, but must be zero or positive"),
                 });
             }
+        }
+        if let Some(value) = self
+            .noise
+            .iter()
+            .flatten()
+            .find(|s| !(0.0..f64::MAX).contains(*s))
+        {
+            return Err(PinnError::Config {
+                field: "noise",
+                problem: format!("holds {value}, but must be zero or positive"),
+            });
         }
         within("ensemble", self.ensemble, 1..=64)?;
         validate_embedding("embedding", self.embedding)?;

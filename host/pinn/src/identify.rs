@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::levenberg_marquardt::{Descent, Prior};
-use crate::loss::{SlowPhysics, noise_variance, slow_times_s};
+use crate::loss::{SlowPhysics, noise_variance, slow_times_s, white_noise};
 use crate::parameters::Parameters;
 use crate::progress::{Log, relative_change};
 use crate::result::{nmse_pct, reconstruction, result_times_s};
@@ -148,7 +148,8 @@ fn hybrid(
             warm = true;
         }
         let (l_i1, l_i2) = branch.data_losses(samples);
-        let noise = noise_variance(samples, &branch, (l_i1, l_i2), config.w_f, {
+        let white = white_noise(samples, &branch, (l_i1, l_i2), config.noise);
+        let noise = noise_variance(samples, white, config.w_f, {
             let [r, l] = constant;
             [r * parameters.r_scale_ohm, l * parameters.l_scale_h]
         });

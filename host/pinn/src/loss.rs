@@ -201,25 +201,40 @@ impl SlowTensors {
     }
 }
 
-/// Variance that white noise of the samples gives one residual e, `losses` being L_i1, L_i2
-/// and `r_l` a typical (R in ohm, L in H).
+/// Variance of the white noise of the normalised samples, (v, i): the measured one of the
+/// configuration, else what the fit leaves, `losses` being L_i1, L_i2.
+pub(crate) fn white_noise(
+    samples: &Normalised,
+    branch: &HarmonicBranch,
+    losses: (f64, f64),
+    measured: Option<[f64; 2]>,
+) -> (f64, f64) {
+    if let Some([v_volt, i_ampere]) = measured {
+        return (
+            (v_volt / samples.v_max_volt).powi(2),
+            (i_ampere / samples.i_max_ampere).powi(2),
+        );
+    }
+    // The fit has taken this share of the noise into its coefficients.
+    let free = (1.0 - branch.basis.len() as f64 / samples.len() as f64).max(0.1);
+    (losses.0 / free, losses.1 / free)
+}
+
+/// Variance that white noise of the samples gives one residual e, `white` being that of
+/// [`white_noise`] and `r_l` a typical (R in ohm, L in H).
 ///
 /// Noise of variance s^2 per sample reaches the mean in eq. (4) as that of a phasor known from
 /// N / K samples per slow time, 2 s^2 K / N; e carries sqrt(w_f / 2K), and current noise comes
 /// in times |Z|.
 pub(crate) fn noise_variance(
     samples: &Normalised,
-    branch: &HarmonicBranch,
-    losses: (f64, f64),
+    white: (f64, f64),
     w_f: f64,
     r_l: [f64; OUTPUTS],
 ) -> f64 {
     let [r, l] = r_l.map(|s| s * samples.impedance_scale());
     let z_squared = r * r + (samples.omega * l).powi(2);
-    let count = samples.len() as f64;
-    // The fit has taken this share of the noise into its coefficients.
-    let free = (1.0 - branch.basis.len() as f64 / count).max(0.1);
-    w_f / count * (losses.0 + z_squared * losses.1) / free
+    w_f / samples.len() as f64 * (white.0 + z_squared * white.1)
 }
 
 /// Scales to unit length and returns the length; a column without signal stays as it is.

@@ -64,6 +64,13 @@ impl WhiteNoise {
     }
 }
 
+impl WhiteNoise {
+    /// Deviations in volt and ampere; `None` where the segment was too short to tell.
+    pub fn told(self) -> Option<[f64; 2]> {
+        (self != Self::default()).then_some([self.v_v, self.i_a])
+    }
+}
+
 /// The middle value; `None` of nothing.
 pub fn median(mut x: Vec<f64>) -> Option<f64> {
     let middle = x.len() / 2;

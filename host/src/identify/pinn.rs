@@ -59,6 +59,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     use ihd_pinn::Waveform;
 
     use super::Method;
+    use super::noise::WhiteNoise;
     use super::segment::MIN_PERIODS;
 
     let started = Instant::now();
@@ -66,7 +67,8 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
         method: Method::Pinn,
         why: e.to_string(),
     };
-    let config = settings.pinn.resolve().map_err(unfit)?;
+    let mut config = settings.pinn.resolve().map_err(unfit)?;
+    config.noise = config.noise.or(WhiteNoise::measure(segment).told());
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {

@@ -17,6 +17,8 @@ use super::point::{self, Point};
 use super::session::{Progress, Session, TruthSource};
 use super::{OperatingPoint, Source, TrainerError};
 use crate::capture::mcap::SessionRecorder;
+use crate::identify::Segment;
+use crate::identify::noise::WhiteNoise;
 use crate::link::{Client, Counters, Window};
 use crate::lookup::{Built, LoadCurve, LookupBuilder};
 
@@ -194,18 +196,28 @@ impl Run<'_, '_> {
     }
 
     fn train(&mut self, window: &Window) -> Result<Identified, PinnError> {
-        let (v_volt, i_ampere) = (window.v_volt(), window.i_ampere());
-        let waveform = ihd_pinn::Waveform {
+        let segment = Segment {
             f_sw_hz: f64::from(window.f_sw_hz),
-            f_mains_hz: window.f_mains_hz(),
+            mains_hz: window.f_mains_hz(),
+            zero_crossing_s: 0.0,
             t0_s: f64::from(window.first_pair_ns) * 1e-9,
             dt_s: window.dt_s(),
-            v_volt: &v_volt,
-            i_ampere: &i_ampere,
+            v_v: window.v_volt(),
+            i_a: window.i_ampere(),
         };
+        let waveform = ihd_pinn::Waveform {
+            f_sw_hz: segment.f_sw_hz,
+            f_mains_hz: segment.mains_hz,
+            t0_s: segment.t0_s,
+            dt_s: segment.dt_s,
+            v_volt: &segment.v_v,
+            i_ampere: &segment.i_a,
+        };
+        let wanted = self.settings.pinn.clone();
         let config = Config {
             start: self.warm.take(),
-            ..self.settings.pinn.clone()
+            noise: wanted.noise.or(WhiteNoise::measure(&segment).told()),
+            ..wanted
         };
         let seq = window.seq;
         let session = &mut self.session;

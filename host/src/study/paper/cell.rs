@@ -6,6 +6,7 @@ use ihd_pinn::{Config, Identified, Preset, Waveform};
 
 use super::{Cell, Contender, Job, LossAt, PaperStudyError};
 use crate::identify::accuracy::{Accuracy, fundamental};
+use crate::identify::noise::WhiteNoise;
 use crate::identify::{self, Estimate, Method, Segment, Settings};
 use crate::study::trial::Trial;
 
@@ -36,7 +37,8 @@ pub(super) fn run(
     let found = match job.contender {
         Contender::Other(method) => other(job, method, trial, &noisy, last)?,
         Contender::Pinn(preset) => {
-            let config = configured(job, preset);
+            let mut config = configured(job, preset);
+            config.noise = WhiteNoise::measure(&noisy).told();
             network(job, &config, trial, &noisy, last, checkpoint, progress)?
         }
     };
