@@ -8,6 +8,7 @@ pub mod formats;
 pub mod mcap;
 pub mod open;
 pub mod pair;
+mod recognise;
 pub mod resample;
 
 pub use error::CaptureError;

@@ -1,7 +1,5 @@
 //! Opens a capture, whatever wrote it: the format is told by the content, not by the name.
 
-use std::fs::{File, FileType};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::channels::{ChannelOptions, ChannelRef, Chosen, choose, quantity_of_name};
@@ -12,8 +10,9 @@ use super::formats::isf::IsfSource;
 use super::formats::trc::TrcSource;
 use super::formats::unit::Unit;
 use super::formats::wfm::WfmSource;
-use super::formats::{Channel, Samples, Source, isf, mat, npz, trc, wfm};
+use super::formats::{Channel, Samples, Source, mat, npz};
 use super::pair::overlap;
+use super::recognise::{Format, recognise, regular};
 use super::{Capture, TimeBase, mcap};
 
 /// What the user says of a file, and a second one with the other channel.
@@ -28,24 +27,6 @@ pub struct OpenOptions {
     pub columns: Option<[ChannelRef; 3]>,
     /// Sampling rate in hertz instead of the file's time.
     pub rate_hz: Option<f64>,
-}
-
-/// Bytes from which the format is told.
-const HEAD: usize = 4096;
-
-/// Formats that are read.
-const READABLE: &str = "MCAP, CSV, Tektronix WFM and ISF, LeCroy TRC, MATLAB MAT v5 and NPZ";
-
-/// A format, by its content.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
-    Csv,
-    Wfm,
-    Isf,
-    Trc,
-    Mat,
-    Npz,
-    Mcap,
 }
 
 /// Opens a capture.
@@ -74,90 +55,6 @@ pub fn open_with(
         files.push(Opened::new(second, recognise(second)?, options)?);
     }
     assembled(files, options, progress)
-}
-
-/// Opens a regular file; nothing else, as a pipe would block and cannot be sought.
-fn regular(path: &Path) -> Result<File, CaptureError> {
-    let failed = |source| CaptureError::Open {
-        path: path.to_owned(),
-        source,
-    };
-    let kind = std::fs::metadata(path).map_err(failed)?.file_type();
-    if !kind.is_file() {
-        return Err(CaptureError::NotAFile {
-            path: path.to_owned(),
-            kind: described(kind),
-        });
-    }
-    File::open(path).map_err(failed)
-}
-
-fn described(kind: FileType) -> &'static str {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::FileTypeExt;
-        if kind.is_fifo() {
-            return "a pipe";
-        }
-        if kind.is_socket() {
-            return "a socket";
-        }
-    }
-    if kind.is_dir() {
-        "a directory"
-    } else {
-        "a device"
-    }
-}
-
-/// Tells the format from the first bytes.
-fn recognise(path: &Path) -> Result<Format, CaptureError> {
-    let mut head = Vec::new();
-    let read = regular(path)?.take(HEAD as u64).read_to_end(&mut head);
-    read.map_err(|source| CaptureError::Open {
-        path: path.to_owned(),
-        source,
-    })?;
-    format_of(&head).map_err(|what| CaptureError::Unknown {
-        path: path.to_owned(),
-        what: format!("{what}; readable are {READABLE}"),
-    })
-}
-
-/// The format of a file that begins with `head`.
-fn format_of(head: &[u8]) -> Result<Format, &'static str> {
-    if head.is_empty() {
-        return Err("it is empty");
-    }
-    if head.get(2..9) == Some(wfm::VERSION) {
-        return Ok(Format::Wfm);
-    }
-    if trc::descriptor(head).is_some() {
-        return Ok(Format::Trc);
-    }
-    if isf::is_isf(head) {
-        return Ok(Format::Isf);
-    }
-    if mat::endian(head).is_some() {
-        return Ok(Format::Mat);
-    }
-    if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
-        return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");
-    }
-    if head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06") {
-        return Ok(Format::Npz);
-    }
-    if head.starts_with(::mcap::MAGIC) {
-        return Ok(Format::Mcap);
-    }
-    if head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]) {
-        return Err("it is text in UTF-16: save it as UTF-8");
-    }
-    let control = |b: &u8| *b < 0x20 && !matches!(b, b'\t' | b'\n' | b'\r');
-    if head.iter().any(control) {
-        return Err("it is binary and begins like none of them");
-    }
-    Ok(Format::Csv)
 }
 
 /// A file whose header has been read.
