@@ -6,7 +6,11 @@ use ihd::capture::formats::Source;
 /// Reads the first two channels: every sample must be finite, and columns of one length.
 pub fn drain(opened: Result<impl Source, FormatError>) {
     let Ok(mut source) = opened else { return };
-    let wanted = [0, source.channels().len().min(2) - 1];
+    // A table may hold nothing beside its time.
+    let Some(second) = source.channels().len().min(2).checked_sub(1) else {
+        return;
+    };
+    let wanted = [0, second];
     if let Ok(samples) = source.read(&wanted, &mut |_| ()) {
         let length = samples.columns[0].len();
         for column in &samples.columns {

@@ -102,6 +102,9 @@ fn named(channels: &[Channel], wanted: &ChannelRef) -> Result<usize, String> {
 
 /// Finds both by unit first, then by name, and the last one by what is left of two.
 fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
+    if channels.is_empty() {
+        return Err("no channel beside the time".to_owned());
+    }
     if channels.len() < 2 {
         return Err(format!(
             "one channel only; give the file with the other one too. {}",
@@ -283,6 +286,8 @@ mod tests {
         );
         let single = choose(&both_volt[..1], &ChannelOptions::default()).unwrap_err();
         assert!(single.contains("one channel only"), "{single}");
+        let none = choose(&[], &ChannelOptions::default()).unwrap_err();
+        assert!(none.contains("no channel"), "{none}");
     }
 
     #[test]
