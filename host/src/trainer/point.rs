@@ -77,16 +77,28 @@ pub fn track(window: &Window) -> impl Iterator<Item = (f64, f64, f64)> {
     entries.map(|(k, e)| (window.track_time_s(k), e.r.ohm(), e.l.henry()))
 }
 
-/// The network's curve over current.
+/// Largest standard deviation of R or L, relative to it, at which a point may teach: where the current
+/// goes to zero, noise leaves the network free.
+const SURE: f64 = 5e-3;
+
+/// The network's curve over current, where it is sure of R and L.
 pub fn curve(window: &Window, identified: &Identified) -> LoadCurve {
-    let samples = identified
-        .i_amplitude_a
-        .iter()
-        .zip(&identified.r_ohm)
-        .zip(&identified.l_h);
+    let sure = |k: &usize| {
+        let within = |sigma: &[f64], x: &[f64]| {
+            // A result without deviations is taken as it is.
+            sigma.get(*k).is_none_or(|s| *s <= SURE * x[*k])
+        };
+        within(&identified.r_sigma_ohm, &identified.r_ohm)
+            && within(&identified.l_sigma_h, &identified.l_h)
+    };
+    let point = |k: usize| LoadPoint {
+        i_a: identified.i_amplitude_a[k],
+        r_ohm: identified.r_ohm[k],
+        l_h: identified.l_h[k],
+    };
     LoadCurve::from_half_cycle(
         f64::from(window.f_sw_hz),
-        samples.map(|((&i_a, &r_ohm), &l_h)| LoadPoint { i_a, r_ohm, l_h }),
+        (0..identified.r_ohm.len()).filter(sure).map(point),
     )
 }
 
