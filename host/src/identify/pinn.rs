@@ -76,9 +76,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
             continue;
         }
         let t0_s = segment.t_s(from);
-        // The middle of the stretch tells its half-cycle; its first sample may lie just before.
-        let middle_s = 0.5 * (t0_s + segment.t_s(to - 1));
-        let crossing_s = middle_s - segment.since_crossing_s(middle_s);
+        let crossing_s = segment.crossing_of_s((from, to));
         let window = Waveform {
             f_sw_hz: segment.f_sw_hz,
             f_mains_hz: segment.mains_hz,

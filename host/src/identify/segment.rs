@@ -61,6 +61,13 @@ impl Segment {
         (t_s - self.zero_crossing_s).rem_euclid(self.half_cycle_s())
     }
 
+    /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of
+    /// samples `from` up to `to` begins. Its middle tells: its first sample may lie just before.
+    pub fn crossing_of_s(&self, (from, to): (usize, usize)) -> f64 {
+        let middle_s = 0.5 * (self.t_s(from) + self.t_s(to - 1));
+        middle_s - self.since_crossing_s(middle_s)
+    }
+
     /// Ranges of samples between mains zero crossings, the ends of the segment included.
     pub fn half_cycles(&self) -> Vec<(usize, usize)> {
         let half_s = self.half_cycle_s();

@@ -118,8 +118,7 @@ fn network(
     };
     let thin = |x: &[f64]| -> Vec<f64> { x[from..to].iter().step_by(step).copied().collect() };
     let (v_volt, i_ampere) = (thin(&noisy.v_v), thin(&noisy.i_a));
-    let middle_s = 0.5 * (noisy.t_s(from) + noisy.t_s(to - 1));
-    let crossing_s = middle_s - noisy.since_crossing_s(middle_s);
+    let crossing_s = noisy.crossing_of_s((from, to));
     let truth = fundamental(&trial.truth);
     let truth_at = |t_s: f64| truth.at(t_s + crossing_s).unwrap_or((f64::NAN, f64::NAN));
     let task = ihd_pinn::Task {
