@@ -72,7 +72,7 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
 }
 
 /// |z| with IEEE operations only; `hypot` differs between platforms.
-fn magnitude(z: Complex<f64>) -> f64 {
+pub(super) fn magnitude(z: Complex<f64>) -> f64 {
     z.norm_sqr().sqrt()
 }
 

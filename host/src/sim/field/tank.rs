@@ -1,5 +1,7 @@
 //! The field model in the resonant circuit: bridge voltage, winding, load, series capacitor.
 
+use nalgebra::Complex;
+
 use super::diffusion::FieldLoad;
 use super::error::{FieldError, in_range};
 use super::model::FieldModel;
@@ -98,19 +100,112 @@ impl<const N: usize> ImpressedCurrent<N> {
         steps: usize,
         periods: usize,
     ) -> Result<(f64, f64), FieldError> {
-        let dt_s = 1.0 / (f_hz * steps as f64);
-        let mut load = Self::new(model, dt_s)?;
-        let (mut in_phase, mut quadrature) = (0.0, 0.0);
+        let sine = [Complex::new(0.0, -i_a)];
+        Self::fundamental_of(model, f_hz, &sine, steps, periods)
+    }
+
+    /// The same of i = Σ Re{I_h exp(jhωt)}, `phasors` being I_1, I_3, I_5 and so on in ampere.
+    pub fn fundamental_of(
+        model: &FieldModel,
+        f_hz: f64,
+        phasors: &[Complex<f64>],
+        steps: usize,
+        periods: usize,
+    ) -> Result<(f64, f64), FieldError> {
+        let mut load = Self::new(model, 1.0 / (f_hz * steps as f64))?;
+        let mut meter = Fundamental::new(steps);
         for k in 1..=periods * steps {
-            let angle = 2.0 * core::f64::consts::PI * (k % steps) as f64 / steps as f64;
-            let v = load.step(i_a * libm::sin(angle));
+            let i_a: f64 = phasors
+                .iter()
+                .enumerate()
+                .map(|(n, i)| (i * turn((2 * n + 1) * k, steps)).re)
+                .sum();
+            let v = load.step(i_a);
             if k > (periods - 1) * steps {
-                in_phase += v * libm::sin(angle);
-                quadrature += v * libm::cos(angle);
+                meter.push(k, v, i_a);
             }
         }
-        let scale = 2.0 / (steps as f64 * i_a);
-        let omega = 2.0 * core::f64::consts::PI * f_hz;
-        Ok((in_phase * scale, quadrature * scale / omega))
+        Ok(meter.r_l(f_hz))
+    }
+}
+
+/// exp(j2πk/steps).
+fn turn(k: usize, steps: usize) -> Complex<f64> {
+    let angle = 2.0 * core::f64::consts::PI * (k % steps) as f64 / steps as f64;
+    Complex::new(libm::cos(angle), libm::sin(angle))
+}
+
+/// Fundamental of voltage and current over one period of the steady state.
+struct Fundamental {
+    steps: usize,
+    v: Complex<f64>,
+    i: Complex<f64>,
+}
+
+impl Fundamental {
+    fn new(steps: usize) -> Self {
+        let zero = Complex::new(0.0, 0.0);
+        Self {
+            steps,
+            v: zero,
+            i: zero,
+        }
+    }
+
+    fn push(&mut self, k: usize, v: f64, i: f64) {
+        let turn = turn(k, self.steps).conj();
+        self.v += turn * v;
+        self.i += turn * i;
+    }
+
+    /// R in ohm, L in henry.
+    fn r_l(&self, f_hz: f64) -> (f64, f64) {
+        // As a product: a quotient of complex numbers takes the platform's hypot.
+        let z = self.v * self.i.conj() / self.i.norm_sqr();
+        (z.re, z.im / (2.0 * core::f64::consts::PI * f_hz))
+    }
+}
+
+/// What a half-bridge makes of the load in the steady state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HalfBridge {
+    /// I_1, I_3, I_5 and so on in ampere, i = Σ Re{I_h exp(jhωt)}.
+    pub current: Vec<Complex<f64>>,
+    /// R of the fundamental in ohm.
+    pub r_ohm: f64,
+    /// L of the fundamental in henry.
+    pub l_h: f64,
+}
+
+impl HalfBridge {
+    /// A square wave of `bus_v` through `capacitance_f`, after `periods` periods of `steps` steps;
+    /// `orders` odd harmonics of the current.
+    pub fn steady<const N: usize>(
+        model: &FieldModel,
+        (f_hz, bus_v): (f64, f64),
+        capacitance_f: f64,
+        (steps, periods): (usize, usize),
+        orders: usize,
+    ) -> Result<Self, FieldError> {
+        let mut tank = FieldTank::<N>::new(model, capacitance_f, 1.0 / (f_hz * steps as f64))?;
+        let mut current = vec![Complex::new(0.0, 0.0); orders];
+        let mut meter = Fundamental::new(steps);
+        for k in 1..=periods * steps {
+            // The capacitor takes the mean: half the bus voltage either way is the same.
+            let high = k % steps < steps / 2;
+            let at = tank.step(if high { 0.5 * bus_v } else { -0.5 * bus_v });
+            if k > (periods - 1) * steps {
+                meter.push(k, at.v_coil_v, at.i_a);
+                for (n, i) in current.iter_mut().enumerate() {
+                    *i += turn((2 * n + 1) * k, steps).conj() * (2.0 * at.i_a / steps as f64);
+                }
+            }
+        }
+        let (r_ohm, l_h) = meter.r_l(f_hz);
+        Ok(Self {
+            current,
+            r_ohm,
+            l_h,
+        })
     }
 }
