@@ -1,5 +1,6 @@
 //! Estimates against the truth of a simulated capture.
 
+use super::track::Track;
 use super::{Estimate, Segment};
 use crate::sim::inverter::meter::PeriodTruth;
 use crate::sim::truth::{Mre, Truth};
@@ -10,7 +11,7 @@ const LEAST_CURRENT: f64 = 1e-3;
 /// Mean relative errors of one estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Over everything.
+    /// Over all of the truth.
     pub whole: Mre,
     /// Over the middle 80 % of each mains half-cycle.
     pub middle: Mre,
@@ -19,8 +20,10 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// Of an estimate from `from_s` on, against the fundamental's R and L; `None` where the two have
-    /// no time in common. The mains phase is the segment's.
+    /// Of an estimate from `from_s` on, against the fundamental's R and L, at the truth's times
+    /// within the segment: the same for every estimator. Between its points the estimate is taken as linear, before the first
+    /// and after the last as held; `None` where the two have no time in common. The mains phase is the
+    /// segment's.
     pub fn of(
         estimate: &Estimate,
         segment: &Segment,
@@ -28,10 +31,13 @@ impl Accuracy {
         from_s: f64,
     ) -> Option<Self> {
         let truth = fundamental(truth);
-        let (first, last) = (*truth.t_s.first()?, *truth.t_s.last()?);
         let half_s = segment.half_cycle_s();
-        let inside = |t: f64| t >= from_s.max(first - half_s / 100.0) && t <= last + half_s / 100.0;
-        let points = || estimate.points().filter(|p| inside(p.0));
+        // Another half-cycle's estimate says nothing about this one.
+        let mut track = Track::from(estimate, from_s)?;
+        let inside = from_s.max(segment.t0_s)..=segment.t_s(segment.len());
+        let times = truth.t_s.iter().filter(|t| inside.contains(t));
+        let estimated: Vec<_> = times.map(|t| (*t, track.r_l(*t))).collect();
+        let points = || estimated.iter().map(|&(t, (r, l))| (t, r, l));
         let middle = |t: f64| (0.1..=0.9).contains(&(segment.since_crossing_s(t) / half_s));
         Some(Self {
             whole: Mre::weighted(&truth, points(), |_| 1.0)?,

@@ -19,6 +19,7 @@ pub mod reconstruction;
 pub mod rls;
 pub mod segment;
 pub mod survey;
+pub mod track;
 
 use std::time::Duration;
 

@@ -11,6 +11,7 @@ use nalgebra::Complex;
 
 use super::correlation::Correlator;
 use super::lockin::Boxcar;
+use super::track::Track;
 use super::{Estimate, Segment};
 
 /// Odd harmonics 1 to 31: the paper's NMSE of the voltage needs about that many.
@@ -19,14 +20,17 @@ const ORDERS: usize = 16;
 /// Fills in the waveforms that the estimator has not reconstructed itself, and the errors of all.
 /// An estimate without points is left as it is.
 pub fn complete(segment: &Segment, estimate: &mut Estimate) {
-    if estimate.t_s.is_empty() {
+    let Some(track) = Track::from(estimate, f64::NEG_INFINITY) else {
         return;
+    };
+    let lacks = |x: &[f32]| x.len() != segment.len();
+    let current = lacks(&estimate.i_hat_a).then(|| driven_current(segment, track));
+    let voltage = lacks(&estimate.v_hat_v).then(|| harmonic_voltage(segment, track));
+    if let Some(i_hat_a) = current {
+        estimate.i_hat_a = i_hat_a;
     }
-    if estimate.i_hat_a.len() != segment.len() {
-        estimate.i_hat_a = driven_current(segment, estimate);
-    }
-    if estimate.v_hat_v.len() != segment.len() {
-        estimate.v_hat_v = harmonic_voltage(segment, estimate);
+    if let Some(v_hat_v) = voltage {
+        estimate.v_hat_v = v_hat_v;
     }
     let range = covered(segment, estimate);
     estimate.nmse_v_pct = nmse_pct(
@@ -56,33 +60,8 @@ fn nmse_pct(found: &[f32], right: &[f64]) -> Option<f64> {
     nmse.is_finite().then_some(nmse)
 }
 
-/// R and L between the estimates' times, linear; a cursor that only moves forward.
-struct Track<'a> {
-    estimate: &'a Estimate,
-    at: usize,
-}
-
-impl Track<'_> {
-    fn r_l(&mut self, t_s: f64) -> (f64, f64) {
-        let e = self.estimate;
-        while self.at + 1 < e.t_s.len() && e.t_s[self.at + 1] <= t_s {
-            self.at += 1;
-        }
-        let (a, b) = (self.at, (self.at + 1).min(e.t_s.len() - 1));
-        let span = e.t_s[b] - e.t_s[a];
-        let w = if span > 0.0 {
-            ((t_s - e.t_s[a]) / span).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        let between = |x: &[f64]| x[a] + w * (x[b] - x[a]);
-        (between(&e.r_ohm), between(&e.l_h))
-    }
-}
-
 /// The current through R(t) and L(t) at the measured voltage, by the trapezoidal rule.
-fn driven_current(segment: &Segment, estimate: &Estimate) -> Vec<f32> {
-    let mut track = Track { estimate, at: 0 };
+fn driven_current(segment: &Segment, mut track: Track<'_>) -> Vec<f32> {
     let mut i = segment.i_a[0];
     let mut found = Vec::with_capacity(segment.len());
     found.push(i as f32);
@@ -97,13 +76,12 @@ fn driven_current(segment: &Segment, estimate: &Estimate) -> Vec<f32> {
 }
 
 /// R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods.
-fn harmonic_voltage(segment: &Segment, estimate: &Estimate) -> Vec<f32> {
+fn harmonic_voltage(segment: &Segment, mut track: Track<'_>) -> Vec<f32> {
     let per_period = segment.samples_per_period();
     let length = Boxcar::fitting(per_period, segment.f_sw_hz, 1.0 / segment.f_sw_hz).samples();
     let orders: [f64; ORDERS] = std::array::from_fn(|k| (2 * k + 1) as f64);
     let correlator = Correlator::new(segment, length, orders);
     let omega = TAU * segment.f_sw_hz;
-    let mut track = Track { estimate, at: 0 };
     let mut found = vec![0.0; segment.len()];
     let windows = segment.v_v.chunks(length).zip(segment.i_a.chunks(length));
     let mut phasors = [Complex::new(0.0, 0.0); ORDERS];
