@@ -103,7 +103,7 @@ fn a_table_with_named_columns_is_identified_by_every_method() {
         );
     }
     let text = std::fs::read_to_string(&csv).expect("the table");
-    assert!(text.starts_with("method,f_sw_hz,t_s,r_ohm,l_h,r_sigma_ohm,l_sigma_h\n"));
+    assert!(text.starts_with("method,f_sw_hz,t_s,r_ohm,l_h,r_sigma_ohm,l_sigma_h,r_power_ohm\n"));
     assert!(text.contains("\nrls,"));
     let svg = std::fs::read_to_string(&plot).expect("the figure");
     for word in ["Resistance", "Inductance", "reconstructed", "least-squares"] {

@@ -5,7 +5,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Backend, Parameters, PinnError, Preset, SlowEmbedding, ViMlp};
+use crate::impedance_law::MOST;
+use crate::{Backend, ImpedanceOrder, Parameters, PinnError, Preset, SlowEmbedding, ViMlp};
 
 /// What trains the RL-MLP on the physics term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -62,6 +63,13 @@ pub struct Config {
     /// eddy currents has another R and L at every harmonic, and white noise weighs more on the
     /// higher ones, so the default is the fundamental alone; list all of them for the paper's (4).
     pub physics_harmonics: Vec<u32>,
+    /// How R and L carry over from the fundamental to the other physics harmonics, and to a moving
+    /// envelope: the number n of Z(s) = s L_0 + K s^n in 0..=0.9, or `identified`, which takes two
+    /// physics harmonics at least. 0 is the paper's eq. (1).
+    pub impedance_order: ImpedanceOrder,
+    /// Points of a half-cycle that the VI branch is fitted to, 1000..=10000000: of a longer recording
+    /// each is the mean of as many samples, which keeps what they know of R and L.
+    pub most_points: usize,
     /// B-spline intervals per mains half-cycle, 4..=400.
     pub spline_intervals: usize,
     /// Slow collocation times in the window, 16..=4096.
@@ -91,8 +99,8 @@ pub struct Config {
     /// Learning rate of Adam; Levenberg-Marquardt has none.
     pub learning_rate: f64,
     /// The paper's VI-MLP in place of the harmonic VI branch: both networks are then trained together
-    /// by Adam, and `harmonics`, `physics_harmonics`, `spline_intervals`, `weight_width` and
-    /// `outer_passes` mean nothing.
+    /// by Adam, and `harmonics`, `physics_harmonics`, `impedance_order`, `most_points`, `spline_intervals`,
+    /// `weight_width` and `outer_passes` mean nothing.
     pub vi_mlp: Option<ViMlp>,
     /// Trains so many times from successive seeds, 1..=64; the best is the result, the spread its
     /// uncertainty.
@@ -119,6 +127,8 @@ impl Default for Config {
             seed: 1,
             harmonics: vec![1, 3, 5, 7],
             physics_harmonics: vec![1],
+            impedance_order: ImpedanceOrder::default(),
+            most_points: 50_000,
             spline_intervals: 24,
             slow_points: 128,
             hidden_layers: vec![8, 8],
@@ -134,9 +144,9 @@ impl Default for Config {
             vi_mlp: None,
             ensemble: 1,
             deterministic: false,
-            max_iterations: 200,
+            max_iterations: 400,
             outer_passes: 2,
-            tolerance: 1e-4,
+            tolerance: 2e-5,
             time_limit_s: 10.0,
             start: None,
         }
@@ -172,6 +182,7 @@ impl Config {
     /// [`PinnError::Config`] or [`PinnError::WarmStart`] for the first field out of range.
     pub fn validate(&self) -> Result<(), PinnError> {
         self.validate_harmonics()?;
+        within("most_points", self.most_points, 1000..=10_000_000)?;
         within("spline_intervals", self.spline_intervals, 4..=400)?;
         within("slow_points", self.slow_points, 16..=4096)?;
         within("hidden_layers count", self.hidden_layers.len(), 1..=8)?;
@@ -294,7 +305,18 @@ impl Config {
                 "must be a non-empty ascending selection of harmonics",
             );
         }
-        Ok(())
+        match self.impedance_order {
+            ImpedanceOrder::Given(n) if !(0.0..=MOST).contains(&n) => Err(PinnError::Config {
+                field: "impedance_order",
+                problem: format!("is {n}, but must be 0 to {MOST}"),
+            }),
+            ImpedanceOrder::Named(_) if self.physics_harmonics.len() < 2 => wrong(
+                "impedance_order",
+                "is identified, but with one physics harmonic there is nothing to see it from: give \
+                 two at least",
+            ),
+            _ => Ok(()),
+        }
     }
 
     fn validate_start(&self) -> Result<(), PinnError> {

@@ -17,6 +17,8 @@ pub(crate) struct HarmonicBasis {
     pub harmonics: Vec<u32>,
     /// Angular switching frequency, rad/s.
     pub omega: f64,
+    /// What of each harmonic the points show: [`Normalised::gain`].
+    pub gains: Vec<f64>,
 }
 
 impl HarmonicBasis {
@@ -38,6 +40,14 @@ impl HarmonicBasis {
             trig.extend([cos, sin]);
         }
     }
+
+    /// The same as the points show it, which are means over blocks of samples.
+    pub fn seen(&self, tau_s: f64, trig: &mut Vec<f64>) {
+        self.trigonometry(tau_s, trig);
+        for (pair, gain) in trig.chunks_exact_mut(2).zip(&self.gains) {
+            pair.iter_mut().for_each(|t| *t *= gain);
+        }
+    }
 }
 
 /// Phasors of one harmonic at one slow time, in normalised units.
@@ -45,8 +55,8 @@ impl HarmonicBasis {
 pub(crate) struct Phasors {
     pub v: Complex<f64>,
     pub i: Complex<f64>,
-    /// Phasor of di/dt, `I' + j h w I`, 1/s.
-    pub di: Complex<f64>,
+    /// `I'`, 1/s: the phasor of di/dt is `I' + j h w I`.
+    pub slope: Complex<f64>,
 }
 
 /// A fitted VI branch.
@@ -69,41 +79,41 @@ impl HarmonicBranch {
                 sum + Complex::new(coefficients[at], -coefficients[at + 1]) * weights[m]
             })
         };
-        let i = phasor(&self.i, &local.values);
-        let rotation = Complex::new(
-            0.0,
-            f64::from(self.basis.harmonics[index]) * self.basis.omega,
-        );
         Phasors {
             v: phasor(&self.v, &local.values),
-            i,
-            di: phasor(&self.i, &local.slopes_per_s) + rotation * i,
+            i: phasor(&self.i, &local.values),
+            slope: phasor(&self.i, &local.slopes_per_s),
         }
     }
 
-    /// v_hat and i_hat at every sample.
+    /// v_hat and i_hat at the sample in the middle of every point.
     pub fn signals(&self, samples: &Normalised) -> Signals {
         let mut trig = Vec::with_capacity(self.basis.width());
         let mut signals = Signals::default();
         for n in 0..samples.len() {
-            let tau_s = n as f64 * samples.dt_s;
+            let (sample, tau_s) = samples.sample_of(n);
             self.basis.trigonometry(tau_s, &mut trig);
             let local = self.basis.spline.at(tau_s);
-            signals.sample.push(n);
+            signals.sample.push(sample);
             signals.v.push(self.value(&self.v, &local, &trig));
             signals.i.push(self.value(&self.i, &local, &trig));
         }
         signals
     }
 
-    /// Mean squared errors of v_hat and i_hat over the samples: L_i1 and L_i2, eqs. (5) and (6).
+    /// Mean squared errors of v_hat and i_hat over the points: L_i1 and L_i2, eqs. (5) and (6).
     pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
-        let said = self.signals(samples);
-        let mean = |said: &[f64], x: &[f64]| {
-            let squares = said.iter().zip(x).map(|(a, b)| (a - b) * (a - b));
-            squares.sum::<f64>() / x.len() as f64
-        };
-        (mean(&said.v, &samples.v), mean(&said.i, &samples.i))
+        let mut trig = Vec::with_capacity(self.basis.width());
+        let mut squares = (0.0, 0.0);
+        for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
+            let tau_s = n as f64 * samples.dt_s;
+            self.basis.seen(tau_s, &mut trig);
+            let local = self.basis.spline.at(tau_s);
+            squares.0 += (self.value(&self.v, &local, &trig) - v).powi(2);
+            squares.1 += (self.value(&self.i, &local, &trig) - i).powi(2);
+        }
+        let count = samples.len() as f64;
+        (squares.0 / count, squares.1 / count)
     }
 
     /// P / I_rms^2 over all harmonics at `tau_s` seconds after the first pair, normalised.

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
+use crate::impedance_law::{self, AtHarmonic, ImpedanceOrder, Named};
 use crate::levenberg_marquardt::{Descent, Prior};
 use crate::loss::{SlowPhysics, noise_variance, slow_times_s, white_noise};
 use crate::parameters::Parameters;
@@ -65,7 +66,11 @@ impl Task<'_> {
     /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint that does not belong here.
     pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identified, PinnError> {
         self.config.validate()?;
-        let samples = self.window.normalise()?;
+        let mut samples = self.window.normalise()?;
+        if self.config.vi_mlp.is_none() {
+            let highest = self.config.harmonics.iter().copied().max().unwrap_or(1);
+            samples = samples.averaged(self.config.most_points, highest);
+        }
         let mut members = Vec::with_capacity(self.config.ensemble);
         for member in 0..self.config.ensemble {
             let config = Config {
@@ -125,12 +130,11 @@ fn hybrid(
     mut log: Log<'_>,
 ) -> Result<Identified, PinnError> {
     let basis = harmonic_basis(samples, config)?;
-    let harmonics: Vec<usize> = (0..basis.harmonics.len())
-        .filter(|&index| config.physics_harmonics.contains(&basis.harmonics[index]))
-        .collect();
     let system = DataSystem::assemble(samples, basis);
     let mut branch = system.fit()?;
     let mut parameters = network_outline(samples, config);
+    let order = impedance_order(&branch, samples, &parameters, config);
+    let harmonics = laws(order, &branch.basis, config);
     let mut warm = config.start.is_some();
     loop {
         log.pass += 1;
@@ -176,9 +180,13 @@ fn hybrid(
                 total: config.w_f * l_f + log.data_loss,
             };
             let spread = (noise, prior.strength);
-            return assemble(
+            let found = assemble(
                 samples, config, &branch, &model, spread, descent, losses, log,
-            );
+            )?;
+            return Ok(Identified {
+                impedance_order: order,
+                ..found
+            });
         }
         parameters = descent.parameters;
         branch = system.fit_with_physics(&PhysicsTerm {
@@ -187,6 +195,35 @@ fn hybrid(
             harmonics: &harmonics,
         })?;
     }
+}
+
+/// The law of this order at the physics harmonics.
+fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<AtHarmonic> {
+    let covered = |h: &u32| config.physics_harmonics.contains(h);
+    let all = basis.harmonics.iter().enumerate();
+    all.filter(|(_, h)| covered(h))
+        .map(|(index, _)| AtHarmonic::new(order, basis, index))
+        .collect()
+}
+
+/// The order as given, or the one with which R and L of each slow time leave least of the physics
+/// term, before any network.
+fn impedance_order(
+    branch: &HarmonicBranch,
+    samples: &Normalised,
+    parameters: &Parameters,
+    config: &Config,
+) -> f64 {
+    match config.impedance_order {
+        ImpedanceOrder::Given(order) => return order,
+        ImpedanceOrder::Named(Named::Identified) => {}
+    }
+    let misfit = |order: f64| {
+        let times = slow_times_s(samples.duration_s(), config.slow_points);
+        let laws = laws(order, &branch.basis, config);
+        SlowPhysics::condense(branch, samples, parameters, &laws, config.w_f, times).floor
+    };
+    impedance_law::least(misfit)
 }
 
 /// The VI branch's functions, if the sampling can tell them apart.
@@ -198,6 +235,7 @@ fn harmonic_basis(samples: &Normalised, config: &Config) -> Result<HarmonicBasis
         spline: CubicSpline::new(intervals, samples.duration_s()),
         harmonics: config.harmonics.clone(),
         omega: samples.omega,
+        gains: config.harmonics.iter().map(|h| samples.gain(*h)).collect(),
     };
     let (f_sw_hz, f_adc_hz) = (samples.omega / TAU, 1.0 / samples.dt_s);
     let harmonic = config.harmonics.iter().copied().max().unwrap_or(1);
@@ -331,6 +369,7 @@ fn assemble(
     let (r_sigma_ohm, l_sigma_h) = sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
     Ok(Identified {
         // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
+        impedance_order: 0.0,
         i_amplitude_a: tau_s
             .iter()
             .map(|&tau| branch.phasors(tau, 0).i.norm() * samples.i_max_ampere)

@@ -1,7 +1,7 @@
 //! The physics term, eq. (4), in the rotating frame.
 //!
 //! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
-//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`. R, L and the phasors hardly move within a switching
+//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or what another [`crate::ImpedanceOrder`] says. R, L and the phasors hardly move within a switching
 //! period, so by Parseval the mean of r^2 over a period is `1/2 sum_h |r_h|^2`, and the mean over
 //! the window, eq. (4), is the mean of that at a few hundred slow times. Nothing is lost against
 //! the sum over all samples but terms of order (envelope slope / w)^2.
@@ -15,6 +15,7 @@ use nalgebra::Complex;
 use crate::PinnError;
 use crate::backend::Backend;
 use crate::harmonic_branch::HarmonicBranch;
+use crate::impedance_law::AtHarmonic;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, matrix, read};
 use crate::waveform::Normalised;
@@ -44,12 +45,12 @@ pub(crate) fn slow_times_s(duration_s: f64, count: usize) -> Vec<f64> {
 impl SlowPhysics {
     /// Condenses the physics term for the phasors of `branch`.
     ///
-    /// `harmonics` are positions in the branch's basis; the scales are those of `parameters`.
+    /// The scales are those of `parameters`.
     pub fn condense(
         branch: &HarmonicBranch,
         samples: &Normalised,
         parameters: &Parameters,
-        harmonics: &[usize],
+        harmonics: &[AtHarmonic],
         w_f: f64,
         tau_s: Vec<f64>,
     ) -> Self {
@@ -67,11 +68,12 @@ impl SlowPhysics {
         };
         for &tau in &tau_s {
             let mut columns = [Vec::new(), Vec::new(), Vec::new()];
-            for &index in harmonics {
-                let at = branch.phasors(tau, index);
+            for law in harmonics {
+                let at = branch.phasors(tau, law.index);
+                let (by_r, by_l) = law.columns(&at);
                 let parts = |z: Complex<f64>, factor: f64| [factor * z.re, factor * z.im];
-                columns[0].extend(parts(at.i, to_r));
-                columns[1].extend(parts(at.di, to_l));
+                columns[0].extend(parts(by_r, to_r));
+                columns[1].extend(parts(by_l, to_l));
                 columns[2].extend(parts(at.v, weight));
             }
             physics.push(columns);
@@ -201,8 +203,8 @@ impl SlowTensors {
     }
 }
 
-/// Variance of the white noise of the normalised samples, (v, i): the measured one of the
-/// configuration, else what the fit leaves, `losses` being L_i1, L_i2.
+/// Variance of the white noise of the normalised points, (v, i): the measured one of the
+/// configuration over the samples of a point, else what the fit leaves, `losses` being L_i1, L_i2.
 pub(crate) fn white_noise(
     samples: &Normalised,
     branch: &HarmonicBranch,
@@ -210,9 +212,10 @@ pub(crate) fn white_noise(
     measured: Option<[f64; 2]>,
 ) -> (f64, f64) {
     if let Some([v_volt, i_ampere]) = measured {
+        let block = samples.block as f64;
         return (
-            (v_volt / samples.v_max_volt).powi(2),
-            (i_ampere / samples.i_max_ampere).powi(2),
+            (v_volt / samples.v_max_volt).powi(2) / block,
+            (i_ampere / samples.i_max_ampere).powi(2) / block,
         );
     }
     // The fit has taken this share of the noise into its coefficients.
@@ -272,7 +275,9 @@ mod tests {
                 let mut residual = 0.0;
                 for (index, h) in branch.basis.harmonics.iter().enumerate() {
                     let at = branch.phasors(tau_s, index);
-                    let r_h = at.v - (at.i * r + at.di * l) * samples.impedance_scale();
+                    let rate = Complex::new(0.0, f64::from(*h) * samples.omega);
+                    let di = at.slope + rate * at.i;
+                    let r_h = at.v - (at.i * r + di * l) * samples.impedance_scale();
                     let turn = Complex::from_polar(1.0, f64::from(*h) * samples.omega * tau_s);
                     residual += (r_h * turn).re;
                 }
@@ -290,7 +295,14 @@ mod tests {
             .expect("separable");
         let w_f = 5.0;
         let times = slow_times_s(samples.duration_s(), 128);
-        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0, 1], w_f, times);
+        let physics = SlowPhysics::condense(
+            &branch,
+            &samples,
+            &network,
+            &trial::laws(0.0, &[0, 1]),
+            w_f,
+            times,
+        );
         let (e, _) = SlowModel::own(&physics, &samples, &network)
             .evaluate(&network)
             .expect("own code");
@@ -313,7 +325,14 @@ mod tests {
             .fit()
             .expect("separable");
         let times = slow_times_s(samples.duration_s(), 64);
-        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0], 5.0, times);
+        let physics = SlowPhysics::condense(
+            &branch,
+            &samples,
+            &network,
+            &trial::laws(0.0, &[0]),
+            5.0,
+            times,
+        );
         let [r, l] = physics.best_constant();
         assert!((r * 4.0 / 4.0 - 1.0).abs() < 1e-4 && (l * 20.0 / 20.0 - 1.0).abs() < 1e-4);
     }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Config, Optimiser, PinnError, SlowEmbedding, ViMlp};
+use crate::{Config, ImpedanceOrder, Named, Optimiser, PinnError, SlowEmbedding, ViMlp};
 
 /// A named [`Config`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
@@ -36,6 +36,9 @@ pub enum Preset {
     HybridAdam,
     /// `hybrid` with the physics term over all harmonics.
     HybridAllHarmonics,
+    /// `hybrid` with the physics term over all harmonics and an impedance law whose order is identified
+    /// along with R and L.
+    HybridFractional,
     /// `hybrid` without the prior on the weights: eq. (7) alone.
     HybridNoPrior,
 }
@@ -45,7 +48,7 @@ const PAPER_EPOCHS: usize = 5000;
 
 impl Preset {
     /// All presets.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Hybrid,
         Self::PaperLiteral,
         Self::PaperRepaired,
@@ -58,6 +61,7 @@ impl Preset {
         Self::HybridPaperNet,
         Self::HybridAdam,
         Self::HybridAllHarmonics,
+        Self::HybridFractional,
         Self::HybridNoPrior,
     ];
 
@@ -77,6 +81,7 @@ impl Preset {
             Self::HybridPaperNet => "hybrid-paper-net",
             Self::HybridAdam => "hybrid-adam",
             Self::HybridAllHarmonics => "hybrid-all-harmonics",
+            Self::HybridFractional => "hybrid-fractional",
             Self::HybridNoPrior => "hybrid-no-prior",
         }
     }
@@ -99,6 +104,10 @@ impl Preset {
             Self::HybridAllHarmonics => Config {
                 physics_harmonics: hybrid.harmonics.clone(),
                 ..hybrid
+            },
+            Self::HybridFractional => Config {
+                impedance_order: ImpedanceOrder::Named(Named::Identified),
+                ..Self::HybridAllHarmonics.config()
             },
             Self::HybridNoPrior => Config {
                 weight_width: 0.0,
@@ -183,7 +192,8 @@ impl FromStr for Preset {
                 name: name.to_owned(),
                 known: "hybrid, paper-literal, paper-repaired, literal-scaled, repaired-unscaled, \
                         repaired-fast-only, repaired-eq3, repaired-minibatch, repaired-decay, \
-                        hybrid-paper-net, hybrid-adam, hybrid-all-harmonics, hybrid-no-prior",
+                        hybrid-paper-net, hybrid-adam, hybrid-all-harmonics, hybrid-fractional, \
+                        hybrid-no-prior",
             })
     }
 }

@@ -48,6 +48,8 @@ pub struct Identified {
     pub r_sigma_ohm: Vec<f64>,
     /// Of L, H.
     pub l_sigma_h: Vec<f64>,
+    /// Order n of Z(s) = s L_0 + K s^n that R and L were found with: [`crate::Config::impedance_order`].
+    pub impedance_order: f64,
     /// P / I_rms^2 at those times, ohm, from the VI branch's signals with all their harmonics.
     pub r_power_ohm: Vec<f64>,
     /// Amplitude of the current's fundamental at those times, A: the axis of an RL lookup.
@@ -153,6 +155,7 @@ pub(crate) fn assemble_networks(
     }
     let at_points = |x: &[f64]| -> Vec<f64> { signals.sample.iter().map(|n| x[*n]).collect() };
     Identified {
+        impedance_order: 0.0,
         nmse_v_pct: nmse_pct(losses.l_i1, &at_points(&samples.v)),
         nmse_i_pct: nmse_pct(losses.l_i2, &at_points(&samples.i)),
         reconstruction: reconstruction(samples, signals),

@@ -134,7 +134,14 @@ mod tests {
             .fit()
             .expect("separable");
         let times = slow_times_s(samples.duration_s(), 32);
-        let physics = SlowPhysics::condense(&branch, &samples, &network, &[0, 1], 5.0, times);
+        let physics = SlowPhysics::condense(
+            &branch,
+            &samples,
+            &network,
+            &trial::laws(0.0, &[0, 1]),
+            5.0,
+            times,
+        );
         let own = SlowModel::own(&physics, &samples, &network);
         for backend in [Backend::Flex, Backend::Ndarray] {
             let device = backend.device().expect("a burn backend").autodiff();

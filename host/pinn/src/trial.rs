@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::harmonic_branch::HarmonicBasis;
+use crate::impedance_law::AtHarmonic;
 use crate::parameters::Parameters;
 use crate::waveform::Normalised;
 use crate::{SlowEmbedding, Waveform};
@@ -44,7 +45,15 @@ pub(crate) fn basis(samples: &Normalised) -> HarmonicBasis {
         spline: CubicSpline::new(16, samples.duration_s()),
         harmonics: vec![1, 3],
         omega: samples.omega,
+        gains: vec![1.0; 2],
     }
+}
+
+/// The law of this order at these positions of the basis; 0 is eq. (1).
+pub(crate) fn laws(order: f64, indices: &[usize]) -> Vec<AtHarmonic> {
+    let basis = basis(&samples());
+    let law = |index: &usize| AtHarmonic::new(order, &basis, *index);
+    indices.iter().map(law).collect()
 }
 
 /// An untrained network near 5 ohm, 25 uH: away from the truth, so that no residual vanishes.

@@ -5,6 +5,7 @@ use ihd_spline::Banded;
 
 use crate::PinnError;
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
+use crate::impedance_law::AtHarmonic;
 use crate::waveform::Normalised;
 
 /// R and L at one slow time, normalised by the waveform's maxima.
@@ -25,8 +26,8 @@ pub(crate) struct PhysicsTerm<'a> {
     pub weight: f64,
     /// R and L on the slow collocation grid.
     pub impedance: &'a [Impedance],
-    /// Positions in the basis' harmonics that the term covers.
-    pub harmonics: &'a [usize],
+    /// Impedance law at each harmonic that the term covers.
+    pub harmonics: &'a [AtHarmonic],
 }
 
 /// Normal equations of the data terms. Voltage and current share the matrix: same times, same
@@ -40,7 +41,7 @@ pub(crate) struct DataSystem {
 }
 
 impl DataSystem {
-    /// Sums the normal equations over all samples; each entry is a mean, like eqs. (5) and (6).
+    /// Sums the normal equations over all points; each entry is a mean, like eqs. (5) and (6).
     pub fn assemble(samples: &Normalised, basis: HarmonicBasis) -> Self {
         let (width, share) = (basis.width(), 1.0 / samples.len() as f64);
         let mut system = Self {
@@ -52,7 +53,7 @@ impl DataSystem {
         let mut trig = Vec::with_capacity(width);
         for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
             let tau_s = n as f64 * samples.dt_s;
-            system.basis.trigonometry(tau_s, &mut trig);
+            system.basis.seen(tau_s, &mut trig);
             let local = system.basis.spline.at(tau_s);
             for (m, value) in local.values.iter().enumerate() {
                 let at = (local.first + m) * width;
@@ -126,24 +127,24 @@ impl DataSystem {
         joint
     }
 
-    /// Adds the squared real and imaginary parts of `V - R I - L dI/dt` at each slow time.
+    /// Adds the squared real and imaginary parts of `V - Z I - (dZ/ds) I'` at each slow time.
     fn add_physics(&self, joint: &mut Banded, physics: &PhysicsTerm<'_>) {
         let width = self.basis.width();
         // Half: Parseval, see `loss`.
         let share = 0.5 * physics.weight / physics.impedance.len() as f64;
         for z in physics.impedance {
             let local = self.basis.spline.at(z.tau_s);
-            for &index in physics.harmonics {
-                let reactance = z.l * f64::from(self.basis.harmonics[index]) * self.basis.omega;
+            for law in physics.harmonics {
+                let (impedance, slope) = law.impedance(z.r, z.l);
                 let mut in_phase = Vec::with_capacity(12);
                 let mut quadrature = Vec::with_capacity(12);
                 for m in 0..4 {
-                    let v = 2 * (local.first + m) * width + 2 * index;
+                    let v = 2 * (local.first + m) * width + 2 * law.index;
                     let i = v + width;
                     let b = local.values[m];
-                    let resistive = -(z.r * b + z.l * local.slopes_per_s[m]);
-                    in_phase.extend([(v, b), (i, resistive), (i + 1, -reactance * b)]);
-                    quadrature.extend([(v + 1, b), (i, reactance * b), (i + 1, resistive)]);
+                    let g = impedance * b + slope * local.slopes_per_s[m];
+                    in_phase.extend([(v, b), (i, -g.re), (i + 1, -g.im)]);
+                    quadrature.extend([(v + 1, b), (i, g.im), (i + 1, -g.re)]);
                 }
                 add_square(joint, share, &in_phase);
                 add_square(joint, share, &quadrature);
@@ -168,11 +169,15 @@ mod tests {
     use crate::trial;
 
     /// L_f by Parseval, eq. (4), for a constant normalised impedance.
-    fn l_f(branch: &HarmonicBranch, impedance: &[Impedance]) -> f64 {
+    fn l_f(branch: &HarmonicBranch, laws: &[AtHarmonic], impedance: &[Impedance]) -> f64 {
         let sum: f64 = impedance
             .iter()
-            .flat_map(|z| (0..2).map(move |index| (z, branch.phasors(z.tau_s, index))))
-            .map(|(z, at)| 0.5 * (at.v - at.i * z.r - at.di * z.l).norm_sqr())
+            .flat_map(|z| laws.iter().map(move |law| (law, z)))
+            .map(|(law, z)| (law, z, branch.phasors(z.tau_s, law.index)))
+            .map(|(law, z, at)| {
+                let (impedance, slope) = law.impedance(z.r, z.l);
+                0.5 * (at.v - impedance * at.i - slope * at.slope).norm_sqr()
+            })
             .sum();
         sum / impedance.len() as f64
     }
@@ -202,24 +207,27 @@ mod tests {
             })
             .collect();
         let weight = 5.0;
-        let total = |branch: &HarmonicBranch| {
-            let (l_i1, l_i2) = branch.data_losses(&samples);
-            weight * l_f(branch, &impedance) + l_i1 + l_i2
-        };
-        let joint = system
-            .fit_with_physics(&PhysicsTerm {
-                weight,
-                impedance: &impedance,
-                harmonics: &[0, 1],
-            })
-            .expect("positive definite");
-        let lowest = total(&joint);
-        assert!(lowest < 0.9 * total(&system.fit().expect("separable")));
-        for (at, step) in [(0, 1e-3), (17, -1e-3), (30, 1e-3), (41, -1e-3)] {
-            let (mut on_v, mut on_i) = (joint.clone(), joint.clone());
-            on_v.v[at] += step;
-            on_i.i[at] += step;
-            assert!(total(&on_v) > lowest && total(&on_i) > lowest);
+        for order in [0.0, 0.5] {
+            let laws = trial::laws(order, &[0, 1]);
+            let total = |branch: &HarmonicBranch| {
+                let (l_i1, l_i2) = branch.data_losses(&samples);
+                weight * l_f(branch, &laws, &impedance) + l_i1 + l_i2
+            };
+            let joint = system
+                .fit_with_physics(&PhysicsTerm {
+                    weight,
+                    impedance: &impedance,
+                    harmonics: &laws,
+                })
+                .expect("positive definite");
+            let lowest = total(&joint);
+            assert!(lowest < 0.9 * total(&system.fit().expect("separable")));
+            for (at, step) in [(0, 1e-3), (17, -1e-3), (30, 1e-3), (41, -1e-3)] {
+                let (mut on_v, mut on_i) = (joint.clone(), joint.clone());
+                on_v.v[at] += step;
+                on_i.i[at] += step;
+                assert!(total(&on_v) > lowest && total(&on_i) > lowest);
+            }
         }
     }
 }

@@ -35,9 +35,17 @@ pub(crate) struct Normalised {
     /// Angular switching frequency, rad/s.
     pub omega: f64,
     pub f_mains_hz: f64,
+    /// Time of the first point after the mains zero crossing, s.
     pub t0_s: f64,
+    /// Time between points, s.
     pub dt_s: f64,
+    /// Samples whose mean one point is.
+    pub block: usize,
 }
+
+/// Points that a period of the highest harmonic keeps at least: at 8 the mean over a point's block
+/// leaves 97 % of it.
+const POINTS_PER_PERIOD: f64 = 8.0;
 
 impl Waveform<'_> {
     /// Checks the window and divides each channel by its largest magnitude.
@@ -60,6 +68,7 @@ impl Waveform<'_> {
             f_mains_hz: self.f_mains_hz,
             t0_s: self.t0_s,
             dt_s: self.dt_s,
+            block: 1,
         })
     }
 
@@ -89,12 +98,53 @@ impl Waveform<'_> {
 }
 
 impl Normalised {
-    /// Number of pairs.
+    /// Means of blocks of samples, so long that at most `most_points` are left, but no longer than
+    /// `harmonic` times the switching frequency allows. The noise of a mean is that of a sample over
+    /// the root of the block's length: nothing is lost but time to compute.
+    pub fn averaged(self, most_points: usize, harmonic: u32) -> Self {
+        let samples_per_period = TAU / (f64::from(harmonic) * self.omega * self.dt_s);
+        let allowed = (samples_per_period / POINTS_PER_PERIOD) as usize;
+        let block = self.len().div_ceil(most_points.max(1)).min(allowed);
+        if block <= 1 {
+            return self;
+        }
+        let mean = |x: &[f64]| -> Vec<f64> {
+            let blocks = x.chunks_exact(block);
+            blocks
+                .map(|x| x.iter().sum::<f64>() / block as f64)
+                .collect()
+        };
+        Self {
+            v: mean(&self.v),
+            i: mean(&self.i),
+            t0_s: self.t0_s + 0.5 * (block - 1) as f64 * self.dt_s,
+            dt_s: self.dt_s * block as f64,
+            block,
+            ..self
+        }
+    }
+
+    /// What the mean over a block leaves of a harmonic: sin(nx)/(n sin x), x half its angle per sample.
+    pub fn gain(&self, harmonic: u32) -> f64 {
+        let n = self.block as f64;
+        let x = 0.5 * f64::from(harmonic) * self.omega * self.dt_s / n;
+        (n * x).sin() / (n * x.sin())
+    }
+
+    /// The sample next to the middle of point `n`'s block, and its time after the first point, s.
+    pub fn sample_of(&self, n: usize) -> (usize, f64) {
+        let within = self.block / 2;
+        let off_centre = within as f64 - 0.5 * (self.block - 1) as f64;
+        let time_s = (n as f64 + off_centre / self.block as f64) * self.dt_s;
+        (n * self.block + within, time_s)
+    }
+
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.v.len()
     }
 
-    /// Time from the first to the last pair, s.
+    /// Time from the first to the last point, s.
     pub fn duration_s(&self) -> f64 {
         (self.len().max(1) - 1) as f64 * self.dt_s
     }

@@ -116,6 +116,9 @@ pub struct Estimate {
     pub r_sigma_ohm: Vec<f64>,
     /// Standard deviation of L in henry likewise.
     pub l_sigma_h: Vec<f64>,
+    /// P/I_rms² in ohm over all harmonics that the estimator sees, beside R of the fundamental; empty
+    /// where it does not tell them apart.
+    pub r_power_ohm: Vec<f64>,
     /// Reconstructed coil voltage in volt, one a sample of the segment; empty where there is none.
     pub v_hat_v: Vec<f32>,
     /// Reconstructed coil current in ampere likewise.
@@ -280,6 +283,7 @@ impl Estimate {
             l_h: Vec::new(),
             r_sigma_ohm: Vec::new(),
             l_sigma_h: Vec::new(),
+            r_power_ohm: Vec::new(),
             v_hat_v: Vec::new(),
             i_hat_a: Vec::new(),
             nmse_v_pct: None,

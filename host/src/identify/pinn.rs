@@ -87,8 +87,10 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
         };
         let found = ihd_pinn::identify(&window, &config, &mut |_| {}).map_err(unfit)?;
         estimate.notes.push(format!(
-            "half-cycle from {crossing_s:.4} s: {} steps, {:?}",
-            found.iterations, found.stopped_because
+            "half-cycle from {crossing_s:.4} s: {} steps, {}; {}",
+            found.iterations,
+            found.stopped_because,
+            physics(&found)
         ));
         estimate
             .t_s
@@ -97,6 +99,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
         estimate.l_h.extend(found.l_h);
         estimate.r_sigma_ohm.extend(found.r_sigma_ohm);
         estimate.l_sigma_h.extend(found.l_sigma_h);
+        estimate.r_power_ohm.extend(found.r_power_ohm);
     }
     if estimate.t_s.is_empty() {
         return Err(IdentifyError::TooShort {
@@ -106,4 +109,20 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     }
     estimate.elapsed = started.elapsed();
     Ok(estimate)
+}
+
+/// P/I_rms² at the crest beside R of the fundamental, and the order of the impedance law.
+#[cfg(feature = "pinn")]
+fn physics(found: &ihd_pinn::Identified) -> String {
+    let largest = |a: &usize, b: &usize| {
+        let i = &found.i_amplitude_a;
+        i[*a].total_cmp(&i[*b])
+    };
+    let crest = (0..found.i_amplitude_a.len()).max_by(largest).unwrap_or(0);
+    let (r, p) = (found.r_ohm[crest], found.r_power_ohm[crest]);
+    let order = match found.impedance_order {
+        0.0 => String::new(),
+        n => format!(", impedance order {n:.2}"),
+    };
+    format!("at the crest R {r:.3} Ω, P/I_rms² {p:.3} Ω{order}")
 }

@@ -9,8 +9,10 @@ use crate::identify::Segment;
 use crate::sim::adc::Noise;
 use crate::sim::inverter::InverterError;
 use crate::sim::inverter::meter::PeriodTruth;
+use crate::sim::recording::prepared::field_models;
 use crate::sim::recording::run::record;
 use crate::sim::recording::settings::{LoadKind, Settings};
+use crate::sim::reduced::exact;
 
 /// A capture without noise, and what the simulation knows about it.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,6 +56,22 @@ impl Trial {
             },
             truth: recording.truth,
         })
+    }
+
+    /// The truth with R and L of the fundamental from the describing function at each period's
+    /// current: what a sinusoidal current of that amplitude would see.
+    ///
+    /// # Errors
+    /// [`InverterError`] when the field model has no solution.
+    pub fn describing(&self) -> Result<Vec<PeriodTruth>, InverterError> {
+        let settings = Settings::default();
+        let models = field_models(&settings.pot, settings.winding_r_ohm)?;
+        let mut found = self.truth.clone();
+        for period in &mut found {
+            let z = exact(&models, period.f_sw_hz, period.i_a)?;
+            (period.r_ohm[0], period.l_h[0]) = (z.r_ohm, z.l_h);
+        }
+        Ok(found)
     }
 
     /// The capture with white noise of an SNR in decibel on both channels,

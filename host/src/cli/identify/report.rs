@@ -36,6 +36,9 @@ pub struct Entry<'a> {
     l_h: &'a [f64],
     r_sigma: &'a [f64],
     l_sigma: &'a [f64],
+    /// P/I_rms² in ohm.
+    #[serde(skip_serializing_if = "<[f64]>::is_empty")]
+    r_power_ohm: &'a [f64],
     #[serde(skip_serializing_if = "Option::is_none")]
     mre_r_pct: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -62,6 +65,7 @@ pub fn json(outcomes: &[Outcome]) -> Vec<Entry<'_>> {
                 l_h: of(|e| &e.l_h),
                 r_sigma: of(|e| &e.r_sigma_ohm),
                 l_sigma: of(|e| &e.l_sigma_h),
+                r_power_ohm: of(|e| &e.r_power_ohm),
                 mre_r_pct: o.accuracy.map(|a| a.whole.r_pct),
                 mre_l_pct: o.accuracy.map(|a| a.whole.l_pct),
                 nmse_v_pct: found.and_then(|e| e.nmse_v_pct),
@@ -80,7 +84,7 @@ fn found_slice(outcome: &Outcome, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] 
         .map_or(&[], |e| values(e).as_slice())
 }
 
-/// Writes every estimate as a row: method, f_sw, time, R, L and their standard deviations.
+/// Writes every estimate as a row: method, f_sw, time, R, L, their standard deviations and P/I_rms².
 pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
     let cannot = || format!("cannot write {}", path.display());
     let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
@@ -92,11 +96,12 @@ pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
         "l_h",
         "r_sigma_ohm",
         "l_sigma_h",
+        "r_power_ohm",
     ];
     writer.write_record(heading).with_context(cannot)?;
     for estimate in outcomes.iter().filter_map(|o| o.result.as_ref().ok()) {
         for (k, (t, r, l)) in estimate.points().enumerate() {
-            let sigma = |x: &[f64]| x.get(k).map_or(String::new(), |s| format!("{s:.6e}"));
+            let number = |x: &[f64]| x.get(k).map_or(String::new(), |s| format!("{s:.6e}"));
             writer
                 .write_record([
                     estimate.method.name().to_owned(),
@@ -104,8 +109,9 @@ pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
                     format!("{t:.9}"),
                     format!("{r:.9e}"),
                     format!("{l:.9e}"),
-                    sigma(&estimate.r_sigma_ohm),
-                    sigma(&estimate.l_sigma_h),
+                    number(&estimate.r_sigma_ohm),
+                    number(&estimate.l_sigma_h),
+                    number(&estimate.r_power_ohm),
                 ])
                 .with_context(cannot)?;
         }

@@ -1,19 +1,42 @@
 //! `ihd study paper`.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ihd_pinn::Preset;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::cli::simulate::LoadWord;
 use crate::identify::Method;
 use crate::sim::recording::settings::LoadKind;
-use crate::study::estimators::{F_SW_HZ, SNR_DB};
 use crate::study::paper::{Contender, Job, publish, study};
 
 /// Epochs of the paper's presets with `--quick`.
 const QUICK_EPOCHS: usize = 100;
+
+/// A signal-to-noise ratio in decibel, or none.
+#[derive(Clone, Copy, Debug)]
+struct SnrWord(Option<f64>);
+
+impl FromStr for SnrWord {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        if word == "none" {
+            return Ok(Self(None));
+        }
+        let db: f64 = word
+            .parse()
+            .map_err(|_| format!("{word} is neither a number of decibel nor none"))?;
+        if (0.0..=120.0).contains(&db) {
+            Ok(Self(Some(db)))
+        } else {
+            Err(format!("{db} dB is not within 0 to 120"))
+        }
+    }
+}
 
 /// The paper's Tables 1 to 3 with the PINN's presets, the EKF and the lock-in, on truth a and on the
 /// field model; report.md, cells.json and figures.
@@ -24,6 +47,7 @@ const QUICK_EPOCHS: usize = 100;
 #[command(after_help = "Examples:\n  \
     ihd study paper --quick\n  \
     ihd study paper --out study --seeds 3 --preset hybrid,paper-repaired\n  \
+    ihd study paper --out study --preset hybrid-fractional --load field --khz 45 --snr none,30\n  \
     ihd study paper --out study --epochs 500 --json")]
 pub struct PaperArgs {
     /// Presets, with commas between them
@@ -34,6 +58,31 @@ pub struct PaperArgs {
         default_value = "hybrid,paper-literal,literal-scaled,paper-repaired"
     )]
     preset: Vec<Preset>,
+    /// Loads, with commas between them: behavioural is truth a, where v = R i + L di/dt holds
+    #[arg(
+        long,
+        value_enum,
+        value_name = "LOAD,…",
+        value_delimiter = ',',
+        default_value = "behavioural,field"
+    )]
+    load: Vec<LoadWord>,
+    /// Switching frequencies in kilohertz, with commas between them
+    #[arg(
+        long,
+        value_name = "KHZ,…",
+        value_delimiter = ',',
+        default_value = "45,50,60,70"
+    )]
+    khz: Vec<f64>,
+    /// Signal-to-noise ratios in decibel, with commas between them; none is without noise
+    #[arg(
+        long,
+        value_name = "DB,…",
+        value_delimiter = ',',
+        default_value = "none,70,50,30"
+    )]
+    snr: Vec<SnrWord>,
     /// Seeds of noise and networks
     #[arg(long, default_value_t = 3)]
     seeds: u64,
@@ -87,25 +136,20 @@ impl PaperArgs {
 
     /// All cells, by load and frequency, so that each capture is simulated once.
     fn jobs(&self) -> Vec<Job> {
-        let loads: &[LoadKind] = if self.quick {
-            &[LoadKind::Behavioural]
-        } else {
-            &[LoadKind::Behavioural, LoadKind::Field]
-        };
         let presets = self.preset.iter().map(|preset| Contender::Pinn(*preset));
         let others = [Method::Ekf, Method::Lockin].map(Contender::Other);
         let contenders: Vec<Contender> = presets.chain(others).collect();
         let mut jobs = Vec::new();
-        for &load in loads {
-            for f_sw_hz in F_SW_HZ {
-                for snr_db in SNR_DB {
+        for &load in &self.load {
+            for khz in &self.khz {
+                for snr in &self.snr {
                     for &contender in &contenders {
                         for seed in 1..=self.seeds {
                             let epochs = self.epochs_of(contender);
                             jobs.push(Job {
-                                load,
-                                f_sw_hz,
-                                snr_db,
+                                load: load.into(),
+                                f_sw_hz: 1e3 * khz,
+                                snr_db: snr.0,
                                 contender,
                                 seed,
                                 epochs,
@@ -137,9 +181,10 @@ impl PaperArgs {
         if !self.quick {
             return true;
         }
+        let truth_a = job.load == LoadKind::Behavioural;
         let known = job.snr_db.is_none() || job.snr_db == Some(30.0);
         let slow = job.epochs.is_some();
-        let first = job.f_sw_hz == F_SW_HZ[0] && job.snr_db.is_none();
-        job.seed == 1 && known && (!slow || first)
+        let first = job.f_sw_hz == 1e3 * self.khz[0] && job.snr_db.is_none();
+        truth_a && job.seed == 1 && known && (!slow || first)
     }
 }

@@ -14,10 +14,7 @@ use crate::identify::accuracy::Accuracy;
 use crate::identify::{IdentifyError, Method, Settings, run};
 use crate::sim::inverter::InverterError;
 use crate::sim::inverter::meter::PeriodTruth;
-use crate::sim::recording::prepared::field_models;
 use crate::sim::recording::settings::LoadKind;
-use crate::sim::recording::settings::Settings as SimSettings;
-use crate::sim::reduced::exact;
 
 /// Switching frequencies of the paper's tables, in hertz.
 pub const F_SW_HZ: [f64; 4] = [45e3, 50e3, 60e3, 70e3];
@@ -123,25 +120,13 @@ impl Point {
         let mut references = Vec::new();
         for reference in Reference::ALL.into_iter().filter(|r| r.load() == load) {
             let truth = match reference {
-                Reference::FieldDescribing => describing(&trial.truth, f_sw_hz)?,
+                Reference::FieldDescribing => trial.describing()?,
                 Reference::Behavioural | Reference::FieldWaveform => trial.truth.clone(),
             };
             references.push((reference, truth));
         }
         Ok(Self { trial, references })
     }
-}
-
-/// The describing function at each period's current.
-fn describing(truth: &[PeriodTruth], f_sw_hz: f64) -> Result<Vec<PeriodTruth>, InverterError> {
-    let settings = SimSettings::default();
-    let models = field_models(&settings.pot, settings.winding_r_ohm)?;
-    let mut found = truth.to_vec();
-    for period in &mut found {
-        let z = exact(&models, f_sw_hz, period.i_a)?;
-        (period.r_ohm[0], period.l_h[0]) = (z.r_ohm, z.l_h);
-    }
-    Ok(found)
 }
 
 /// One run: every method on one capture.
@@ -201,7 +186,9 @@ fn run_all(plan: &Plan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
     let segment = point.trial.noisy(snr_db, seed);
     // The paper drops the first half-cycle, in which filters settle.
     let from_s = segment.half_cycle_s();
-    let settings = Settings::default();
+    let mut settings = Settings::default();
+    // A busy machine must not decide on a table.
+    settings.pinn.deterministic = true;
     let one = |method: Method| {
         let estimate = run(method, &segment, &settings)?;
         let against = |(reference, truth): &(Reference, Vec<PeriodTruth>)| {

@@ -4,14 +4,12 @@ use std::path::Path;
 
 use ihd_pinn::{Config, Identified, Preset, Waveform};
 
-use super::{Cell, Contender, Job, LossAt, PaperStudyError};
+use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point};
 use crate::identify::accuracy::{Accuracy, fundamental};
 use crate::identify::noise::WhiteNoise;
 use crate::identify::{self, Estimate, Method, Segment, Settings};
+use crate::sim::inverter::meter::PeriodTruth;
 use crate::study::trial::Trial;
-
-/// Samples of the 50 MS/s that `hybrid` takes one of: the paper's down-sampling.
-const DOWNSAMPLING: usize = 10;
 
 /// Entries of a loss curve or of R(t) that are kept.
 const KEPT: usize = 250;
@@ -26,10 +24,11 @@ struct Found {
 /// Runs one cell on its capture.
 pub(super) fn run(
     job: &Job,
-    trial: &Trial,
+    point: &Point,
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
 ) -> Result<Cell, PaperStudyError> {
+    let trial = &point.trial;
     let stem = job.file_stem();
     let nothing = || PaperStudyError::Nothing(stem.clone());
     let noisy = trial.noisy(job.snr_db, job.seed);
@@ -43,8 +42,9 @@ pub(super) fn run(
         }
     };
     let from_s = noisy.t_s(last.0);
-    let accuracy = Accuracy::of(&found.estimate, &noisy, &trial.truth, from_s);
-    let accuracy = accuracy.ok_or_else(nothing)?;
+    let against = |truth: &[PeriodTruth]| Accuracy::of(&found.estimate, &noisy, truth, from_s);
+    let accuracy = against(&trial.truth).ok_or_else(nothing)?;
+    let describing = point.describing.as_ref().and_then(|truth| against(truth));
     let truth = fundamental(&trial.truth);
     let identified = found.identified.as_ref();
     let inside = |t: f64| t >= from_s;
@@ -54,8 +54,14 @@ pub(super) fn run(
         job: *job,
         whole: accuracy.whole.into(),
         middle: accuracy.middle.into(),
+        describing: describing.map(|a| a.whole.into()),
+        impedance_order: identified.map(|i| i.impedance_order),
         nmse_pct: found.nmse_pct,
-        power_r_pct: identified.and_then(|i| power_error_pct(i, trial, from_s)),
+        power_r_pct: power_error_pct(&found.estimate, &trial.truth, from_s, |p| p.r_power_ohm),
+        power_describing_pct: point
+            .describing
+            .as_ref()
+            .and_then(|truth| power_error_pct(&found.estimate, truth, from_s, |p| p.r_ohm[0])),
         elapsed_s: found.estimate.elapsed.as_secs_f64(),
         steps: identified.map_or(0, |i| i.iterations),
         stopped: identified.map_or(String::new(), |i| i.stopped_because.to_string()),
@@ -110,14 +116,6 @@ fn network(
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
 ) -> Result<Found, PaperStudyError> {
-    // A VI-MLP thins out itself.
-    let step = if config.vi_mlp.is_some() {
-        1
-    } else {
-        DOWNSAMPLING
-    };
-    let thin = |x: &[f64]| -> Vec<f64> { x[from..to].iter().step_by(step).copied().collect() };
-    let (v_volt, i_ampere) = (thin(&noisy.v_v), thin(&noisy.i_a));
     let crossing_s = noisy.crossing_of_s((from, to));
     let truth = fundamental(&trial.truth);
     let truth_at = |t_s: f64| truth.at(t_s + crossing_s).unwrap_or((f64::NAN, f64::NAN));
@@ -126,9 +124,9 @@ fn network(
             f_sw_hz: noisy.f_sw_hz,
             f_mains_hz: noisy.mains_hz,
             t0_s: noisy.t_s(from) - crossing_s,
-            dt_s: noisy.dt_s * step as f64,
-            v_volt: &v_volt,
-            i_ampere: &i_ampere,
+            dt_s: noisy.dt_s,
+            v_volt: &noisy.v_v[from..to],
+            i_ampere: &noisy.i_a[from..to],
         },
         config,
         truth: Some(&truth_at),
@@ -149,10 +147,10 @@ fn network(
     estimate.t_s = found.t_s.iter().map(|t| t + crossing_s).collect();
     estimate.r_ohm.clone_from(&found.r_ohm);
     estimate.l_h.clone_from(&found.l_h);
+    estimate.r_power_ohm.clone_from(&found.r_power_ohm);
     estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
     let said = &found.reconstruction;
-    let clean =
-        |x: &[f64]| -> Vec<f64> { said.sample.iter().map(|n| x[from + n * step]).collect() };
+    let clean = |x: &[f64]| -> Vec<f64> { said.sample.iter().map(|n| x[from + n]).collect() };
     Ok(Found {
         nmse_pct: Some((
             nmse_pct(&said.v_volt, &clean(&trial.clean.v_v)),
@@ -169,15 +167,20 @@ fn nmse_pct(hat: &[f64], right: &[f64]) -> f64 {
     100.0 * error / right.iter().map(|x| x * x).sum::<f64>()
 }
 
-/// Mean of P/I_rms² against the truth's, weighted with I², in percent.
-fn power_error_pct(found: &Identified, trial: &Trial, from_s: f64) -> Option<f64> {
+/// Mean of P/I_rms² against a resistance of the truth, weighted with I², in percent; `None` where the
+/// estimate has none.
+fn power_error_pct(
+    estimate: &Estimate,
+    truth: &[PeriodTruth],
+    from_s: f64,
+    right: impl Fn(&PeriodTruth) -> f64,
+) -> Option<f64> {
+    let last = estimate.r_power_ohm.len().checked_sub(1)?;
     let (mut sum, mut weights) = (0.0, 0.0);
-    for period in trial.truth.iter().filter(|p| p.t_s >= from_s) {
-        let since_s = period.t_s - from_s;
-        let after = found.t_s.partition_point(|t| *t < since_s);
-        let r_ohm = *found.r_power_ohm.get(after)?;
+    for period in truth.iter().filter(|p| p.t_s >= from_s) {
+        let after = estimate.t_s.partition_point(|t| *t < period.t_s).min(last);
         let weight = period.i_a * period.i_a;
-        sum += weight * (r_ohm / period.r_power_ohm - 1.0).abs();
+        sum += weight * (estimate.r_power_ohm[after] / right(period) - 1.0).abs();
         weights += weight;
     }
     (weights > 0.0).then_some(100.0 * sum / weights)

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::trial::Trial;
 use crate::identify::{IdentifyError, Method};
 use crate::sim::inverter::InverterError;
+use crate::sim::inverter::meter::PeriodTruth;
 use crate::sim::recording::settings::LoadKind;
 use crate::sim::truth::Mre;
 
@@ -110,10 +111,20 @@ pub struct Cell {
     pub whole: Errors,
     /// Over its middle 80 %.
     pub middle: Errors,
+    /// On the field model, over the whole half-cycle against the describing function: what a sinusoidal
+    /// current would see.
+    #[serde(default)]
+    pub describing: Option<Errors>,
+    /// Order of the impedance law that the network was given or has found.
+    #[serde(default)]
+    pub impedance_order: Option<f64>,
     /// NMSE of v and i against the waveforms without noise in percent, where it reconstructs them.
     pub nmse_pct: Option<(f64, f64)>,
-    /// Mean of P/I_rms² against R of the truth's, weighted with I², in percent; PINN only.
+    /// P/I_rms² against the waveform's own, mean weighted with I², in percent; PINN only.
     pub power_r_pct: Option<f64>,
+    /// The same against R of the describing function, on the field model.
+    #[serde(default)]
+    pub power_describing_pct: Option<f64>,
     /// Wall-clock time in seconds.
     pub elapsed_s: f64,
     /// Steps or epochs; 0 of estimators that do not iterate.
@@ -166,6 +177,23 @@ pub enum PaperStudyError {
     Figure(#[from] FigureError),
 }
 
+/// An operating point: what is simulated once.
+struct Point {
+    trial: Trial,
+    describing: Option<Vec<PeriodTruth>>,
+}
+
+impl Point {
+    fn simulate(job: &Job) -> Result<Self, InverterError> {
+        let trial = Trial::simulate(job.load, job.f_sw_hz)?;
+        let describing = match job.load {
+            LoadKind::Field => Some(trial.describing()?),
+            LoadKind::Behavioural | LoadKind::Reduced => None,
+        };
+        Ok(Self { trial, describing })
+    }
+}
+
 /// Runs the jobs in order; a cell whose file lies in `folder` is read instead. `progress` hears the
 /// number of finished cells and what the network says meanwhile.
 ///
@@ -177,7 +205,7 @@ pub fn study(
     progress: &mut dyn FnMut(usize, &str),
 ) -> Result<Vec<Cell>, PaperStudyError> {
     let mut cells = Vec::with_capacity(jobs.len());
-    let mut simulated: Option<(LoadKind, f64, Trial)> = None;
+    let mut simulated: Option<(LoadKind, f64, Point)> = None;
     for job in jobs {
         let stem = job.file_stem();
         let path = folder.join(format!("{stem}.json"));
@@ -187,12 +215,12 @@ pub fn study(
             cells.push(cell);
             continue;
         }
-        let trial = match simulated.take() {
-            Some((load, f, trial)) if (load, f) == (job.load, job.f_sw_hz) => trial,
-            _ => Trial::simulate(job.load, job.f_sw_hz)?,
+        let point = match simulated.take() {
+            Some((load, f, point)) if (load, f) == (job.load, job.f_sw_hz) => point,
+            _ => Point::simulate(job)?,
         };
         let checkpoint = folder.join(format!("{stem}.bpk"));
-        let cell = cell::run(job, &trial, &checkpoint, &mut |text| {
+        let cell = cell::run(job, &point, &checkpoint, &mut |text| {
             progress(done, &format!("{stem}: {text}"));
         })?;
         write(
@@ -204,7 +232,7 @@ pub fn study(
             fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
         }
         cells.push(cell);
-        simulated = Some((job.load, job.f_sw_hz, trial));
+        simulated = Some((job.load, job.f_sw_hz, point));
     }
     Ok(cells)
 }

@@ -6,7 +6,6 @@ use super::published::pinn;
 use super::{Cell, Contender};
 use crate::sim::recording::settings::LoadKind;
 use crate::study::estimators::published::ekf;
-use crate::study::estimators::{F_SW_HZ, SNR_DB};
 
 /// Mean and spread of a quantity over seeds.
 struct Spread {
@@ -59,13 +58,18 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
     );
     for (load, title) in [
         (LoadKind::Behavioural, "Truth a: v = R i + L di/dt holds"),
+        (
+            LoadKind::Reduced,
+            "Reduced model: a table fitted to the field model",
+        ),
         (LoadKind::Field, "Field model: R and L of the fundamental"),
     ] {
-        if cells.iter().any(|c| c.job.load == load) {
+        let of: Vec<&Cell> = cells.iter().filter(|c| c.job.load == load).collect();
+        if !of.is_empty() {
             let _ = writeln!(out, "\n## {title}\n");
-            for snr_db in SNR_DB {
-                table(&mut out, cells, load, snr_db);
-            }
+        }
+        for snr_db in distinct(&of, |c| c.job.snr_db) {
+            table(&mut out, &of, snr_db);
         }
     }
     if !figures.is_empty() {
@@ -77,48 +81,47 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
     out
 }
 
-/// One table: a row a frequency and contender.
-fn table(out: &mut String, cells: &[Cell], load: LoadKind, snr_db: Option<f64>) {
-    let chosen = |c: &&Cell| c.job.load == load && c.job.snr_db == snr_db;
-    if !cells.iter().any(|c| chosen(&c)) {
-        return;
+/// What occurs in the cells, in their order.
+fn distinct<T: PartialEq>(cells: &[&Cell], of: impl Fn(&Cell) -> T) -> Vec<T> {
+    let mut found = Vec::new();
+    for value in cells.iter().map(|c| of(c)) {
+        if !found.contains(&value) {
+            found.push(value);
+        }
     }
+    found
+}
+
+/// One table: a row a frequency and contender.
+fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
     let title = snr_db.map_or("Without noise (Table 1)".into(), |db| {
         format!("{db} dB (Tables 2 and 3)")
     });
     let _ = writeln!(out, "### {title}\n");
     out.push_str(
-        "| kHz | who | MRE_R | MRE_L | middle 80 % R | L | NMSE_v | NMSE_i | P/I² | s | steps, why \
-         stopped |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| kHz | who | MRE_R | MRE_L | middle 80 % R | L | describing function R | L | \
+         P/I² | \
+         NMSE_v | NMSE_i | P/I² | order | s | steps, why stopped |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
-    for f_sw_hz in F_SW_HZ {
-        let here: Vec<&Cell> = cells
-            .iter()
-            .filter(chosen)
-            .filter(|c| c.job.f_sw_hz == f_sw_hz)
-            .collect();
-        if here.is_empty() {
-            continue;
-        }
-        let mut contenders: Vec<Contender> = Vec::new();
-        for cell in &here {
-            if !contenders.contains(&cell.job.contender) {
-                contenders.push(cell.job.contender);
-            }
-        }
-        for contender in contenders {
-            let of: Vec<&&Cell> = here
+    let of_snr = cells.iter().copied().filter(|c| c.job.snr_db == snr_db);
+    let of_snr: Vec<&Cell> = of_snr.collect();
+    for f_sw_hz in distinct(&of_snr, |c| c.job.f_sw_hz) {
+        let here = of_snr.iter().copied().filter(|c| c.job.f_sw_hz == f_sw_hz);
+        let here: Vec<&Cell> = here.collect();
+        for contender in distinct(&here, |c| c.job.contender) {
+            let of = here
                 .iter()
-                .filter(|c| c.job.contender == contender)
-                .collect();
-            row(out, f_sw_hz, contender, &of);
+                .copied()
+                .filter(|c| c.job.contender == contender);
+            row(out, f_sw_hz, contender, &of.collect::<Vec<_>>());
         }
         published(out, f_sw_hz, snr_db);
     }
     out.push('\n');
 }
 
-fn row(out: &mut String, f_sw_hz: f64, contender: Contender, cells: &[&&Cell]) {
+fn row(out: &mut String, f_sw_hz: f64, contender: Contender, cells: &[&Cell]) {
     let column = |value: &dyn Fn(&Cell) -> Option<f64>| {
         let values: Vec<f64> = cells.iter().filter_map(|c| value(c)).collect();
         Spread::of(&values).map_or("–".into(), |s| s.text())
@@ -129,16 +132,20 @@ fn row(out: &mut String, f_sw_hz: f64, contender: Contender, cells: &[&&Cell]) {
     });
     let _ = writeln!(
         out,
-        "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {last} |",
+        "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {last} |",
         f_sw_hz * 1e-3,
         contender.name(),
         column(&|c| Some(c.whole.r_pct)),
         column(&|c| Some(c.whole.l_pct)),
         column(&|c| Some(c.middle.r_pct)),
         column(&|c| Some(c.middle.l_pct)),
+        column(&|c| c.describing.map(|d| d.r_pct)),
+        column(&|c| c.describing.map(|d| d.l_pct)),
+        column(&|c| c.power_describing_pct),
         column(&|c| c.nmse_pct.map(|n| n.0)),
         column(&|c| c.nmse_pct.map(|n| n.1)),
         column(&|c| c.power_r_pct),
+        column(&|c| c.impedance_order.filter(|n| *n > 0.0)),
         column(&|c| Some(c.elapsed_s)),
     );
 }
@@ -150,14 +157,14 @@ fn published(out: &mut String, f_sw_hz: f64, snr_db: Option<f64>) {
         let ((r, l), (v, i)) = (p.mre_pct, p.nmse_pct);
         let _ = writeln!(
             out,
-            "| {khz} | *paper's PINN* | {r} | {l} | | | {v} | {i} | | 31.3 (GPU) | 5000 |"
+            "| {khz} | *paper's PINN* | {r} | {l} | | | | | | {v} | {i} | | | 31.3 (GPU) | 5000 |"
         );
     }
     if let Some(e) = ekf(f_sw_hz, snr_db) {
         let (r, l) = (e.r_pct, e.l_pct);
         let _ = writeln!(
             out,
-            "| {khz} | *paper's EKF* | {r} | {l} | | | | | | 13.2 | – |"
+            "| {khz} | *paper's EKF* | {r} | {l} | | | | | | | | | | 13.2 | – |"
         );
     }
 }
@@ -180,8 +187,11 @@ mod tests {
             },
             whole: Errors { r_pct, l_pct: 1.0 },
             middle: Errors { r_pct, l_pct: 1.0 },
+            describing: None,
+            impedance_order: None,
             nmse_pct: None,
             power_r_pct: None,
+            power_describing_pct: None,
             elapsed_s: 1.0,
             steps: 0,
             stopped: String::new(),
