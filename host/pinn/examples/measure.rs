@@ -1,6 +1,7 @@
 //! Prints error and time of `identify` on the exact load of the tests, for all settings that a
 //! reader may want to compare. `cargo run --release -p ihd-pinn --example measure -- KEY=VALUE ...`;
-//! `preset=paper-repaired rate=5e6` gives the paper's 50 000 points, `khz=45` one frequency.
+//! `preset=paper-repaired rate=5e6` gives the paper's 50 000 points, `khz=45` one frequency; with
+//! `warm=1` every seed after the first starts from the result before it, as the trainer does.
 
 #[path = "../tests/truth/mod.rs"]
 mod truth;
@@ -11,13 +12,14 @@ use truth::{Hob, mre_pct};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut json = serde_json::to_value(Config::default())?;
     let (mut snr_db, mut seeds, mut mains) = (None::<f64>, 1_u64, 50.0);
-    let (mut rate_hz, mut only_khz) = (None::<f64>, None::<f64>);
+    let (mut rate_hz, mut only_khz, mut warm) = (None::<f64>, None::<f64>, false);
     for argument in std::env::args().skip(1) {
         let (key, value) = argument.split_once('=').ok_or("arguments are KEY=VALUE")?;
         match key {
             "preset" => json = serde_json::to_value(value.parse::<Preset>()?.config())?,
             "downsampling" => json["vi_mlp"]["downsampling"] = value.parse::<usize>()?.into(),
             "rate" => rate_hz = Some(value.parse()?),
+            "warm" => warm = value == "1",
             "khz" => only_khz = Some(value.parse()?),
             "snr" => snr_db = Some(value.parse()?),
             "seeds" => seeds = value.parse()?,
@@ -36,6 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .filter(|f| only_khz.is_none_or(|only| only == *f))
     {
         let hob = Hob::at(f_sw_khz * 1e3, mains);
+        config.start = None;
         for seed in 1..=seeds {
             config.seed = seed;
             let mut recording = match rate_hz {
@@ -47,6 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             let recording = recording.quantised();
             let found = identify(&recording.waveform(), &config, &mut |_| {})?;
+            config.start = warm.then(|| found.parameters.clone());
             let sigma = found.relative_sigma_pct().unwrap_or((f64::NAN, f64::NAN));
             let (whole, middle) = (mre_pct(&found, &hob, 0.0), mre_pct(&found, &hob, 0.1));
             println!(

@@ -111,8 +111,8 @@ pub struct Config {
     pub max_iterations: usize,
     /// Most alternations between the VI branch and the RL-MLP.
     pub outer_passes: usize,
-    /// Stop when R and L move by less than this, as a mean of the relative change over a few steps;
-    /// 0 never.
+    /// Stop when R and L move by less than this, as a mean of the relative change over a few steps; 0
+    /// never. Where noise allows no more, `hybrid` stops at a tenth of what it leaves uncertain.
     pub tolerance: f64,
     /// Wall-clock limit of the optimiser, s. Reached, the best parameters so far are the result.
     pub time_limit_s: f64,

@@ -20,6 +20,10 @@ use crate::{
 };
 use ihd_spline::CubicSpline;
 
+/// R and L rest when they move by less than this part of the standard deviation that noise leaves even a
+/// constant load: what is below it is noise.
+const REST: f64 = 0.1;
+
 /// Truth of R (ohm) and L (H) at a time in seconds after the mains zero crossing.
 pub type TruthAt<'a> = &'a dyn Fn(f64) -> (f64, f64);
 
@@ -168,9 +172,12 @@ fn hybrid(
             centre: parameters.constant(constant).flat(),
         };
         let model = slow_model(&physics, samples, &parameters, config);
-        let descent = train(&model, parameters, &prior, config, &mut log)?;
+        let rest = config
+            .tolerance
+            .max(REST * physics.relative_sigma(constant, noise));
+        let descent = train(&model, parameters, &prior, config, rest, &mut log)?;
         let after = outputs(&descent.parameters, samples, &physics.tau_s);
-        let rests = log.pass > 1 && relative_change(&before, &after) < config.tolerance;
+        let rests = log.pass > 1 && relative_change(&before, &after) < rest;
         if rests || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
             let l_f = (descent.squares + physics.floor) / config.w_f;
             let losses = Losses {
@@ -302,24 +309,20 @@ fn slow_model(
     }
 }
 
+/// Trains until R and L rest: they move by less than `rest`, relative to them.
 fn train(
     model: &SlowModel,
     parameters: Parameters,
     prior: &Prior,
     config: &Config,
+    rest: f64,
     log: &mut Log<'_>,
 ) -> Result<Descent, PinnError> {
     match config.optimiser {
         Optimiser::LevenbergMarquardt => {
-            levenberg_marquardt::descend(model, parameters, prior, config.tolerance, log)
+            levenberg_marquardt::descend(model, parameters, prior, rest, log)
         }
-        Optimiser::Adam => adam::descend(
-            model,
-            parameters,
-            config.learning_rate,
-            config.tolerance,
-            log,
-        ),
+        Optimiser::Adam => adam::descend(model, parameters, config.learning_rate, rest, log),
     }
 }
 

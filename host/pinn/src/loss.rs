@@ -97,10 +97,7 @@ impl SlowPhysics {
 
     /// The constant (R / r_scale, L / l_scale) that fits best: a start for the network.
     pub fn best_constant(&self) -> [f64; OUTPUTS] {
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-        let rr = dot(&self.c_rr, &self.c_rr);
-        let rl = dot(&self.c_rr, &self.c_rl);
-        let ll = dot(&self.c_rl, &self.c_rl) + dot(&self.c_ll, &self.c_ll);
+        let [rr, rl, ll] = self.normal();
         let r = dot(&self.c_rr, &self.d_r);
         let l = dot(&self.c_rl, &self.d_r) + dot(&self.c_ll, &self.d_l);
         let determinant = rr * ll - rl * rl;
@@ -110,6 +107,24 @@ impl SlowPhysics {
         ];
         // A window that allows no sensible constant still deserves a start: the scales themselves.
         constant.map(|y| if y.is_finite() { y.max(1e-3) } else { 1.0 })
+    }
+
+    /// Relative standard deviation of the best constant, the larger of R's and L's, `noise` being the
+    /// variance of one residual: no R(t), L(t) can be known better.
+    pub fn relative_sigma(&self, constant: [f64; OUTPUTS], noise: f64) -> f64 {
+        let [rr, rl, ll] = self.normal();
+        let determinant = rr * ll - rl * rl;
+        let [r, l] = [ll / constant[0].powi(2), rr / constant[1].powi(2)];
+        (noise * r.max(l) / determinant).sqrt()
+    }
+
+    /// Entries RR, RL and LL of the normal matrix for a constant load.
+    fn normal(&self) -> [f64; 3] {
+        [
+            dot(&self.c_rr, &self.c_rr),
+            dot(&self.c_rr, &self.c_rl),
+            dot(&self.c_rl, &self.c_rl) + dot(&self.c_ll, &self.c_ll),
+        ]
     }
 
     /// The residuals e for the outputs (R / r_scale, L / l_scale) at each slow time: first the R
@@ -240,6 +255,10 @@ pub(crate) fn noise_variance(
     w_f / samples.len() as f64 * (white.0 + z_squared * white.1)
 }
 
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
 /// Scales to unit length and returns the length; a column without signal stays as it is.
 fn normalise(column: &mut [f64]) -> f64 {
     let length = column.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -335,6 +354,42 @@ mod tests {
         );
         let [r, l] = physics.best_constant();
         assert!((r * 4.0 / 4.0 - 1.0).abs() < 1e-4 && (l * 20.0 / 20.0 - 1.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn noise_moves_the_constant_as_far_as_its_standard_deviation_says() {
+        use rand::{RngExt, SeedableRng};
+        let (samples, network) = (trial::samples(), trial::network());
+        let deviation = 0.02;
+        // Uniform noise of that standard deviation.
+        let reach = deviation * 3.0_f64.sqrt();
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let (mut squares, mut said) = (0.0, 0.0);
+        let runs = 40;
+        for _ in 0..runs {
+            let mut noisy = samples.clone();
+            for x in noisy.v.iter_mut().chain(&mut noisy.i) {
+                *x += rng.random_range(-reach..reach);
+            }
+            let branch = DataSystem::assemble(&noisy, trial::basis(&noisy))
+                .fit()
+                .expect("separable");
+            let times = slow_times_s(noisy.duration_s(), 64);
+            let laws = trial::laws(0.0, &[0]);
+            let physics = SlowPhysics::condense(&branch, &noisy, &network, &laws, 5.0, times);
+            let constant = physics.best_constant();
+            // R is the looser of the two: 4 ohm.
+            squares += (constant[0] * network.r_scale_ohm / 4.0 - 1.0).powi(2);
+            let white = (deviation * deviation, deviation * deviation);
+            let noise = noise_variance(&noisy, white, 5.0, [4.0, 20e-6]);
+            said += physics.relative_sigma(constant, noise) / f64::from(runs);
+        }
+        let seen = (squares / f64::from(runs)).sqrt();
+        // 40 runs tell a standard deviation to 11 %.
+        assert!(
+            (0.7..1.4).contains(&(seen / said)),
+            "{seen} seen, {said} said"
+        );
     }
 
     #[test]

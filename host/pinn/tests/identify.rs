@@ -178,6 +178,31 @@ fn a_warm_start_needs_fewer_steps_than_a_cold_one() {
 }
 
 #[test]
+fn the_standard_deviations_are_those_of_the_errors() {
+    // White noise alone is what they know: over many seeds errors/sigma have a root mean square of 1.
+    let hob = Hob::at(50e3, 50.0);
+    let (mut r, mut l, mut count) = (0.0, 0.0, 0.0);
+    for seed in 1..=24 {
+        let noisy = hob.record().with_noise(30.0, seed);
+        let found = found(&noisy, &Config::default());
+        for k in 0..found.t_s.len() {
+            let t_s = found.t_s[k];
+            if (1e-3..9e-3).contains(&t_s) {
+                r += ((found.r_ohm[k] - hob.r_ohm(t_s)) / found.r_sigma_ohm[k]).powi(2);
+                l += ((found.l_h[k] - hob.l_h(t_s)) / found.l_sigma_h[k]).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    let (r, l): (f64, f64) = ((r / count).sqrt(), (l / count).sqrt());
+    println!("root mean square of error/sigma: R {r:.2}, L {l:.2}");
+    assert!(
+        (0.6..1.5).contains(&r) && (0.6..1.5).contains(&l),
+        "{r} {l}"
+    );
+}
+
+#[test]
 fn the_loss_is_composed_as_in_eq_7_and_never_rises_within_a_pass() {
     let config = Config {
         weight_width: 0.0,

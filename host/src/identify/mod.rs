@@ -25,6 +25,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::sim::truth::Truth;
+
 pub use segment::Segment;
 
 /// Who estimates.
@@ -153,6 +155,14 @@ pub struct Settings {
     pub pinn: pinn::PinnSettings,
 }
 
+/// Someone who waits for an estimator that takes its time.
+pub struct Watch<'a> {
+    /// Truth on the capture's clock; with it the estimator says how far off it is.
+    pub truth: Option<&'a Truth>,
+    /// Hears of steps and losses.
+    pub say: &'a mut dyn FnMut(String),
+}
+
 /// Identifies R(t) and L(t) of a segment.
 ///
 /// # Errors
@@ -162,6 +172,21 @@ pub fn run(
     method: Method,
     segment: &Segment,
     settings: &Settings,
+) -> Result<Estimate, IdentifyError> {
+    let (truth, say) = (None, &mut |_| {});
+    run_watched(method, segment, settings, &mut Watch { truth, say })
+}
+
+/// As [`run`], with someone who hears how far it is: of the methods here only the PINN trains long
+/// enough to say anything.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_watched(
+    method: Method,
+    segment: &Segment,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
     segment.check()?;
     match method {
@@ -173,7 +198,7 @@ pub fn run(
         Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
-        Method::Pinn => pinn::identify(segment, settings),
+        Method::Pinn => pinn::identify(segment, settings, watch),
     }
 }
 

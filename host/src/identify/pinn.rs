@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, IdentifyError, Segment, Settings};
+use super::{Estimate, IdentifyError, Segment, Settings, Watch};
 
 /// What of the network may be chosen; words, so that they mean the same in a build without it.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
@@ -41,7 +41,7 @@ impl PinnSettings {
 /// # Errors
 /// [`IdentifyError::NotInThisBuild`] without the feature `pinn`.
 #[cfg(not(feature = "pinn"))]
-pub fn identify(_: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
+pub fn identify(_: &Segment, _: &Settings, _: &mut Watch<'_>) -> Result<Estimate, IdentifyError> {
     Err(IdentifyError::NotInThisBuild {
         method: super::Method::Pinn,
         feature: "pinn",
@@ -53,7 +53,11 @@ pub fn identify(_: &Segment, _: &Settings) -> Result<Estimate, IdentifyError> {
 /// # Errors
 /// [`IdentifyError::Unfit`] with what the network says.
 #[cfg(feature = "pinn")]
-pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+pub fn identify(
+    segment: &Segment,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Estimate, IdentifyError> {
     use std::time::Instant;
 
     use ihd_pinn::Waveform;
@@ -85,7 +89,17 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
             v_volt: &segment.v_v[from..to],
             i_ampere: &segment.i_a[from..to],
         };
-        let found = ihd_pinn::identify(&window, &config, &mut |_| {}).map_err(unfit)?;
+        let truth_at = |t_s: f64| {
+            let at = watch.truth.and_then(|truth| truth.at(t_s + crossing_s));
+            at.unwrap_or((f64::NAN, f64::NAN))
+        };
+        let task = ihd_pinn::Task {
+            window,
+            config: &config,
+            truth: watch.truth.map(|_| &truth_at as ihd_pinn::TruthAt<'_>),
+            checkpoint: None,
+        };
+        let found = task.run(&mut |p| (watch.say)(progress(p))).map_err(unfit)?;
         estimate.notes.push(format!(
             "half-cycle from {crossing_s:.4} s: {} steps, {}; {}",
             found.iterations,
@@ -109,6 +123,16 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     }
     estimate.elapsed = started.elapsed();
     Ok(estimate)
+}
+
+/// A training's state in words.
+#[cfg(feature = "pinn")]
+pub fn progress(p: &ihd_pinn::Progress) -> String {
+    let (step, l_f, l_i) = (p.iteration, p.l_f, p.l_i);
+    let errors = p.mre_pct.map_or(String::new(), |(r, l)| {
+        format!(", off by R {r:.2} %, L {l:.2} %")
+    });
+    format!("step {step}, L_f {l_f:.1e}, L_i {l_i:.1e}{errors}")
 }
 
 /// P/I_rms² at the crest beside R of the fundamental, and the order of the impedance law.

@@ -12,9 +12,9 @@ use self::report::Outcome;
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
 use super::simulate::quantity::quantity;
-use crate::identify::accuracy::Accuracy;
+use crate::identify::accuracy::{Accuracy, fundamental};
 use crate::identify::survey::{Severity, Survey};
-use crate::identify::{Method, Settings, reconstruction, run};
+use crate::identify::{Method, Settings, Watch, reconstruction, run_watched};
 use crate::report::identified;
 
 /// Identify R(t) and L(t) of the load in a capture.
@@ -134,13 +134,20 @@ impl IdentifyArgs {
         let segments = survey.segments(&capture);
         let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
         bar.set_style(
-            ProgressStyle::with_template("{bar:40} {pos}/{len} {msg}").context("progress bar")?,
+            ProgressStyle::with_template("{bar:24} {pos}/{len} {wide_msg}")
+                .context("progress bar")?,
         );
+        let truth = (!capture.truth.is_empty()).then(|| fundamental(&capture.truth));
         let mut outcomes = Vec::new();
         for segment in &segments {
             for &method in &methods {
                 bar.set_message(method.name());
-                let result = run(method, segment, &settings).map(|mut estimate| {
+                let mut watch = Watch {
+                    truth: truth.as_ref(),
+                    say: &mut |text| bar.set_message(format!("{method}: {text}")),
+                };
+                let result = run_watched(method, segment, &settings, &mut watch);
+                let result = result.map(|mut estimate| {
                     reconstruction::complete(segment, &mut estimate);
                     estimate
                 });

@@ -132,13 +132,7 @@ fn network(
         truth: Some(&truth_at),
         checkpoint: Some(checkpoint),
     };
-    let found = task.run(&mut |p| {
-        let (r, l) = p.mre_pct.unwrap_or((f64::NAN, f64::NAN));
-        let (step, l_f, l_i) = (p.iteration, p.l_f, p.l_i);
-        progress(format!(
-            "step {step}, L_f {l_f:.1e}, L_i {l_i:.1e}, R {r:.2} %, L {l:.2} %"
-        ));
-    });
+    let found = task.run(&mut |p| progress(identify::pinn::progress(p)));
     let found = found.map_err(|source| PaperStudyError::Pinn {
         cell: job.file_stem(),
         source,
