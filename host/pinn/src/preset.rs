@@ -39,6 +39,8 @@ pub enum Preset {
     /// `hybrid` with the physics term over all harmonics and an impedance law whose order is identified
     /// along with R and L.
     HybridFractional,
+    /// `hybrid` with harmonics up to the 31st, for who wants the waveforms: R and L need the 7th at most.
+    HybridWaveform,
     /// `hybrid` without the prior on the weights: eq. (7) alone.
     HybridNoPrior,
 }
@@ -48,7 +50,7 @@ const PAPER_EPOCHS: usize = 5000;
 
 impl Preset {
     /// All presets.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Hybrid,
         Self::PaperLiteral,
         Self::PaperRepaired,
@@ -62,6 +64,7 @@ impl Preset {
         Self::HybridAdam,
         Self::HybridAllHarmonics,
         Self::HybridFractional,
+        Self::HybridWaveform,
         Self::HybridNoPrior,
     ];
 
@@ -82,6 +85,7 @@ impl Preset {
             Self::HybridAdam => "hybrid-adam",
             Self::HybridAllHarmonics => "hybrid-all-harmonics",
             Self::HybridFractional => "hybrid-fractional",
+            Self::HybridWaveform => "hybrid-waveform",
             Self::HybridNoPrior => "hybrid-no-prior",
         }
     }
@@ -108,6 +112,12 @@ impl Preset {
             Self::HybridFractional => Config {
                 impedance_order: ImpedanceOrder::Named(Named::Identified),
                 ..Self::HybridAllHarmonics.config()
+            },
+            Self::HybridWaveform => Config {
+                harmonics: (1..=31).step_by(2).collect(),
+                // Eight points to a period of the 31st harmonic allow no longer blocks.
+                most_points: 200_000,
+                ..hybrid
             },
             Self::HybridNoPrior => Config {
                 weight_width: 0.0,
@@ -193,7 +203,7 @@ impl FromStr for Preset {
                 known: "hybrid, paper-literal, paper-repaired, literal-scaled, repaired-unscaled, \
                         repaired-fast-only, repaired-eq3, repaired-minibatch, repaired-decay, \
                         hybrid-paper-net, hybrid-adam, hybrid-all-harmonics, hybrid-fractional, \
-                        hybrid-no-prior",
+                        hybrid-waveform, hybrid-no-prior",
             })
     }
 }

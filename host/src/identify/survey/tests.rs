@@ -217,15 +217,18 @@ fn r_error_pct(skew_s: f64) -> f64 {
     let r = record(&s, |_| ()).unwrap();
     let mut sum = (0.0, 0);
     for (k, truth) in r.truth.iter().enumerate() {
-        let from = k * 1000;
-        if truth.i_a < 0.05 * 60.0 || from + 1000 >= r.v_clean_v.len() {
+        let boundary = k * 1000;
+        if k == 0 || truth.i_a < 0.05 * 60.0 || boundary + 1000 >= r.v_clean_v.len() {
             continue;
         }
-        let mut meter = PeriodMeter::new(1000);
-        for n in 0..=1000 {
-            meter.push(n, r.v_clean_v[from + n], r.i_clean_a[from + n]);
-        }
-        let got = meter.truth(truth.t_s, 50e3, r.i_clean_a[from + 1000]);
+        let sums = |from: usize| {
+            let mut meter = PeriodMeter::new(1000);
+            for n in 0..=1000 {
+                meter.push(n, r.v_clean_v[from + n], r.i_clean_a[from + n]);
+            }
+            meter.sums().clone()
+        };
+        let got = sums(boundary - 1000).across(&sums(boundary), truth.t_s, 50e3);
         sum = (
             sum.0 + (got.r_ohm[0] / truth.r_ohm[0] - 1.0).abs(),
             sum.1 + 1,

@@ -5,7 +5,7 @@ use super::sampler::Sampler;
 use super::settings::{Change, Settings};
 use crate::sim::inverter::bridge::HalfBridge;
 use crate::sim::inverter::bus::Bus;
-use crate::sim::inverter::meter::{PeriodMeter, PeriodTruth};
+use crate::sim::inverter::meter::{PeriodMeter, PeriodSums, PeriodTruth};
 use crate::sim::inverter::{Inverter, InverterError};
 use crate::sim::mains::Mains;
 
@@ -65,6 +65,7 @@ pub fn record(
     let mut meter = PeriodMeter::new(steps);
     let mut sampler = Sampler::new(&settings.sensing, inverter.instant());
     let mut truth = Vec::new();
+    let mut before: Option<PeriodSums> = None;
     let mut on = true;
     let mut events = settings.events.iter().peekable();
     let end_s = settings.start_s + settings.duration_s;
@@ -82,11 +83,13 @@ pub fn record(
                 }
             }
             meter = PeriodMeter::new(inverter.steps());
+            before = None;
         }
         truth.push(record_period(
             &mut inverter,
             on,
             &mut meter,
+            &mut before,
             &mut sampler,
             settings.start_s,
         ));
@@ -117,24 +120,30 @@ pub fn record(
     })
 }
 
-/// One switching period; returns its truth.
+/// One switching period; returns the truth at its start, from it and the period `before`, or that of
+/// its middle where there is none to go with it.
 fn record_period(
     inverter: &mut Inverter,
     on: bool,
     meter: &mut PeriodMeter,
+    before: &mut Option<PeriodSums>,
     sampler: &mut Sampler,
     start_s: f64,
 ) -> PeriodTruth {
     let f_sw_hz = inverter.f_sw_hz();
     let mut last = inverter.instant();
-    let middle_s = last.t_s + 0.5 / f_sw_hz - start_s;
+    let from_s = last.t_s - start_s;
     meter.push(0, last.coil_v, last.i_a);
     for n in 1..=inverter.steps() {
         last = inverter.advance(on);
         meter.push(n, last.coil_v, last.i_a);
         sampler.push(last, f_sw_hz);
     }
-    meter.truth(middle_s, f_sw_hz, last.i_a)
+    let sums = meter.sums();
+    match before.replace(sums.clone()) {
+        Some(before) if before.fits(sums) => before.across(sums, from_s, f_sw_hz),
+        _ => meter.truth(from_s + 0.5 / f_sw_hz, f_sw_hz, last.i_a),
+    }
 }
 
 /// The field keeps its state across a change of frequency, only its time step moves a little.
