@@ -5,13 +5,15 @@ use std::time::Duration;
 
 use ihd::capture::Capture;
 use ihd::identify::survey::{Hints, Survey};
-use ihd::link::{Client, LinkError, Transport};
+use ihd::link::{Client, Event as LinkEvent, LinkError, Transport};
 use ihd::replay::{Outcome, Settings, Stretch, run};
 use ihd::sim::hob::{HobConfig, SimHob};
 use ihd::sim::recording::run::record;
 use ihd::sim::recording::sensing::Rate;
 use ihd::sim::recording::settings::{self, Change, Event, LoadKind};
 use ihd::sim::transport::SharedHob;
+use ihd_shared::fault::Fault;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
@@ -339,4 +341,33 @@ fn replay_mode_locks_the_power_outputs_and_says_so() {
     assert!(second.set_power(1_000).is_err());
     second.continue_replay(0).end().unwrap();
     second.set_power(1_000).unwrap();
+}
+
+#[test]
+fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = client(hob).unwrap();
+    let mut replay = client
+        .start_replay(45_000, MicroOhm(4_000_000), PicoHenry(25_000_000))
+        .unwrap();
+    // 150 blocks of three periods are 10 ms; each crossing begins a half-cycle.
+    let quiet = [Pair { v: 0, i: 0 }; ADC_LOCK_P];
+    let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
+    for half_cycle in 0..3 {
+        replay.blocks(&quiet, Some(0), 0).unwrap();
+        let blocks = if half_cycle < 2 { 149 } else { 20 };
+        for _ in 0..blocks {
+            replay.blocks(&quiet, None, 3_000).unwrap();
+        }
+    }
+    replay.blocks(&loud, None, 3_000).unwrap();
+    let now = replay.client().status().unwrap();
+    let fault = loop {
+        let event = replay.client().next_event(Duration::from_millis(100));
+        if let LinkEvent::Fault(event) = event.unwrap().expect("a fault is told") {
+            break event;
+        }
+    };
+    assert_eq!(fault.fault, Fault::OverCurrent);
+    assert_eq!(fault.half_cycle, now.half_cycles);
 }

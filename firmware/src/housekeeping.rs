@@ -238,10 +238,9 @@ impl Housekeeping {
         if fault != Fault::None && self.control.state() != State::Faulted {
             self.control.faulted();
         }
-        let fault = access.with(|rt| rt.fault());
+        let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));
         if fault != self.reported_fault && self.paired && !self.session.is_full() {
             self.reported_fault = fault;
-            let half_cycle = self.last.half_cycle;
             self.session
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
         }

@@ -66,6 +66,8 @@ pub struct RealTime {
     half_cycle: u32,
     summary: Option<Summary>,
     fault: Fault,
+    /// Half-cycle in which the fault tripped.
+    fault_half_cycle: u32,
     saturated_pairs: u32,
     /// Blocks since boot.
     blocks: u32,
@@ -106,6 +108,7 @@ impl RealTime {
             half_cycle: 0,
             summary: None,
             fault: Fault::None,
+            fault_half_cycle: 0,
             saturated_pairs: 0,
             blocks: 0,
             nearest_hz: None,
@@ -239,6 +242,7 @@ impl RealTime {
     fn trip(&mut self, fault: Fault) {
         if self.fault == Fault::None {
             self.fault = fault;
+            self.fault_half_cycle = self.half_cycle;
         }
     }
 
@@ -316,6 +320,14 @@ impl RealTime {
     /// The active fault.
     pub fn fault(&self) -> Fault {
         self.fault
+    }
+
+    /// The half-cycle in which the active fault tripped; the present one without a fault.
+    pub fn fault_half_cycle(&self) -> u32 {
+        match self.fault {
+            Fault::None => self.half_cycle,
+            _ => self.fault_half_cycle,
+        }
     }
 
     /// Leaves the safe state; the bridge stays off until it is asked for again.

@@ -355,7 +355,7 @@ message_table! { 'a;
     }
     /// Sent when a fault trips, and with [`Fault::None`] when it is cleared.
     0x88 "from device" FaultEvent {
-        /// Half-cycle since boot.
+        /// Half-cycle since boot in which the fault tripped, or was cleared.
         half_cycle: u32,
         /// The fault.
         fault: Fault,
