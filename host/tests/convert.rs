@@ -97,6 +97,29 @@ fn flags_reach_the_capture() {
 }
 
 #[test]
+fn columns_go_by_their_headings_with_the_unit_or_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("a.csv");
+    let mut text = String::from("t_s,coil_V,bus_V,coil_A\n");
+    for k in 0..1_000 {
+        text.push_str(&format!("{}e-6,{},325,{}\n", k, k % 100, k % 10));
+    }
+    std::fs::write(&table, text).unwrap();
+    let out = folder.path().join("a.mcap");
+    for columns in ["t_s,coil_V,coil_A", "t,coil,coil_A"] {
+        let told = converted(&[
+            table.to_str().unwrap(),
+            "--columns",
+            columns,
+            "--out",
+            out.to_str().unwrap(),
+        ]);
+        assert_eq!(told["v_V"][1].as_f64().unwrap(), 99.0, "{columns}");
+        assert_eq!(told["i_A"][1].as_f64().unwrap(), 9.0, "{columns}");
+    }
+}
+
+#[test]
 fn wrong_usage_is_told_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name).display().to_string();

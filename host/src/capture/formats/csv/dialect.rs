@@ -126,14 +126,16 @@ fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
     }
 }
 
-/// Index of a column that the user names.
+/// Index of a column that the user names, with its unit or without: `coil_V` or `coil`.
 fn find(
     prelude: &Prelude,
     headings: &[Heading],
     column: &ChannelRef,
 ) -> Result<usize, FormatError> {
+    let texts = headings.iter().map(|h| h.text.trim());
     let names = headings.iter().map(|h| h.name.as_str());
-    let index = column.find(names).filter(|k| *k < prelude.width);
+    let index = column.find(texts).or_else(|| column.find(names));
+    let index = index.filter(|k| *k < prelude.width);
     index.ok_or_else(|| {
         let names = headings.iter().take(12).map(|h| format!("`{}`", h.name));
         let names: Vec<_> = names.collect();

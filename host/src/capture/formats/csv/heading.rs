@@ -6,8 +6,10 @@ use crate::capture::formats::unit::{Quantity, Unit};
 /// The heading of one column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Heading {
-    /// Name, may be empty.
+    /// Name without its unit, may be empty.
     pub name: String,
+    /// The cell as the file has it.
+    pub text: String,
     /// Unit where it is told.
     pub unit: Option<Unit>,
 }
@@ -23,11 +25,16 @@ impl Heading {
             if let Some(unit) = Unit::parse(tail) {
                 return Self {
                     name: channel.to_owned(),
+                    text: text.to_owned(),
                     unit: Some(unit),
                 };
             }
         }
-        Self { name, unit }
+        Self {
+            name,
+            text: text.to_owned(),
+            unit,
+        }
     }
 
     /// Whether the column is the time.
@@ -57,9 +64,13 @@ pub fn headings(prelude: &Prelude) -> Vec<Heading> {
     let mut all: Vec<Heading> = match last {
         Some(last) if is_units(last) => {
             let names = rows.next().map_or(&[][..], Vec::as_slice);
-            let named = |(k, unit): (usize, &String)| Heading {
-                name: names.get(k).cloned().unwrap_or_default(),
-                unit: Unit::parse(unit),
+            let named = |(k, unit): (usize, &String)| {
+                let name = names.get(k).cloned().unwrap_or_default();
+                Heading {
+                    text: name.clone(),
+                    name,
+                    unit: Unit::parse(unit),
+                }
             };
             last.iter().enumerate().map(named).collect()
         }
