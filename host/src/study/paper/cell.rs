@@ -7,6 +7,7 @@ use ihd_pinn::{Config, Identified, Preset, Waveform};
 use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point};
 use crate::identify::accuracy::{Accuracy, fundamental};
 use crate::identify::noise::WhiteNoise;
+use crate::identify::track::Track;
 use crate::identify::{self, Estimate, Method, Segment, Settings};
 use crate::sim::inverter::meter::PeriodTruth;
 use crate::study::trial::Trial;
@@ -67,6 +68,9 @@ pub(super) fn run(
         stopped: identified.map_or(String::new(), |i| i.stopped_because.to_string()),
         track: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
         truth: thinned(truth_points.filter(|p| inside(p.0)).collect()),
+        noise_in_samples: job
+            .snr_db
+            .map(|_| noise_in_samples(&noisy, &trial.clean, last)),
         losses: identified.map_or(Vec::new(), loss_curve),
     })
 }
@@ -169,15 +173,34 @@ fn power_error_pct(
     from_s: f64,
     right: impl Fn(&PeriodTruth) -> f64,
 ) -> Option<f64> {
-    let last = estimate.r_power_ohm.len().checked_sub(1)?;
+    // As a track of its own: linear between the points.
+    let power = Estimate {
+        r_ohm: estimate.r_power_ohm.clone(),
+        ..estimate.clone()
+    };
+    if power.r_ohm.is_empty() {
+        return None;
+    }
+    let mut track = Track::from(&power, from_s)?;
     let (mut sum, mut weights) = (0.0, 0.0);
     for period in truth.iter().filter(|p| p.t_s >= from_s) {
-        let after = estimate.t_s.partition_point(|t| *t < period.t_s).min(last);
         let weight = period.i_a * period.i_a;
-        sum += weight * (estimate.r_power_ohm[after] / right(period) - 1.0).abs();
+        sum += weight * (track.r_l(period.t_s).0 / right(period) - 1.0).abs();
         weights += weight;
     }
     (weights > 0.0).then_some(100.0 * sum / weights)
+}
+
+/// Mean squared noise of voltage and current over the half-cycle, each over its largest sample
+/// squared: eqs. (5) and (6) for a VI branch that says the waveforms without noise.
+fn noise_in_samples(noisy: &Segment, clean: &Segment, (from, to): (usize, usize)) -> f64 {
+    let share = |x: &[f64], clean: &[f64]| {
+        let largest = x.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+        let squares = x.iter().zip(clean).map(|(a, b)| (a - b).powi(2));
+        squares.sum::<f64>() / (x.len() as f64 * largest * largest)
+    };
+    share(&noisy.v_v[from..to], &clean.v_v[from..to])
+        + share(&noisy.i_a[from..to], &clean.i_a[from..to])
 }
 
 fn loss_curve(found: &Identified) -> Vec<LossAt> {

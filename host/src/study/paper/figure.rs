@@ -24,6 +24,18 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 struct Curve {
     name: String,
     points: Vec<(f64, f64)>,
+    style: Style,
+}
+
+/// How a curve is drawn.
+#[derive(Clone, Copy)]
+enum Style {
+    /// What the others are held against: wide and grey.
+    Reference,
+    /// In the colour of the contender with this number.
+    Solid(usize),
+    /// The same, broken.
+    Broken(usize),
 }
 
 /// Draws all figures of the first seed into `folder`; returns their names.
@@ -93,31 +105,34 @@ fn load(path: &Path, cells: &[&Cell]) -> Drawn {
     let quantities: [(&str, Value); 2] = [("R / Ω", |p| p.1), ("L / µH", |p| p.2 * 1e6)];
     for (area, (label, value)) in areas.iter().zip(quantities) {
         let start_s = cells[0].truth.first().map_or(0.0, |p| p.0);
-        let curve = |name: &str, track: &[(f64, f64, f64)]| Curve {
+        let curve = |name: &str, track: &[(f64, f64, f64)], style: Style| Curve {
+            style,
             name: name.to_owned(),
             points: track
                 .iter()
                 .map(|p| ((p.0 - start_s) * 1e3, value(p)))
                 .collect(),
         };
-        let mut curves = vec![curve("truth", &cells[0].truth)];
-        curves.extend(
-            cells
-                .iter()
-                .map(|c| curve(c.job.contender.name(), &c.track)),
-        );
+        let mut curves = vec![curve("truth", &cells[0].truth, Style::Reference)];
+        for (k, cell) in cells.iter().enumerate() {
+            let name = cell.job.contender.name();
+            curves.push(curve(name, &cell.track, Style::Solid(k)));
+        }
         // What fails may be far off: the truth's range sets the axis.
         let truth = curves[0].points.iter().map(|p| p.1);
         let (low, high) = truth.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
         let air = 0.25 * (high - low).max(1e-3);
         let axis = (low - air)..(high + air);
-        lines(area, "time in the half-cycle / ms", label, axis, &curves)?;
+        let titles = ["time in the half-cycle / ms", label];
+        let legend = SeriesLabelPosition::UpperMiddle;
+        lines(area, titles, axis, &curves, legend)?;
     }
     root.present()?;
     Ok(())
 }
 
-/// Physics and data terms over the steps, both axes logarithmic: shown as powers of ten.
+/// Physics and data terms over the steps, both axes logarithmic: shown as powers of ten. With noise its
+/// part of the data term is there too: what the VI branch must not go below.
 fn losses(path: &Path, cells: &[&Cell]) -> Drawn {
     let root = SVGBackend::new(path, (900, 480)).into_drawing_area();
     root.fill(&WHITE)?;
@@ -127,10 +142,8 @@ fn losses(path: &Path, cells: &[&Cell]) -> Drawn {
     )?;
     let log = |x: f64| x.max(1e-16).log10();
     let mut curves = Vec::new();
-    for cell in cells
-        .iter()
-        .filter(|c| matches!(c.job.contender, Contender::Pinn(_)))
-    {
+    let trained = |c: &&&Cell| matches!(c.job.contender, Contender::Pinn(_));
+    for (k, cell) in cells.iter().filter(trained).enumerate() {
         let name = cell.job.contender.name();
         let steps = || cell.losses.iter().map(|l| log(l.step as f64));
         let l_f = steps()
@@ -140,29 +153,41 @@ fn losses(path: &Path, cells: &[&Cell]) -> Drawn {
             .zip(cell.losses.iter().map(|l| log(l.l_i)))
             .collect();
         curves.push(Curve {
+            style: Style::Solid(k),
             name: format!("{name}: physics L_f"),
             points: l_f,
         });
         curves.push(Curve {
+            style: Style::Broken(k),
             name: format!("{name}: data L_i"),
             points: l_i,
+        });
+    }
+    let last = cells.iter().filter_map(|c| c.losses.last()).map(|l| l.step);
+    if let (Some(noise), Some(last)) = (cells[0].noise_in_samples, last.max()) {
+        let (from, to) = (0.0, log(last as f64));
+        curves.push(Curve {
+            style: Style::Reference,
+            name: "noise of the samples in L_i".to_owned(),
+            points: vec![(from, log(noise)), (to, log(noise))],
         });
     }
     let values = curves.iter().flat_map(|c| c.points.iter().map(|p| p.1));
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
     let axis = (low - 0.3)..(high + 0.3);
-    lines(
-        &area,
-        "log10 of the step",
-        "log10 of the loss term",
-        axis,
-        &curves,
-    )?;
+    let titles = ["log10 of the step", "log10 of the loss term"];
+    lines(&area, titles, axis, &curves, SeriesLabelPosition::LowerLeft)?;
     root.present()?;
     Ok(())
 }
 
-fn lines(area: &Area<'_>, x: &str, y: &str, axis: Range<f64>, curves: &[Curve]) -> Drawn {
+fn lines(
+    area: &Area<'_>,
+    [x, y]: [&str; 2],
+    axis: Range<f64>,
+    curves: &[Curve],
+    legend: SeriesLabelPosition,
+) -> Drawn {
     let times = curves.iter().flat_map(|c| c.points.iter().map(|p| p.0));
     let (from, to) = times.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
     let mut chart = ChartBuilder::on(area)
@@ -176,24 +201,28 @@ fn lines(area: &Area<'_>, x: &str, y: &str, axis: Range<f64>, curves: &[Curve]) 
         .y_desc(y)
         .light_line_style(WHITE)
         .draw()?;
-    for (index, curve) in curves.iter().enumerate() {
-        let style = if curve.name == "truth" {
-            RGBColor(120, 120, 120).stroke_width(5)
-        } else {
-            Palette99::pick(index).stroke_width(2)
+    for curve in curves {
+        let inside = curve.points.iter();
+        let inside = inside.map(|p| (p.0, p.1.clamp(axis.start, axis.end)));
+        let style = match curve.style {
+            Style::Reference => RGBColor(120, 120, 120).stroke_width(5),
+            Style::Solid(k) | Style::Broken(k) => Palette99::pick(k).stroke_width(2),
         };
-        let inside = curve
-            .points
-            .iter()
-            .map(|p| (p.0, p.1.clamp(axis.start, axis.end)));
-        chart
-            .draw_series(LineSeries::new(inside, style))?
-            .label(&curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+        let drawn = match curve.style {
+            Style::Broken(_) => chart.draw_series(DashedLineSeries::new(inside, 6, 4, style))?,
+            Style::Reference | Style::Solid(_) => {
+                chart.draw_series(LineSeries::new(inside, style))?
+            }
+        };
+        let mark = move |(x, y)| match curve.style {
+            Style::Broken(_) => PathElement::new([(x, y), (x + 7, y)], style),
+            Style::Reference | Style::Solid(_) => PathElement::new([(x, y), (x + 18, y)], style),
+        };
+        drawn.label(&curve.name).legend(mark);
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperMiddle)
+        .position(legend)
         .background_style(WHITE.mix(0.8))
         .border_style(RGBColor(120, 120, 120))
         .draw()?;

@@ -135,6 +135,10 @@ pub struct Cell {
     pub track: Vec<(f64, f64, f64)>,
     /// The same of the truth.
     pub truth: Vec<(f64, f64, f64)>,
+    /// What the noise of single samples contributes to the data terms, normalised as they are; `None`
+    /// without noise.
+    #[serde(default)]
+    pub noise_in_samples: Option<f64>,
     /// Loss curve.
     pub losses: Vec<LossAt>,
 }

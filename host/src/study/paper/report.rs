@@ -197,6 +197,7 @@ mod tests {
             stopped: String::new(),
             track: Vec::new(),
             truth: Vec::new(),
+            noise_in_samples: None,
             losses: Vec::new(),
         }
     }
