@@ -90,6 +90,45 @@ impl Preset {
         }
     }
 
+    /// What it is, and what is known to be wrong with it.
+    #[must_use]
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Hybrid => {
+                "harmonic VI branch solved linearly, RL-MLP of 2 x 8 by Levenberg-Marquardt; harmonics up \
+                 to the 7th, so NMSE_v holds what the edges have beyond"
+            }
+            Self::PaperLiteral => {
+                "the paper as printed. Fails: softplus near 0 is 0.7, so L starts near 0.7 H, and the \
+                 physics term of that size leaves nothing of v and i; and with m from 1 the VI-MLP \
+                 cannot see the mains envelope"
+            }
+            Self::LiteralScaled => {
+                "the same with outputs times 4 ohm and 20 uH. Fails: the VI-MLP cannot see the envelope, \
+                 and eq. (3) with n from 1 repeats three times a half-cycle"
+            }
+            Self::PaperRepaired => {
+                "m from 0, slow features in both networks, scaled outputs; what is left at the ends of \
+                 the half-cycle is Adam's"
+            }
+            Self::RepairedUnscaled => "paper-repaired without scaled outputs",
+            Self::RepairedFastOnly => "paper-repaired, the VI-MLP without slow features",
+            Self::RepairedEq3 => "paper-repaired with the paper's eq. (3)",
+            Self::RepairedMinibatch => "paper-repaired in minibatches of 5000 points",
+            Self::RepairedDecay => "paper-repaired, rate falling to a thirtieth",
+            Self::HybridPaperNet => "hybrid with the paper's RL-MLP of 4 x 16",
+            Self::HybridAdam => "hybrid trained by Adam",
+            Self::HybridAllHarmonics => {
+                "hybrid, one R and one L for all harmonics: wrong where the load has eddy currents"
+            }
+            Self::HybridFractional => {
+                "hybrid, all harmonics under Z(s) = s L_0 + K s^n with n identified"
+            }
+            Self::HybridWaveform => "hybrid with harmonics up to the 31st",
+            Self::HybridNoPrior => "hybrid without the prior on the weights",
+        }
+    }
+
     /// Its settings.
     #[must_use]
     pub fn config(self) -> Config {

@@ -11,11 +11,16 @@ use ihd_spline::CubicSpline;
 
 /// A half-cycle of a constant 4 ohm, 20 uH at 45 kHz, with a third harmonic.
 pub(crate) fn samples() -> Normalised {
+    samples_at(45e3 * 61.0 / 3.0)
+}
+
+/// The same at another sampling rate in hertz.
+pub(crate) fn samples_at(rate_hz: f64) -> Normalised {
     let (f_sw_hz, f_mains_hz) = (45e3, 50.0);
-    let dt_s = 3.0 / (61.0 * f_sw_hz);
+    let dt_s = 1.0 / rate_hz;
     let mains = TAU * f_mains_hz;
     let (mut v_volt, mut i_ampere) = (Vec::new(), Vec::new());
-    for n in 0..9150 {
+    for n in 0..(10e-3 * rate_hz) as u32 {
         let t = f64::from(n) * dt_s;
         let (a, slope) = (40.0 * (mains * t).sin(), 40.0 * mains * (mains * t).cos());
         let (mut i, mut di) = (0.0, 0.0);

@@ -164,6 +164,8 @@ fn add_square(matrix: &mut Banded, weight: f64, row: &[(usize, f64)]) {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Complex;
+
     use super::*;
     use crate::loss::slow_times_s;
     use crate::trial;
@@ -189,6 +191,39 @@ mod tests {
             .fit()
             .expect("separable");
         let (l_i1, l_i2) = branch.data_losses(&samples);
+        assert!(l_i1 < 1e-9 && l_i2 < 1e-9, "{l_i1} {l_i2}");
+    }
+
+    #[test]
+    fn means_of_blocks_lead_to_the_same_phasors_and_to_the_samples_in_their_middle() {
+        let raw = trial::samples_at(5e6);
+        // Fives would leave the third harmonic seven points a period: fours are taken.
+        let points = raw.clone().averaged(10_000, 3);
+        assert_eq!((points.block, points.len()), (4, 12_500));
+        let fit = |samples: &Normalised| {
+            let mut basis = trial::basis(samples);
+            basis.gains = vec![samples.gain(1), samples.gain(3)];
+            DataSystem::assemble(samples, basis)
+                .fit()
+                .expect("separable")
+        };
+        let (whole, averaged) = (fit(&raw), fit(&points));
+        // Without its gain the third harmonic would be off by 1 - sinc = 2e-2.
+        assert!((points.gain(3) - 0.98).abs() < 5e-3 && raw.gain(3) == 1.0);
+        let later_s = points.t0_s - raw.t0_s;
+        for tau_s in [0.4e-3, 2.1e-3, 5e-3, 9.3e-3] {
+            for (index, h) in [1.0, 3.0].into_iter().enumerate() {
+                let turn = Complex::from_polar(1.0, h * raw.omega * later_s);
+                let a = whole.phasors(tau_s + later_s, index).i * turn;
+                let b = averaged.phasors(tau_s, index).i;
+                assert!((a - b).norm() < 1e-5, "{h}: {a} and {b}");
+            }
+        }
+        let said = averaged.signals(&points);
+        for (n, i) in said.sample.iter().zip(&said.i) {
+            assert!((i - raw.i[*n]).abs() < 1e-4);
+        }
+        let (l_i1, l_i2) = averaged.data_losses(&points);
         assert!(l_i1 < 1e-9 && l_i2 < 1e-9, "{l_i1} {l_i2}");
     }
 

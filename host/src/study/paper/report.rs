@@ -72,6 +72,12 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
             table(&mut out, &of, snr_db);
         }
     }
+    out.push_str("\n## Who\n\n");
+    for contender in distinct(&cells.iter().collect::<Vec<_>>(), |c| c.job.contender) {
+        if let Contender::Pinn(preset) = contender {
+            let _ = writeln!(out, "- `{preset}`: {}.", preset.description());
+        }
+    }
     if !figures.is_empty() {
         out.push_str("\n## Figures\n\n");
         for name in figures {
