@@ -90,8 +90,8 @@ impl AtHarmonic {
     }
 }
 
-/// The order in 0..=[`MOST`] with the least `misfit`, by golden section: the misfit of a window has
-/// one minimum in it.
+/// The order in 0..=[`MOST`] with the least `misfit`, by golden section: of several minima it would
+/// find one.
 pub(crate) fn least(misfit: impl Fn(f64) -> f64) -> f64 {
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut from, mut to) = (0.0, MOST);

@@ -1,10 +1,11 @@
 //! The physics term, eq. (4), in the rotating frame.
 //!
 //! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
-//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or what another [`crate::ImpedanceOrder`] says. R, L and the phasors hardly move within a switching
-//! period, so by Parseval the mean of r^2 over a period is `1/2 sum_h |r_h|^2`, and the mean over
-//! the window, eq. (4), is the mean of that at a few hundred slow times. Nothing is lost against
-//! the sum over all samples but terms of order (envelope slope / w)^2.
+//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or what another [`crate::ImpedanceOrder`] says. R, L
+//! and the phasors hardly move within a switching period, so by Parseval the mean of r^2 over a
+//! period is `1/2 sum_h |r_h|^2`, and the mean over the window, eq. (4), is the mean of that at a few
+//! hundred slow times. Nothing is lost against the sum over all samples but terms of order
+//! (envelope slope / w)^2.
 //!
 //! `r_h` is linear in R and L, so at each slow time the rows of all harmonics condense, by a QR
 //! factorisation of two columns, into two: `e = d - C (R / r_scale, L / l_scale)`, C triangular.
@@ -218,43 +219,6 @@ impl SlowTensors {
     }
 }
 
-/// Variance of the white noise of the normalised points, (v, i): the measured one of the
-/// configuration over the samples of a point, else what the fit leaves, `losses` being L_i1, L_i2.
-pub(crate) fn white_noise(
-    samples: &Normalised,
-    branch: &HarmonicBranch,
-    losses: (f64, f64),
-    measured: Option<[f64; 2]>,
-) -> (f64, f64) {
-    if let Some([v_volt, i_ampere]) = measured {
-        let block = samples.block as f64;
-        return (
-            (v_volt / samples.v_max_volt).powi(2) / block,
-            (i_ampere / samples.i_max_ampere).powi(2) / block,
-        );
-    }
-    // The fit has taken this share of the noise into its coefficients.
-    let free = (1.0 - branch.basis.len() as f64 / samples.len() as f64).max(0.1);
-    (losses.0 / free, losses.1 / free)
-}
-
-/// Variance that white noise of the samples gives one residual e, `white` being that of
-/// [`white_noise`] and `r_l` a typical (R in ohm, L in H).
-///
-/// Noise of variance s^2 per sample reaches the mean in eq. (4) as that of a phasor known from
-/// N / K samples per slow time, 2 s^2 K / N; e carries sqrt(w_f / 2K), and current noise comes
-/// in times |Z|.
-pub(crate) fn noise_variance(
-    samples: &Normalised,
-    white: (f64, f64),
-    w_f: f64,
-    r_l: [f64; OUTPUTS],
-) -> f64 {
-    let [r, l] = r_l.map(|s| s * samples.impedance_scale());
-    let z_squared = r * r + (samples.omega * l).powi(2);
-    w_f / samples.len() as f64 * (white.0 + z_squared * white.1)
-}
-
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
@@ -354,42 +318,6 @@ mod tests {
         );
         let [r, l] = physics.best_constant();
         assert!((r * 4.0 / 4.0 - 1.0).abs() < 1e-4 && (l * 20.0 / 20.0 - 1.0).abs() < 1e-4);
-    }
-
-    #[test]
-    fn noise_moves_the_constant_as_far_as_its_standard_deviation_says() {
-        use rand::{RngExt, SeedableRng};
-        let (samples, network) = (trial::samples(), trial::network());
-        let deviation = 0.02;
-        // Uniform noise of that standard deviation.
-        let reach = deviation * 3.0_f64.sqrt();
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        let (mut squares, mut said) = (0.0, 0.0);
-        let runs = 40;
-        for _ in 0..runs {
-            let mut noisy = samples.clone();
-            for x in noisy.v.iter_mut().chain(&mut noisy.i) {
-                *x += rng.random_range(-reach..reach);
-            }
-            let branch = DataSystem::assemble(&noisy, trial::basis(&noisy))
-                .fit()
-                .expect("separable");
-            let times = slow_times_s(noisy.duration_s(), 64);
-            let laws = trial::laws(0.0, &[0]);
-            let physics = SlowPhysics::condense(&branch, &noisy, &network, &laws, 5.0, times);
-            let constant = physics.best_constant();
-            // R is the looser of the two: 4 ohm.
-            squares += (constant[0] * network.r_scale_ohm / 4.0 - 1.0).powi(2);
-            let white = (deviation * deviation, deviation * deviation);
-            let noise = noise_variance(&noisy, white, 5.0, [4.0, 20e-6]);
-            said += physics.relative_sigma(constant, noise) / f64::from(runs);
-        }
-        let seen = (squares / f64::from(runs)).sqrt();
-        // 40 runs tell a standard deviation to 11 %.
-        assert!(
-            (0.7..1.4).contains(&(seen / said)),
-            "{seen} seen, {said} said"
-        );
     }
 
     #[test]

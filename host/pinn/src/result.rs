@@ -66,7 +66,7 @@ pub struct Identified {
     pub stopped_because: StoppedBecause,
     /// Wall-clock time of the call, s.
     pub elapsed_s: f64,
-    /// 100 * sum((v_hat - v)^2) / sum(v^2) over the samples, %.
+    /// 100 * sum((v_hat - v)^2) / sum(v^2) over the points that it was fitted to, %.
     pub nmse_v_pct: f64,
     /// The same of the current, %.
     pub nmse_i_pct: f64,

@@ -1,0 +1,87 @@
+//! White noise of the samples, and what it does to the physics residuals.
+
+use crate::harmonic_branch::HarmonicBranch;
+use crate::parameters::OUTPUTS;
+use crate::waveform::Normalised;
+
+/// Variance of the white noise of the normalised points, (v, i): the measured one of the
+/// configuration over the samples of a point, else what the fit leaves, `losses` being L_i1, L_i2.
+pub(crate) fn white_noise(
+    samples: &Normalised,
+    branch: &HarmonicBranch,
+    losses: (f64, f64),
+    measured: Option<[f64; 2]>,
+) -> (f64, f64) {
+    if let Some([v_volt, i_ampere]) = measured {
+        let block = samples.block as f64;
+        return (
+            (v_volt / samples.v_max_volt).powi(2) / block,
+            (i_ampere / samples.i_max_ampere).powi(2) / block,
+        );
+    }
+    // The fit has taken this share of the noise into its coefficients.
+    let free = (1.0 - branch.basis.len() as f64 / samples.len() as f64).max(0.1);
+    (losses.0 / free, losses.1 / free)
+}
+
+/// Variance that white noise of the samples gives one residual e, `white` being that of
+/// [`white_noise`] and `r_l` a typical (R in ohm, L in H).
+///
+/// Noise of variance s^2 per sample reaches the mean in eq. (4) as that of a phasor known from
+/// N / K samples per slow time, 2 s^2 K / N; e carries sqrt(w_f / 2K), and current noise comes
+/// in times |Z|.
+pub(crate) fn noise_variance(
+    samples: &Normalised,
+    white: (f64, f64),
+    w_f: f64,
+    r_l: [f64; OUTPUTS],
+) -> f64 {
+    let [r, l] = r_l.map(|s| s * samples.impedance_scale());
+    let z_squared = r * r + (samples.omega * l).powi(2);
+    w_f / samples.len() as f64 * (white.0 + z_squared * white.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+
+    use super::*;
+    use crate::loss::{SlowPhysics, slow_times_s};
+    use crate::trial;
+    use crate::vi_system::DataSystem;
+
+    #[test]
+    fn noise_moves_the_constant_as_far_as_its_standard_deviation_says() {
+        let (samples, network) = (trial::samples(), trial::network());
+        let deviation = 0.02;
+        // Uniform noise of that standard deviation.
+        let reach = deviation * 3.0_f64.sqrt();
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let (mut squares, mut said) = (0.0, 0.0);
+        let runs = 40;
+        for _ in 0..runs {
+            let mut noisy = samples.clone();
+            for x in noisy.v.iter_mut().chain(&mut noisy.i) {
+                *x += rng.random_range(-reach..reach);
+            }
+            let branch = DataSystem::assemble(&noisy, trial::basis(&noisy))
+                .fit()
+                .expect("separable");
+            let times = slow_times_s(noisy.duration_s(), 64);
+            let laws = trial::laws(0.0, &[0]);
+            let physics = SlowPhysics::condense(&branch, &noisy, &network, &laws, 5.0, times);
+            let constant = physics.best_constant();
+            // R is the looser of the two: 4 ohm.
+            squares += (constant[0] * network.r_scale_ohm / 4.0 - 1.0).powi(2);
+            let white = (deviation * deviation, deviation * deviation);
+            let noise = noise_variance(&noisy, white, 5.0, [4.0, 20e-6]);
+            said += physics.relative_sigma(constant, noise) / f64::from(runs);
+        }
+        let seen = (squares / f64::from(runs)).sqrt();
+        // 40 runs tell a standard deviation to 11 %.
+        assert!(
+            (0.7..1.4).contains(&(seen / said)),
+            "{seen} seen, {said} said"
+        );
+    }
+}
