@@ -134,7 +134,7 @@ impl IdentifyArgs {
         let segments = survey.segments(&capture);
         let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
         bar.set_style(
-            ProgressStyle::with_template("{bar:24} {pos}/{len} {wide_msg}")
+            ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}")
                 .context("progress bar")?,
         );
         let truth = (!capture.truth.is_empty()).then(|| fundamental(&capture.truth));
