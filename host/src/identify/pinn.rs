@@ -129,9 +129,9 @@ pub fn identify(
 #[cfg(feature = "pinn")]
 pub fn progress(p: &ihd_pinn::Progress) -> String {
     let (step, l_f, l_i) = (p.iteration, p.l_f, p.l_i);
-    let errors = p.mre_pct.map_or(String::new(), |(r, l)| {
-        format!(", off {r:.2}/{l:.2} %")
-    });
+    let errors = p
+        .mre_pct
+        .map_or(String::new(), |(r, l)| format!(", off {r:.2}/{l:.2} %"));
     format!("step {step}, L_f {l_f:.1e}, L_i {l_i:.1e}{errors}")
 }
 
