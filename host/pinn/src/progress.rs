@@ -26,7 +26,7 @@ pub struct Progress {
     pub mre_pct: Option<(f64, f64)>,
     /// Mean relative change of R and L (the larger) over the last few steps; infinite at first.
     pub change: f64,
-    /// Time since the call, s.
+    /// Time since the call, that of earlier sittings included, s.
     pub elapsed_s: f64,
 }
 
@@ -82,6 +82,8 @@ pub(crate) struct Log<'a> {
     deterministic: bool,
     max_iterations: usize,
     started: Instant,
+    /// Time of earlier sittings, s.
+    earlier_s: f64,
     time_limit: Duration,
     report: &'a mut dyn FnMut(&Progress),
 }
@@ -100,6 +102,7 @@ impl<'a> Log<'a> {
             deterministic: config.deterministic,
             max_iterations: config.max_iterations,
             started: Instant::now(),
+            earlier_s: 0.0,
             time_limit: Duration::try_from_secs_f64(config.time_limit_s).unwrap_or(Duration::MAX),
             report,
         }
@@ -109,11 +112,12 @@ impl<'a> Log<'a> {
     pub fn resume(&mut self, history: &mut Vec<Progress>) {
         self.iteration = history.len();
         self.history = std::mem::take(history);
+        self.earlier_s = self.history.last().map_or(0.0, |p| p.elapsed_s);
     }
 
-    /// Time since the start, s.
+    /// Time since the start, that of earlier sittings included, s.
     pub fn elapsed_s(&self) -> f64 {
-        self.started.elapsed().as_secs_f64()
+        self.earlier_s + self.started.elapsed().as_secs_f64()
     }
 
     /// Counts a step and tells the caller; `squares` is the sum of squared residuals, `outputs` what

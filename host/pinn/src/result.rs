@@ -64,7 +64,7 @@ pub struct Identified {
     pub passes: usize,
     /// Why the optimiser stopped.
     pub stopped_because: StoppedBecause,
-    /// Wall-clock time of the call, s.
+    /// Wall-clock time of the call, and of earlier sittings where it went on from a checkpoint, s.
     pub elapsed_s: f64,
     /// 100 * sum((v_hat - v)^2) / sum(v^2) over the points that it was fitted to, %.
     pub nmse_v_pct: f64,

@@ -95,12 +95,17 @@ fn a_training_that_was_stopped_goes_on_exactly() {
             max_iterations: 77,
             ..config.clone()
         };
-        resumed(&half, &path).expect("trains");
+        let first = resumed(&half, &path).expect("trains");
         let found = resumed(&config, &path).expect("goes on");
         assert_eq!(found.parameters, whole.parameters);
         let losses =
             |found: &Identified| -> Vec<f64> { found.history.iter().map(|p| p.loss).collect() };
         assert_eq!(losses(&found), losses(&whole));
+        // Both sittings count, and the clock never runs back.
+        let earlier_s = first.history.last().map_or(0.0, |p| p.elapsed_s);
+        assert!(found.elapsed_s > earlier_s && earlier_s > 0.0);
+        let mut times = found.history.windows(2);
+        assert!(times.all(|p| p[0].elapsed_s <= p[1].elapsed_s));
         std::fs::remove_file(&path).expect("was written");
     }
 }
