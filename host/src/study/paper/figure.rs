@@ -166,17 +166,25 @@ fn losses(path: &Path, cells: &[&Cell]) -> Drawn {
     let last = cells.iter().filter_map(|c| c.losses.last()).map(|l| l.step);
     if let (Some(noise), Some(last)) = (cells[0].noise_in_samples, last.max()) {
         let (from, to) = (0.0, log(last as f64));
-        curves.push(Curve {
+        // First, so that it lies under the others.
+        let noise = Curve {
             style: Style::Reference,
             name: "noise of the samples in L_i".to_owned(),
             points: vec![(from, log(noise)), (to, log(noise))],
-        });
+        };
+        curves.insert(0, noise);
     }
     let values = curves.iter().flat_map(|c| c.points.iter().map(|p| p.1));
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
     let axis = (low - 0.3)..(high + 0.3);
     let titles = ["log10 of the step", "log10 of the loss term"];
-    lines(&area, titles, axis, &curves, SeriesLabelPosition::LowerLeft)?;
+    lines(
+        &area,
+        titles,
+        axis,
+        &curves,
+        SeriesLabelPosition::LowerRight,
+    )?;
     root.present()?;
     Ok(())
 }

@@ -54,7 +54,8 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
         "Errors in percent over the last mains half-cycle, mean over the seeds and, in brackets, the \
          least and the largest. The paper's own figures are for its COMSOL model and are not the same \
          captures. NMSE is against the waveforms without noise; the paper filters these at 0.5 MHz, \
-         this study does not.\n",
+         this study does not. P/I² is the power over I_rms² against the waveform's own; DF: against the \
+         describing function, what a sinusoidal current would see.\n",
     );
     for (load, title) in [
         (LoadKind::Behavioural, "Truth a: v = R i + L di/dt holds"),
@@ -105,9 +106,8 @@ fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
     });
     let _ = writeln!(out, "### {title}\n");
     out.push_str(
-        "| kHz | who | MRE_R | MRE_L | middle 80 % R | L | describing function R | L | \
-         P/I² | \
-         NMSE_v | NMSE_i | P/I² | order | s | steps, why stopped |\n\
+        "| kHz | who | MRE_R | MRE_L | middle 80 % R | L | DF R | DF L | DF P/I² | NMSE_v | NMSE_i | \
+         P/I² | order | s | steps, why stopped |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     let of_snr = cells.iter().copied().filter(|c| c.job.snr_db == snr_db);
