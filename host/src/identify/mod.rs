@@ -13,6 +13,8 @@ pub mod firmware;
 pub mod kf;
 pub mod least_squares;
 pub mod lockin;
+#[cfg(feature = "pinn")]
+pub mod network;
 pub mod noise;
 pub mod pinn;
 pub mod reconstruction;

@@ -62,9 +62,7 @@ impl WhiteNoise {
             i_a: sigma(i),
         }
     }
-}
 
-impl WhiteNoise {
     /// Deviations in volt and ampere; `None` where the segment was too short to tell.
     pub fn told(self) -> Option<[f64; 2]> {
         (self != Self::default()).then_some([self.v_v, self.i_a])

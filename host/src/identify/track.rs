@@ -1,4 +1,4 @@
-//! R and L of an estimate between its points.
+//! R, L and P/I_rms² of an estimate between its points.
 
 use super::Estimate;
 
@@ -19,19 +19,47 @@ impl<'a> Track<'a> {
 
     /// R in ohm and L in henry at a time no earlier than the last one that was asked for.
     pub fn r_l(&mut self, t_s: f64) -> (f64, f64) {
-        let e = self.estimate;
-        while self.at + 1 < e.t_s.len() && e.t_s[self.at + 1] <= t_s {
+        let place = self.place(t_s);
+        (
+            place.between(&self.estimate.r_ohm),
+            place.between(&self.estimate.l_h),
+        )
+    }
+
+    /// P/I_rms² in ohm likewise; `None` where the estimate has none.
+    pub fn r_power_ohm(&mut self, t_s: f64) -> Option<f64> {
+        let place = self.place(t_s);
+        let power = &self.estimate.r_power_ohm;
+        (!power.is_empty()).then(|| place.between(power))
+    }
+
+    fn place(&mut self, t_s: f64) -> Place {
+        let times = &self.estimate.t_s;
+        while self.at + 1 < times.len() && times[self.at + 1] <= t_s {
             self.at += 1;
         }
-        let (a, b) = (self.at, (self.at + 1).min(e.t_s.len() - 1));
-        let span = e.t_s[b] - e.t_s[a];
+        let (a, b) = (self.at, (self.at + 1).min(times.len() - 1));
+        let span = times[b] - times[a];
         let w = if span > 0.0 {
-            ((t_s - e.t_s[a]) / span).clamp(0.0, 1.0)
+            ((t_s - times[a]) / span).clamp(0.0, 1.0)
         } else {
             0.0
         };
-        let between = |x: &[f64]| x[a] + w * (x[b] - x[a]);
-        (between(&e.r_ohm), between(&e.l_h))
+        Place { a, b, w }
+    }
+}
+
+/// Two points and how far towards the second.
+#[derive(Clone, Copy)]
+struct Place {
+    a: usize,
+    b: usize,
+    w: f64,
+}
+
+impl Place {
+    fn between(self, x: &[f64]) -> f64 {
+        x[self.a] + self.w * (x[self.b] - x[self.a])
     }
 }
 
@@ -51,5 +79,9 @@ mod tests {
         assert_eq!(track.r_l(2.25), (1.5, 3.0));
         assert_eq!(track.r_l(9.0), (3.0, 6.0));
         assert!(Track::from(&estimate, 3.5).is_none());
+        assert_eq!(track.r_power_ohm(9.0), None);
+        estimate.r_power_ohm = vec![8.0, 2.0, 4.0];
+        let mut track = Track::from(&estimate, 1.5).expect("two points");
+        assert_eq!(track.r_power_ohm(2.25), Some(2.5));
     }
 }

@@ -17,8 +17,7 @@ use super::point::{self, Point};
 use super::session::{Progress, Session, TruthSource};
 use super::{OperatingPoint, Source, TrainerError};
 use crate::capture::mcap::SessionRecorder;
-use crate::identify::Segment;
-use crate::identify::noise::WhiteNoise;
+use crate::identify::{Segment, network};
 use crate::link::{Client, Counters, Window};
 use crate::lookup::{Built, LoadCurve, LookupBuilder};
 
@@ -205,20 +204,12 @@ impl Run<'_, '_> {
             v_v: window.v_volt(),
             i_a: window.i_ampere(),
         };
-        let waveform = ihd_pinn::Waveform {
-            f_sw_hz: segment.f_sw_hz,
-            f_mains_hz: segment.mains_hz,
-            t0_s: segment.t0_s,
-            dt_s: segment.dt_s,
-            v_volt: &segment.v_v,
-            i_ampere: &segment.i_a,
-        };
-        let wanted = self.settings.pinn.clone();
         let config = Config {
             start: self.warm.take(),
-            noise: wanted.noise.or(WhiteNoise::measure(&segment).told()),
-            ..wanted
+            ..self.settings.pinn.clone()
         };
+        let config = network::informed(config, &segment);
+        let waveform = network::waveform(&segment, (0, segment.len()), 0.0);
         let seq = window.seq;
         let session = &mut self.session;
         identify(&waveform, &config, &mut |step| {

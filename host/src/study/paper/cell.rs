@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use ihd_pinn::{Config, Identified, Preset, Waveform};
+use ihd_pinn::{Config, Identified, Preset};
 
 use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point};
 use crate::identify::accuracy::{Accuracy, fundamental};
-use crate::identify::noise::WhiteNoise;
+use crate::identify::network::{half_cycle, informed};
 use crate::identify::track::Track;
-use crate::identify::{self, Estimate, Method, Segment, Settings};
+use crate::identify::{self, Estimate, Method, Segment, Settings, Watch};
 use crate::sim::inverter::meter::PeriodTruth;
 use crate::study::trial::Trial;
 
@@ -37,8 +37,7 @@ pub(super) fn run(
     let found = match job.contender {
         Contender::Other(method) => other(job, method, trial, &noisy, last)?,
         Contender::Pinn(preset) => {
-            let mut config = configured(job, preset);
-            config.noise = WhiteNoise::measure(&noisy).told();
+            let config = informed(configured(job, preset), &noisy);
             network(job, &config, trial, &noisy, last, checkpoint, progress)?
         }
     };
@@ -120,32 +119,24 @@ fn network(
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
 ) -> Result<Found, PaperStudyError> {
-    let crossing_s = noisy.crossing_of_s((from, to));
     let truth = fundamental(&trial.truth);
-    let truth_at = |t_s: f64| truth.at(t_s + crossing_s).unwrap_or((f64::NAN, f64::NAN));
-    let task = ihd_pinn::Task {
-        window: Waveform {
-            f_sw_hz: noisy.f_sw_hz,
-            f_mains_hz: noisy.mains_hz,
-            t0_s: noisy.t_s(from) - crossing_s,
-            dt_s: noisy.dt_s,
-            v_volt: &noisy.v_v[from..to],
-            i_ampere: &noisy.i_a[from..to],
-        },
-        config,
-        truth: Some(&truth_at),
-        checkpoint: Some(checkpoint),
+    let mut watch = Watch {
+        truth: Some(&truth),
+        say: progress,
     };
-    let found = task.run(&mut |p| progress(identify::pinn::progress(p)));
+    let mut estimate = Estimate::new(Method::Pinn, noisy.f_sw_hz);
+    let found = half_cycle(
+        noisy,
+        (from, to),
+        config,
+        Some(checkpoint),
+        &mut watch,
+        &mut estimate,
+    );
     let found = found.map_err(|source| PaperStudyError::Pinn {
         cell: job.file_stem(),
         source,
     })?;
-    let mut estimate = Estimate::new(Method::Pinn, noisy.f_sw_hz);
-    estimate.t_s = found.t_s.iter().map(|t| t + crossing_s).collect();
-    estimate.r_ohm.clone_from(&found.r_ohm);
-    estimate.l_h.clone_from(&found.l_h);
-    estimate.r_power_ohm.clone_from(&found.r_power_ohm);
     estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
     let said = &found.reconstruction;
     let clean = |x: &[f64]| -> Vec<f64> { said.sample.iter().map(|n| x[from + n]).collect() };
@@ -173,19 +164,11 @@ fn power_error_pct(
     from_s: f64,
     right: impl Fn(&PeriodTruth) -> f64,
 ) -> Option<f64> {
-    // As a track of its own: linear between the points.
-    let power = Estimate {
-        r_ohm: estimate.r_power_ohm.clone(),
-        ..estimate.clone()
-    };
-    if power.r_ohm.is_empty() {
-        return None;
-    }
-    let mut track = Track::from(&power, from_s)?;
+    let mut track = Track::from(estimate, from_s)?;
     let (mut sum, mut weights) = (0.0, 0.0);
     for period in truth.iter().filter(|p| p.t_s >= from_s) {
         let weight = period.i_a * period.i_a;
-        sum += weight * (track.r_l(period.t_s).0 / right(period) - 1.0).abs();
+        sum += weight * (track.r_power_ohm(period.t_s)? / right(period) - 1.0).abs();
         weights += weight;
     }
     (weights > 0.0).then_some(100.0 * sum / weights)
