@@ -55,27 +55,15 @@ fn output_delta(physics: &SlowTensors, outputs: Tensor<2>) -> Tensor<2> {
 mod tests {
     use super::jacobian;
     use crate::Backend;
-    use crate::loss::{SlowPhysics, slow_times_s};
     use crate::rl_mlp::{RlMlp, read};
     use crate::trial;
-    use crate::vi_system::DataSystem;
 
     /// d(sum e^2)/dtheta = 2 J^T e must be what burn's reverse mode finds.
     #[test]
     fn the_gradient_from_the_jacobian_is_that_of_burns_autodiff() {
         let (samples, network) = (trial::samples(), trial::network());
-        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
-            .fit()
-            .expect("separable");
-        let times = slow_times_s(samples.duration_s(), 32);
-        let physics = SlowPhysics::condense(
-            &branch,
-            &samples,
-            &network,
-            &trial::laws(0.0, &[0, 1]),
-            5.0,
-            times,
-        );
+        let branch = trial::fitted(&samples);
+        let physics = trial::physics(&branch, &samples, &network, &[0, 1], 32);
         for backend in [Backend::Flex, Backend::Ndarray] {
             let device = backend.device().expect("a burn backend");
             let plain = physics.on_device(&samples, &network, backend, &device);

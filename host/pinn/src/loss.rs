@@ -247,7 +247,6 @@ mod tests {
     use crate::rl_mlp::RlMlp;
     use crate::slow_model::SlowModel;
     use crate::trial;
-    use crate::vi_system::DataSystem;
 
     /// Eq. (4) as the paper writes it: the squared residual at every sample time.
     fn direct_l_f(branch: &HarmonicBranch, samples: &Normalised, network: &Parameters) -> f64 {
@@ -273,23 +272,12 @@ mod tests {
     #[test]
     fn parseval_at_slow_times_equals_the_sum_over_all_samples() {
         let (samples, network) = (trial::samples(), trial::network());
-        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
-            .fit()
-            .expect("separable");
-        let w_f = 5.0;
-        let times = slow_times_s(samples.duration_s(), 128);
-        let physics = SlowPhysics::condense(
-            &branch,
-            &samples,
-            &network,
-            &trial::laws(0.0, &[0, 1]),
-            w_f,
-            times,
-        );
+        let branch = trial::fitted(&samples);
+        let physics = trial::physics(&branch, &samples, &network, &[0, 1], 128);
         let (e, _) = SlowModel::own(&physics, &samples, &network)
             .evaluate(&network)
             .expect("own code");
-        let slow = (e.iter().map(|e| e * e).sum::<f64>() + physics.floor) / w_f;
+        let slow = (e.iter().map(|e| e * e).sum::<f64>() + physics.floor) / trial::W_F;
         let direct = direct_l_f(&branch, &samples, &network);
         assert!(
             direct > 1e-4,
@@ -304,18 +292,8 @@ mod tests {
     #[test]
     fn the_constant_of_a_constant_load_is_that_load() {
         let (samples, network) = (trial::samples(), trial::network());
-        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
-            .fit()
-            .expect("separable");
-        let times = slow_times_s(samples.duration_s(), 64);
-        let physics = SlowPhysics::condense(
-            &branch,
-            &samples,
-            &network,
-            &trial::laws(0.0, &[0]),
-            5.0,
-            times,
-        );
+        let branch = trial::fitted(&samples);
+        let physics = trial::physics(&branch, &samples, &network, &[0], 64);
         let [r, l] = physics.best_constant();
         assert!((r * 4.0 / 4.0 - 1.0).abs() < 1e-4 && (l * 20.0 / 20.0 - 1.0).abs() < 1e-4);
     }

@@ -46,9 +46,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     use super::*;
-    use crate::loss::{SlowPhysics, slow_times_s};
     use crate::trial;
-    use crate::vi_system::DataSystem;
 
     #[test]
     fn noise_moves_the_constant_as_far_as_its_standard_deviation_says() {
@@ -64,17 +62,13 @@ mod tests {
             for x in noisy.v.iter_mut().chain(&mut noisy.i) {
                 *x += rng.random_range(-reach..reach);
             }
-            let branch = DataSystem::assemble(&noisy, trial::basis(&noisy))
-                .fit()
-                .expect("separable");
-            let times = slow_times_s(noisy.duration_s(), 64);
-            let laws = trial::laws(0.0, &[0]);
-            let physics = SlowPhysics::condense(&branch, &noisy, &network, &laws, 5.0, times);
+            let branch = trial::fitted(&noisy);
+            let physics = trial::physics(&branch, &noisy, &network, &[0], 64);
             let constant = physics.best_constant();
             // R is the looser of the two: 4 ohm.
             squares += (constant[0] * network.r_scale_ohm / 4.0 - 1.0).powi(2);
             let white = (deviation * deviation, deviation * deviation);
-            let noise = noise_variance(&noisy, white, 5.0, [4.0, 20e-6]);
+            let noise = noise_variance(&noisy, white, trial::W_F, [4.0, 20e-6]);
             said += physics.relative_sigma(constant, noise) / f64::from(runs);
         }
         let seen = (squares / f64::from(runs)).sqrt();

@@ -123,25 +123,13 @@ fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Descending,
 mod tests {
     use super::SlowModel;
     use crate::Backend;
-    use crate::loss::{SlowPhysics, slow_times_s};
     use crate::trial;
-    use crate::vi_system::DataSystem;
 
     #[test]
     fn own_code_and_burn_are_one_function_with_one_jacobian_and_one_gradient() {
         let (samples, network) = (trial::samples(), trial::network());
-        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
-            .fit()
-            .expect("separable");
-        let times = slow_times_s(samples.duration_s(), 32);
-        let physics = SlowPhysics::condense(
-            &branch,
-            &samples,
-            &network,
-            &trial::laws(0.0, &[0, 1]),
-            5.0,
-            times,
-        );
+        let branch = trial::fitted(&samples);
+        let physics = trial::physics(&branch, &samples, &network, &[0, 1], 32);
         let own = SlowModel::own(&physics, &samples, &network);
         for backend in [Backend::Flex, Backend::Ndarray] {
             let device = backend.device().expect("a burn backend").autodiff();

@@ -2,9 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use crate::harmonic_branch::HarmonicBasis;
+use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::impedance_law::AtHarmonic;
+use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
+use crate::vi_system::DataSystem;
 use crate::waveform::Normalised;
 use crate::{SlowEmbedding, Waveform};
 use ihd_spline::CubicSpline;
@@ -50,15 +52,37 @@ pub(crate) fn basis(samples: &Normalised) -> HarmonicBasis {
         spline: CubicSpline::new(16, samples.duration_s()),
         harmonics: vec![1, 3],
         omega: samples.omega,
-        gains: vec![1.0; 2],
+        gains: vec![samples.gain(1), samples.gain(3)],
     }
 }
 
 /// The law of this order at these positions of the basis; 0 is eq. (1).
-pub(crate) fn laws(order: f64, indices: &[usize]) -> Vec<AtHarmonic> {
-    let basis = basis(&samples());
-    let law = |index: &usize| AtHarmonic::new(order, &basis, *index);
+pub(crate) fn laws(order: f64, basis: &HarmonicBasis, indices: &[usize]) -> Vec<AtHarmonic> {
+    let law = |index: &usize| AtHarmonic::new(order, basis, *index);
     indices.iter().map(law).collect()
+}
+
+/// The VI branch fitted to these samples alone.
+pub(crate) fn fitted(samples: &Normalised) -> HarmonicBranch {
+    DataSystem::assemble(samples, basis(samples))
+        .fit()
+        .expect("separable")
+}
+
+/// Weight of the physics term, the paper's.
+pub(crate) const W_F: f64 = 5.0;
+
+/// The physics term of eq. (1) over the harmonics at these positions, at `count` slow times.
+pub(crate) fn physics(
+    branch: &HarmonicBranch,
+    samples: &Normalised,
+    network: &Parameters,
+    indices: &[usize],
+    count: usize,
+) -> SlowPhysics {
+    let laws = laws(0.0, &branch.basis, indices);
+    let times = slow_times_s(samples.duration_s(), count);
+    SlowPhysics::condense(branch, samples, network, &laws, W_F, times)
 }
 
 /// An untrained network near 5 ohm, 25 uH: away from the truth, so that no residual vanishes.

@@ -187,9 +187,7 @@ mod tests {
     #[test]
     fn a_smooth_window_is_reproduced_to_the_last_code() {
         let samples = trial::samples();
-        let branch = DataSystem::assemble(&samples, trial::basis(&samples))
-            .fit()
-            .expect("separable");
+        let branch = trial::fitted(&samples);
         let (l_i1, l_i2) = branch.data_losses(&samples);
         assert!(l_i1 < 1e-9 && l_i2 < 1e-9, "{l_i1} {l_i2}");
     }
@@ -200,14 +198,7 @@ mod tests {
         // Fives would leave the third harmonic seven points a period: fours are taken.
         let points = raw.clone().averaged(10_000, 3);
         assert_eq!((points.block, points.len()), (4, 12_500));
-        let fit = |samples: &Normalised| {
-            let mut basis = trial::basis(samples);
-            basis.gains = vec![samples.gain(1), samples.gain(3)];
-            DataSystem::assemble(samples, basis)
-                .fit()
-                .expect("separable")
-        };
-        let (whole, averaged) = (fit(&raw), fit(&points));
+        let (whole, averaged) = (trial::fitted(&raw), trial::fitted(&points));
         // Without its gain the third harmonic would be off by 1 - sinc = 2e-2.
         assert!((points.gain(3) - 0.98).abs() < 5e-3 && raw.gain(3) == 1.0);
         let later_s = points.t0_s - raw.t0_s;
@@ -243,7 +234,7 @@ mod tests {
             .collect();
         let weight = 5.0;
         for order in [0.0, 0.5] {
-            let laws = trial::laws(order, &[0, 1]);
+            let laws = trial::laws(order, &system.basis, &[0, 1]);
             let total = |branch: &HarmonicBranch| {
                 let (l_i1, l_i2) = branch.data_losses(&samples);
                 weight * l_f(branch, &laws, &impedance) + l_i1 + l_i2

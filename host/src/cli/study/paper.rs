@@ -1,5 +1,6 @@
 //! `ihd study paper`.
 
+use std::fmt::{self, Display, Formatter};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -11,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::cli::simulate::LoadWord;
 use crate::identify::Method;
 use crate::sim::recording::settings::LoadKind;
+use crate::study::estimators::{F_SW_HZ, SNR_DB};
 use crate::study::paper::{Contender, Job, publish, study};
 
 /// Epochs of the paper's presets with `--quick`.
@@ -34,6 +36,15 @@ impl FromStr for SnrWord {
             Ok(Self(Some(db)))
         } else {
             Err(format!("{db} dB is not within 0 to 120"))
+        }
+    }
+}
+
+impl Display for SnrWord {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(db) => write!(f, "{db}"),
+            None => f.write_str("none"),
         }
     }
 }
@@ -72,7 +83,7 @@ pub struct PaperArgs {
         long,
         value_name = "KHZ,…",
         value_delimiter = ',',
-        default_value = "45,50,60,70"
+        default_values_t = F_SW_HZ.map(|f| f / 1e3)
     )]
     khz: Vec<f64>,
     /// Signal-to-noise ratios in decibel, with commas between them; none is without noise
@@ -80,7 +91,7 @@ pub struct PaperArgs {
         long,
         value_name = "DB,…",
         value_delimiter = ',',
-        default_value = "none,70,50,30"
+        default_values_t = SNR_DB.map(SnrWord)
     )]
     snr: Vec<SnrWord>,
     /// Seeds of noise and networks
