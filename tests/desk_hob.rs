@@ -9,9 +9,9 @@ use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ihd::link::{Client, LinkError, Transport};
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Block, Drive, RealTime};
+use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, block_ns,
 };

@@ -1,8 +1,8 @@
 //! Makes tests/fixtures/captures: `cargo run --release -p ihd-tests --example make_captures`, then
-//! `UPDATE_THRESHOLDS=1 cargo test -p ihd-tests --test regression` and a look at what changed.
+//! `UPDATE_THRESHOLDS=1 cargo test -p ihd-tests regression` and a look at what changed.
 
-use ihd::sim::recording::file::write;
-use ihd::sim::recording::run::record;
+use ihd_sim::recording::file::write;
+use ihd_sim::recording::run::record;
 use ihd_tests::regression_captures::{TRUTH_EVERY, all, file, folder};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -4,12 +4,12 @@
 //! 61/3; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
 //! (seed 7).
 
-use ihd::sim::adc::{Adc, Noise};
-use ihd::sim::behavioural::PotKind;
-use ihd::sim::mains::Mains;
-use ihd::sim::plant::Plant;
 use ihd_firmware::realtime::Drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
+use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::mains::Mains;
+use ihd_sim::plant::Plant;
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 
 /// Points of the kept truth: every 40th sample.

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use ihd::sim::pot::Pot;
-use ihd::sim::recording::sensing::{Rate, Sensing};
-use ihd::sim::recording::settings::{Change, Event, LoadKind, Settings};
+use ihd_sim::pot::Pot;
+use ihd_sim::recording::sensing::{Rate, Sensing};
+use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
 
 /// Every so many periods of truth are kept: R and L change little within half a millisecond.
 pub const TRUTH_EVERY: usize = 8;
@@ -60,7 +60,7 @@ fn event(t_s: f64, change: Change) -> Event {
 /// What a board sees of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.
 fn board(duration_s: f64) -> Settings {
     Settings {
-        load: LoadKind::Reduced,
+        load: LoadKind::Surrogate,
         winding_r_ohm: 0.1,
         duration_s,
         sensing: Sensing {

@@ -6,12 +6,12 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use ihd::link::{Client, Event};
-use ihd::sim::behavioural::PotKind;
-use ihd::sim::hob::{HobConfig, SimHob};
-use ihd::sim::transport::SharedHob;
+use ihd_link::{Client, Event};
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::wire::messages::Telemetry;
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
 
 /// Simulated time without an event that means the hob has fallen silent.
 const PATIENCE: Duration = Duration::from_secs(2);

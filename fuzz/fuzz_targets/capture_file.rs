@@ -2,7 +2,8 @@
 
 #![no_main]
 
-use ihd::capture::mcap::{self, SessionReader};
+use ihd_capture::mcap;
+use ihd_capture::mcap::SessionReader;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {

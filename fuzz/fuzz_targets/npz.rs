@@ -4,7 +4,7 @@ mod drain;
 
 use std::io::Cursor;
 
-use ihd::capture::formats::npz;
+use ihd_capture::formats::npz;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     drain::drain(npz::open(Cursor::new(bytes.to_vec())));

@@ -4,8 +4,8 @@ mod drain;
 
 use std::io::Cursor;
 
-use ihd::capture::formats::input::Input;
-use ihd::capture::formats::wfm::WfmSource;
+use ihd_capture::formats::input::Input;
+use ihd_capture::formats::wfm::WfmSource;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     drain::drain(Input::new(Cursor::new(bytes.to_vec())).and_then(WfmSource::open));

@@ -1,7 +1,7 @@
 //! What all targets do with a file whose header was accepted.
 
-use ihd::capture::error::FormatError;
-use ihd::capture::formats::Source;
+use ihd_capture::error::FormatError;
+use ihd_capture::formats::Source;
 
 /// Reads the first two channels: every sample must be finite, and columns of one length.
 pub fn drain(opened: Result<impl Source, FormatError>) {

@@ -1,5 +1,5 @@
 //! Time of full-batch epochs of the paper's two networks, all backends in one run: ratios count.
-//! `cargo bench -p ihd-pinn --bench epoch`; against JAX: host/pinn/peers/epoch.py.
+//! `cargo bench --profile full -p ihd-pinn --bench epoch`; against JAX: host/pinn/peers/epoch.py.
 
 #[path = "../tests/truth/mod.rs"]
 mod truth;

@@ -1,0 +1,299 @@
+//! The formats of captures: one table says how each is called, recognised, opened and written.
+
+use std::fs::{File, FileType};
+use std::io::Read;
+use std::path::Path;
+
+use ihd_signal::Capture;
+
+use super::channels::ChannelRef;
+use super::error::{CaptureError, FormatError};
+use super::exports::{self, ExportError};
+use super::formats::csv::CsvSource;
+use super::formats::input::Input;
+use super::formats::isf::{self, IsfSource};
+use super::formats::trc::{self, TrcSource};
+use super::formats::wfm::{self, WfmSource};
+use super::formats::{Progress, Source, mat, npz};
+use super::mcap::{self, McapFileError};
+
+/// Bytes by which a format is recognised.
+const HEAD: usize = 4096;
+
+/// The columns of a table that the user names: time, voltage, current.
+type Columns<'a> = Option<&'a [ChannelRef; 3]>;
+
+/// How a file is read.
+pub(super) enum Opener {
+    /// Header first, then the samples of the wanted channels; the columns matter to tables alone.
+    Channels(fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>),
+    /// As a whole capture, in a format of our own.
+    Whole(fn(&Path) -> Result<Capture, McapFileError>),
+}
+
+/// What recognises and opens a format.
+pub(super) struct Reading {
+    /// Whether a file that begins with these bytes is of the format.
+    recognises: fn(&[u8]) -> bool,
+    /// Opens it.
+    pub(super) open: Opener,
+}
+
+/// Writes a capture to a file of that name.
+type Writer = fn(&Capture, &Path, Progress<'_>) -> Result<(), ExportError>;
+
+/// What writes a format.
+pub struct Writing {
+    /// The file's ending, without the dot.
+    pub ending: &'static str,
+    /// Writes a capture; none where this build leaves it out.
+    write: Option<Writer>,
+}
+
+/// A format of captures.
+pub struct Format {
+    /// Its name for people.
+    pub name: &'static str,
+    /// Where it can be read.
+    pub(super) reading: Option<Reading>,
+    /// Where it can be written.
+    pub writing: Option<Writing>,
+}
+
+const fn reading(
+    recognises: fn(&[u8]) -> bool,
+    open: fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>,
+) -> Option<Reading> {
+    let open = Opener::Channels(open);
+    Some(Reading { recognises, open })
+}
+
+/// Every format, in the order in which a file is held against them: plain text, which has no mark of
+/// its own, last.
+pub static FORMATS: [Format; 8] = [
+    Format {
+        name: "MCAP",
+        reading: Some(Reading {
+            recognises: |head| head.starts_with(::mcap::MAGIC),
+            open: Opener::Whole(mcap::read),
+        }),
+        writing: Some(Writing {
+            ending: "mcap",
+            write: Some(|capture, path, _| Ok(mcap::write(capture, path)?)),
+        }),
+    },
+    Format {
+        name: "Tektronix WFM",
+        reading: reading(
+            |head| head.get(2..9) == Some(wfm::VERSION),
+            |file, _| Input::new(file).and_then(WfmSource::open).map(boxed),
+        ),
+        writing: None,
+    },
+    Format {
+        name: "Tektronix ISF",
+        reading: reading(isf::is_isf, |file, _| {
+            Input::new(file).and_then(IsfSource::open).map(boxed)
+        }),
+        writing: None,
+    },
+    Format {
+        name: "LeCroy TRC",
+        reading: reading(
+            |head| trc::descriptor(head).is_some(),
+            |file, _| Input::new(file).and_then(TrcSource::open).map(boxed),
+        ),
+        writing: None,
+    },
+    Format {
+        name: "MATLAB MAT v5",
+        reading: reading(
+            |head| mat::endian(head).is_some(),
+            |file, _| Input::new(file).and_then(mat::open).map(boxed),
+        ),
+        writing: None,
+    },
+    Format {
+        name: "NPZ",
+        reading: reading(
+            |head| head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"),
+            |file, _| npz::open(file).map(boxed),
+        ),
+        writing: Some(Writing {
+            ending: "npz",
+            write: Some(exports::write_npz),
+        }),
+    },
+    Format {
+        name: "CSV",
+        reading: reading(is_text, |file, columns| {
+            CsvSource::open(file, columns).map(boxed)
+        }),
+        writing: Some(Writing {
+            ending: "csv",
+            write: Some(exports::write_csv),
+        }),
+    },
+    Format {
+        name: "Parquet",
+        reading: None,
+        writing: Some(Writing {
+            ending: "parquet",
+            #[cfg(feature = "parquet")]
+            write: Some(exports::write_parquet),
+            #[cfg(not(feature = "parquet"))]
+            write: None,
+        }),
+    },
+];
+
+fn boxed(source: impl Source + 'static) -> Box<dyn Source> {
+    Box::new(source)
+}
+
+fn is_text(head: &[u8]) -> bool {
+    let control = |b: &u8| *b < 0x20 && !matches!(b, b'\t' | b'\n' | b'\r');
+    !head.iter().any(control)
+}
+
+/// The names of the formats that can be read, for a message.
+fn readable() -> String {
+    let names: Vec<&str> = FORMATS
+        .iter()
+        .filter(|format| format.reading.is_some())
+        .map(|format| format.name)
+        .collect();
+    names.join(", ")
+}
+
+/// The endings of the formats that can be written, each with its dot, for a message.
+fn endings() -> String {
+    let endings = FORMATS.iter().filter_map(|format| format.writing.as_ref());
+    let dotted: Vec<String> = endings.map(|w| format!(".{}", w.ending)).collect();
+    dotted.join(", ")
+}
+
+/// The writing half of the format that a file's ending names.
+fn writing(path: &Path) -> Result<&'static Writing, ExportError> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    let mut writers = FORMATS.iter().filter_map(|format| format.writing.as_ref());
+    writers
+        .find(|w| Some(w.ending) == ending.as_deref())
+        .ok_or_else(|| ExportError::Ending {
+            path: path.to_owned(),
+            known: endings(),
+        })
+}
+
+/// Writes a capture; a file of that name is replaced. `progress` hears how far it is, from 0 to 1.
+///
+/// # Errors
+/// [`ExportError`]; what was written of the file until then is removed.
+pub fn write(capture: &Capture, path: &Path, progress: Progress<'_>) -> Result<(), ExportError> {
+    (writer(path)?)(capture, path, progress)
+}
+
+/// Checks that a file of this name could be written, before a long capture is read for it.
+///
+/// # Errors
+/// [`ExportError::Ending`], or [`ExportError::WithoutParquet`] where that is so.
+pub fn check(path: &Path) -> Result<(), ExportError> {
+    writer(path).map(drop)
+}
+
+fn writer(path: &Path) -> Result<Writer, ExportError> {
+    writing(path)?
+        .write
+        .ok_or_else(|| ExportError::WithoutParquet {
+            path: path.to_owned(),
+        })
+}
+
+/// Opens a regular file; nothing else, as a pipe would block and cannot be sought.
+pub(super) fn regular(path: &Path) -> Result<File, CaptureError> {
+    let failed = |source| CaptureError::Open {
+        path: path.to_owned(),
+        source,
+    };
+    let kind = std::fs::metadata(path).map_err(failed)?.file_type();
+    if !kind.is_file() {
+        return Err(CaptureError::NotAFile {
+            path: path.to_owned(),
+            kind: described(kind),
+        });
+    }
+    File::open(path).map_err(failed)
+}
+
+fn described(kind: FileType) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if kind.is_fifo() {
+            return "a pipe";
+        }
+        if kind.is_socket() {
+            return "a socket";
+        }
+    }
+    if kind.is_dir() {
+        "a directory"
+    } else {
+        "a device"
+    }
+}
+
+/// Recognises a file's format by its first bytes.
+pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
+    let mut head = Vec::new();
+    let read = regular(path)?.take(HEAD as u64).read_to_end(&mut head);
+    read.map_err(|source| CaptureError::Open {
+        path: path.to_owned(),
+        source,
+    })?;
+    opener(&head).map_err(|what| CaptureError::Unknown {
+        path: path.to_owned(),
+        what: format!("{what}; readable are {}", readable()),
+    })
+}
+
+/// What opens a file that begins with `head`.
+fn opener(head: &[u8]) -> Result<&'static Opener, &'static str> {
+    if head.is_empty() {
+        return Err("it is empty");
+    }
+    if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
+        return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");
+    }
+    if head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]) {
+        return Err("it is text in UTF-16: save it as UTF-8");
+    }
+    let mut readers = FORMATS.iter().filter_map(|format| format.reading.as_ref());
+    let found = readers.find(|reading| (reading.recognises)(head));
+    found
+        .map(|reading| &reading.open)
+        .ok_or("it is binary and begins like none of them")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_can_be_read_and_written_is_listed_from_the_table() {
+        assert_eq!(
+            readable(),
+            "MCAP, Tektronix WFM, Tektronix ISF, LeCroy TRC, MATLAB MAT v5, NPZ, CSV"
+        );
+        assert_eq!(endings(), ".mcap, .npz, .csv, .parquet");
+    }
+
+    #[test]
+    fn an_ending_names_its_writer_whatever_its_case() {
+        let ending = |name: &str| writing(Path::new(name)).map(|w| w.ending).ok();
+        assert_eq!(ending("a.NPZ"), Some("npz"));
+        assert_eq!(ending("a.mcap"), Some("mcap"));
+        assert_eq!(ending("a.wfm"), None);
+        assert_eq!(ending("a"), None);
+    }
+}

@@ -1,0 +1,225 @@
+//! Files of named arrays (MAT, NPZ): which is the time, which are channels.
+//!
+//! Time is a vector named like it, or start and interval as scalars; channels are the vectors as
+//! long as the time, or without one the longest. Units are taken from names (`v_V`, `time_us`).
+
+use std::collections::BTreeMap;
+
+use ihd_signal::TimeBase;
+
+use super::time::time_base;
+use super::unit::{Quantity, Unit};
+use super::{Channel, Progress, Samples, Source};
+use crate::error::FormatError;
+
+/// One array, as the file's directory describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Its name.
+    pub name: String,
+    /// Number of elements of a vector; 0 for a matrix and what is no number.
+    pub length: u64,
+    /// Where it begins in the file, for messages.
+    pub offset: u64,
+    /// Value of an array with one element.
+    pub scalar: Option<f64>,
+    /// A short text.
+    pub text: Option<String>,
+}
+
+/// Access to the numbers of arrays.
+pub trait Arrays {
+    /// Hands all numbers of array `index` to `each`.
+    ///
+    /// # Errors
+    /// [`FormatError`] when they are not all there.
+    fn numbers(&mut self, index: usize, each: &mut dyn FnMut(f64)) -> Result<(), FormatError>;
+}
+
+/// Arrays as a source of channels.
+pub struct ArraySource<A> {
+    reader: A,
+    arrays: Vec<Array>,
+    /// Index of each channel's array.
+    columns: Vec<usize>,
+    channels: Vec<Channel>,
+    clock: Clock,
+    metadata: BTreeMap<String, String>,
+}
+
+enum Clock {
+    Array { index: usize, scale: f64 },
+    Even { t0_s: f64, dt_s: f64 },
+    Missing,
+}
+
+/// Names of a time vector, in lower case; a unit may follow.
+const TIME: [&str; 5] = ["time", "t", "timestamp", "x", "zeit"];
+/// Names of the sampling interval, in lower case: ours, Tektronix', PicoScope's.
+const INTERVAL: [&str; 5] = [
+    "dt",
+    "sampleinterval",
+    "tinterval",
+    "sample_interval",
+    "xincr",
+];
+/// Names of the first sample's time.
+const START: [&str; 4] = ["t0", "tstart", "start", "xzero"];
+/// Names of the sampling rate.
+const RATE: [&str; 5] = ["fs", "f_s", "samplerate", "sample_rate", "rate"];
+
+impl<A: Arrays> ArraySource<A> {
+    /// Finds clock and channels among `arrays`.
+    ///
+    /// # Errors
+    /// [`FormatError`] when there is no vector.
+    pub fn new(reader: A, arrays: Vec<Array>, format: &str) -> Result<Self, FormatError> {
+        let heading = |a: &Array| Unit::of_heading(&a.name);
+        let is_time = |a: &Array| {
+            let (name, unit) = heading(a);
+            let named = TIME.contains(&name.to_lowercase().as_str());
+            a.length > 1 && named && unit.is_none_or(|u| u.quantity == Quantity::Time)
+        };
+        let time = arrays.iter().position(is_time);
+        let longest = arrays.iter().map(|a| a.length).max().unwrap_or(0);
+        let length = time.map_or(longest, |k| arrays[k].length);
+        let is_channel = |k: &usize| Some(*k) != time && arrays[*k].length == length;
+        let columns: Vec<usize> = (0..arrays.len()).filter(is_channel).collect();
+        if length < 2 || columns.is_empty() {
+            let names: Vec<_> = arrays.iter().take(12).map(|a| a.name.as_str()).collect();
+            let what = format!(
+                "no vectors of samples; save each channel as a vector. Arrays: {}",
+                names.join(", ")
+            );
+            return Err(FormatError::at_byte(0, what));
+        }
+        let clock = match time {
+            Some(index) => Clock::Array {
+                index,
+                scale: heading(&arrays[index]).1.map_or(1.0, |u| u.scale),
+            },
+            None => clock_of_scalars(&arrays),
+        };
+        // Tektronix' MAT has one vector, and its unit as a text.
+        let told = |name: &str| {
+            let found = arrays.iter().find(|a| a.name.eq_ignore_ascii_case(name));
+            found.and_then(|a| a.text.as_deref())
+        };
+        let unit_told = told("verticalUnits").filter(|_| columns.len() == 1);
+        let channel = |k: &usize| {
+            let (name, unit) = heading(&arrays[*k]);
+            Channel {
+                name,
+                unit: unit.or_else(|| Unit::parse(unit_told?)),
+                full_scale: None,
+            }
+        };
+        let texts = arrays
+            .iter()
+            .filter_map(|a| Some((a.name.clone(), a.text.clone()?)));
+        let mut metadata: BTreeMap<_, _> = texts.collect();
+        metadata.insert("format".to_owned(), format.to_owned());
+        Ok(Self {
+            channels: columns.iter().map(channel).collect(),
+            reader,
+            columns,
+            clock,
+            metadata,
+            arrays,
+        })
+    }
+
+    /// Reads one vector; `keep` takes each number.
+    fn vector(&mut self, index: usize, mut keep: impl FnMut(f64)) -> Result<(), FormatError> {
+        let mut bad = None;
+        let mut k = 0u64;
+        self.reader.numbers(index, &mut |x| {
+            // As a sample it is f32, and may be too large for it.
+            if !(x as f32).is_finite() && bad.is_none() {
+                bad = Some(k);
+            }
+            k += 1;
+            keep(x);
+        })?;
+        match bad {
+            None => Ok(()),
+            Some(k) => {
+                let array = &self.arrays[index];
+                let what = format!("number {k} of `{}` is not finite", array.name);
+                Err(FormatError::at_byte(array.offset, what))
+            }
+        }
+    }
+}
+
+/// Start and interval from scalars, in seconds by name or unit.
+fn clock_of_scalars(arrays: &[Array]) -> Clock {
+    let scalar = |names: &[&str]| {
+        arrays.iter().find_map(|a| {
+            let (name, unit) = Unit::of_heading(&a.name);
+            let whole = a.name.to_lowercase();
+            let known = |n: &str| names.contains(&n);
+            let named = known(&name.to_lowercase()) || known(&whole);
+            let value = a.scalar.filter(|x| named && x.is_finite())?;
+            Some(value * unit.map_or(1.0, |u| u.scale))
+        })
+    };
+    let rate = scalar(&RATE).filter(|hz| *hz > 0.0).map(|hz| 1.0 / hz);
+    match scalar(&INTERVAL).filter(|dt| *dt > 0.0).or(rate) {
+        Some(dt_s) => Clock::Even {
+            t0_s: scalar(&START).unwrap_or(0.0),
+            dt_s,
+        },
+        None => Clock::Missing,
+    }
+}
+
+impl<A: Arrays> Source for ArraySource<A> {
+    fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    fn metadata(&self) -> BTreeMap<String, String> {
+        self.metadata.clone()
+    }
+
+    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+        let time =
+            match self.clock {
+                Clock::Missing => None,
+                Clock::Even { t0_s, dt_s } => Some(TimeBase::Even { t0_s, dt_s }),
+                Clock::Array { index, scale } => {
+                    let length = self.arrays[index].length as usize;
+                    let mut stamps = Vec::with_capacity(length);
+                    self.vector(index, |t| stamps.push(t * scale))?;
+                    let base = time_base(stamps, 0.0, None);
+                    Some(base.map_err(|e| {
+                        FormatError::at_byte(self.arrays[index].offset, e.to_string())
+                    })?)
+                }
+            };
+        let mut columns = Vec::with_capacity(wanted.len());
+        for (done, channel) in wanted.iter().enumerate() {
+            progress(done as f64 / wanted.len() as f64);
+            let Some(&index) = self.columns.get(*channel) else {
+                continue;
+            };
+            let mut values = Vec::with_capacity(self.arrays[index].length as usize);
+            self.vector(index, |x| values.push(x as f32))?;
+            columns.push(values);
+        }
+        Ok(Samples { time, columns })
+    }
+}
+
+/// Largest ratio of a compressed array's sizes that is believed beyond [`SMALL`]: samples with noise
+/// reach 20, deflate's limit is 1032.
+const LARGEST_RATIO: u64 = 256;
+
+/// Bytes that are believed whatever their ratio.
+const SMALL: u64 = 1 << 24;
+
+/// Whether `unpacked` bytes may come from `packed` ones; memory is bounded by it.
+pub fn plausible(packed: u64, unpacked: u64) -> bool {
+    unpacked <= SMALL || unpacked / LARGEST_RATIO <= packed
+}

@@ -1,0 +1,126 @@
+//! The names and units above the columns.
+
+use super::prelude::Prelude;
+use crate::formats::unit::{Quantity, Unit};
+
+/// The heading of one column.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Heading {
+    /// Name without its unit, may be empty.
+    pub name: String,
+    /// The cell as the file has it.
+    pub text: String,
+    /// Unit where it is told.
+    pub unit: Option<Unit>,
+}
+
+impl Heading {
+    fn of(text: &str) -> Self {
+        let (name, unit) = Unit::of_heading(text);
+        // Rigol's `CH1V`: the unit follows the number without a gap.
+        let digit = |c: char| c.is_ascii_digit();
+        let end = name.rfind(digit).map_or(0, |k| k + 1);
+        if unit.is_none() && name.starts_with("CH") && end > 0 && end < name.len() {
+            let (channel, tail) = name.split_at(end);
+            if let Some(unit) = Unit::parse(tail) {
+                return Self {
+                    name: channel.to_owned(),
+                    text: text.to_owned(),
+                    unit: Some(unit),
+                };
+            }
+        }
+        Self {
+            name,
+            text: text.to_owned(),
+            unit,
+        }
+    }
+
+    /// Whether the column is the time.
+    pub fn is_time(&self) -> bool {
+        const NAMES: [&str; 8] = [
+            "time",
+            "t",
+            "x",
+            "x-axis",
+            "second",
+            "timestamp",
+            "zeit",
+            "t_s",
+        ];
+        let of_unit = self.unit.is_some_and(|u| u.quantity == Quantity::Time);
+        of_unit || NAMES.contains(&self.name.to_lowercase().as_str())
+    }
+}
+
+/// One heading for each of the table's columns.
+///
+/// The last row of the prelude has the names, or the units with the names in the row before; makers
+/// that tell units under a key (`Vertical Units`) are asked after that.
+pub fn headings(prelude: &Prelude) -> Vec<Heading> {
+    let mut rows = prelude.rows.iter().rev();
+    let last = rows.next().filter(|_| !prelude.beside);
+    let mut all: Vec<Heading> = match last {
+        Some(last) if is_units(last) => {
+            let names = rows.next().map_or(&[][..], Vec::as_slice);
+            let named = |(k, unit): (usize, &String)| {
+                let name = names.get(k).cloned().unwrap_or_default();
+                Heading {
+                    text: name.clone(),
+                    name,
+                    unit: Unit::parse(unit),
+                }
+            };
+            last.iter().enumerate().map(named).collect()
+        }
+        Some(last) => last.iter().map(|text| Heading::of(text)).collect(),
+        None => Vec::new(),
+    };
+    all.resize(prelude.width.max(all.len()), Heading::default());
+    from_keys(prelude, &mut all);
+    all
+}
+
+/// Whether a row holds units: the first is one, or counts samples, and so is another.
+fn is_units(row: &[String]) -> bool {
+    let unit = |text: &&String| Unit::parse(text).is_some() && text.len() > 1;
+    let counts = |text: &&String| text.eq_ignore_ascii_case("sequence");
+    let first = row.first().is_some_and(|f| unit(&f) || counts(&f));
+    // `s,V,A` are units; `t,V,I` and `V,A` are names.
+    let letters = row.len() > 2 && row.first().is_some_and(|f| f.eq_ignore_ascii_case("s"));
+    let known = |text: &String| Unit::parse(text).is_some();
+    (first || letters) && row.iter().skip(1).any(known)
+}
+
+/// Units that stand under a key: `Vertical Units,V,A` in the order of the channels, or
+/// `Vertical Units,CH1:V,CH2:A` by name.
+fn from_keys(prelude: &Prelude, all: &mut [Heading]) {
+    let horizontal = prelude.value(&["horizontal units", "xunits"]);
+    let vertical = prelude.values(&["vertical units", "yunits"]).unwrap_or(&[]);
+    let (clock, first_channel) = if prelude.beside { (3, 4) } else { (0, 1) };
+    if let Some(heading) = all.get_mut(clock)
+        && (heading.is_time() || prelude.beside)
+    {
+        heading.unit = heading.unit.or_else(|| Unit::parse(horizontal?));
+    }
+    for (k, text) in vertical.iter().enumerate() {
+        let (name, unit) = match text.split_once(':') {
+            Some((name, unit)) => (Some(name.trim()), unit),
+            None => (None, text.as_str()),
+        };
+        let index = match name {
+            Some(name) => all.iter().position(|h| h.name.eq_ignore_ascii_case(name)),
+            None => Some(first_channel + k),
+        };
+        if let Some(heading) = index.and_then(|index| all.get_mut(index)) {
+            heading.unit = heading.unit.or_else(|| Unit::parse(unit));
+        }
+    }
+    if prelude.beside
+        && let (Some(heading), Some(source)) =
+            (all.get_mut(first_channel), prelude.value(&["source"]))
+    {
+        heading.name = source.to_owned();
+    }
+}

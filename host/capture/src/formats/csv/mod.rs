@@ -1,0 +1,169 @@
+//! CSV as scopes, programs and people write it, tab- and semicolon-separated text included.
+//!
+//! Lines before the first row of numbers are the prelude ([`dialect`] understands it); after it only
+//! the wanted columns are read. A line has a largest length, so that memory is bounded whatever the
+//! file holds.
+
+pub mod dialect;
+pub mod heading;
+pub mod prelude;
+pub mod rows;
+
+use std::collections::BTreeMap;
+use std::io::{BufReader, Read, SeekFrom};
+
+use ihd_signal::TimeBase;
+
+use self::dialect::{Layout, TimeColumn};
+use self::prelude::Prelude;
+use self::rows::{LONGEST_LINE, Rows, too_long};
+use super::input::ReadSeek;
+use super::time::time_base;
+use super::{Channel, Progress, Samples, Source};
+use crate::channels::ChannelRef;
+use crate::error::FormatError;
+
+/// Rows after which the number of rows is estimated.
+const ESTIMATE_AFTER: usize = 1000;
+
+/// Rows between two reports of progress.
+const REPORT_EVERY: usize = 4096;
+
+/// A CSV file whose prelude has been read.
+pub struct CsvSource {
+    rows: Rows,
+    layout: Layout,
+    length: u64,
+}
+
+impl CsvSource {
+    /// Reads the prelude. `columns` (time, voltage, current; time `-` for none) override what is
+    /// detected: the source then has these two channels.
+    ///
+    /// # Errors
+    /// [`FormatError`] when no row of numbers is found or a column is not there.
+    pub fn open(
+        mut file: impl ReadSeek + 'static,
+        columns: Option<&[ChannelRef; 3]>,
+    ) -> Result<Self, FormatError> {
+        let failed = |e: std::io::Error| FormatError::io(0, &e);
+        let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
+        file.seek(SeekFrom::Start(0)).map_err(failed)?;
+        let mut head = Vec::new();
+        let mut beginning = (&mut file).take(LONGEST_LINE as u64);
+        beginning.read_to_end(&mut head).map_err(failed)?;
+        if head.len() == LONGEST_LINE && !head.contains(&b'\n') {
+            return Err(FormatError::at_line(1, too_long()));
+        }
+        let prelude = Prelude::read(&head)?;
+        let layout = Layout::of(&prelude, columns)?;
+        file.seek(SeekFrom::Start(prelude.end.byte()))
+            .map_err(failed)?;
+        let source = BufReader::with_capacity(1 << 16, file);
+        let rows = Rows::new(Box::new(source), prelude.syntax, prelude.end);
+        Ok(Self {
+            rows,
+            layout,
+            length,
+        })
+    }
+}
+
+/// Columns while they are being read.
+struct Columns {
+    stamps: Vec<f64>,
+    values: Vec<Vec<f32>>,
+    /// Largest place value of a time's last digit, in seconds.
+    resolution_s: f64,
+    rows: usize,
+}
+
+impl Columns {
+    /// Makes room for `more` rows.
+    fn reserve(&mut self, more: usize) {
+        if !self.stamps.is_empty() {
+            self.stamps.reserve_exact(more);
+        }
+        self.values.iter_mut().for_each(|v| v.reserve_exact(more));
+    }
+}
+
+impl Source for CsvSource {
+    fn channels(&self) -> &[Channel] {
+        &self.layout.channels
+    }
+
+    fn metadata(&self) -> BTreeMap<String, String> {
+        self.layout.metadata.clone()
+    }
+
+    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+        let begin = self.rows.position();
+        let columns = self.columns(wanted, progress)?;
+        self.layout.check_rows(columns.rows, self.rows.position())?;
+        let time = match self.layout.time {
+            TimeColumn::Even { t0_s, dt_s } => Some(TimeBase::Even { t0_s, dt_s }),
+            TimeColumn::Missing => None,
+            TimeColumn::Column { .. } => {
+                let interval_s = self.layout.interval_s;
+                let base = time_base(columns.stamps, columns.resolution_s, interval_s);
+                Some(base.map_err(|e| {
+                    // Empty lines between samples are not counted.
+                    FormatError::at_line(begin.line() + e.sample as u64, e.to_string())
+                })?)
+            }
+        };
+        Ok(Samples {
+            time,
+            columns: columns.values,
+        })
+    }
+}
+
+impl CsvSource {
+    fn columns(
+        &mut self,
+        wanted: &[usize],
+        progress: Progress<'_>,
+    ) -> Result<Columns, FormatError> {
+        let of_channel = |k: &usize| self.layout.columns.get(*k).copied();
+        let picked: Vec<usize> = wanted.iter().filter_map(of_channel).collect();
+        let clock = match self.layout.time {
+            TimeColumn::Column { index, scale } => Some((index, scale)),
+            TimeColumn::Even { .. } | TimeColumn::Missing => None,
+        };
+        let begin = self.rows.position().byte();
+        let mut columns = Columns {
+            stamps: Vec::new(),
+            values: vec![Vec::new(); picked.len()],
+            resolution_s: 0.0,
+            rows: 0,
+        };
+        while let Some(row) = self.rows.next_row()? {
+            row.check_width(self.layout.width)?;
+            if let Some((index, scale)) = clock {
+                let field = row.field(index)?;
+                columns.stamps.push(row.number(field)? * scale);
+                if columns.rows.is_multiple_of(ESTIMATE_AFTER) {
+                    let resolution_s = rows::resolution(field) * scale;
+                    columns.resolution_s = columns.resolution_s.max(resolution_s);
+                }
+            }
+            for (values, index) in columns.values.iter_mut().zip(&picked) {
+                values.push(row.number(row.field(*index)?)? as f32);
+            }
+            columns.rows += 1;
+            if columns.rows == ESTIMATE_AFTER {
+                let byte = self.rows.position().byte();
+                let per_row = (byte - begin) as f64 / ESTIMATE_AFTER as f64;
+                let left = self.length.saturating_sub(byte) as f64;
+                columns.reserve((1.02 * left / per_row) as usize);
+            }
+            if columns.rows.is_multiple_of(REPORT_EVERY) {
+                let byte = self.rows.position().byte();
+                progress(byte as f64 / self.length.max(1) as f64);
+            }
+        }
+        Ok(columns)
+    }
+}

@@ -1,0 +1,99 @@
+//! The lines of a table before its numbers.
+
+use csv::{ByteRecord, Position};
+
+use super::rows::{Rows, Syntax, text};
+use crate::error::FormatError;
+
+/// Lines that a prelude may have.
+const LINES: usize = 1000;
+
+/// Rows with samples in which keys are looked for, in the layout that has both in a row.
+const BESIDE_ROWS: usize = 20;
+
+/// The prelude, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prelude {
+    /// How the text is written.
+    pub syntax: Syntax,
+    /// Fields of each line that is not empty, without quotes.
+    pub rows: Vec<Vec<String>>,
+    /// Whether each row also has a sample, in columns four and five (Tektronix TDS, TPS).
+    pub beside: bool,
+    /// Fields of the first row of numbers.
+    pub width: usize,
+    /// Where the first row of numbers begins.
+    pub end: Position,
+}
+
+impl Prelude {
+    /// Reads it from the beginning of a file.
+    ///
+    /// # Errors
+    /// [`FormatError`] when no row of numbers follows.
+    pub fn read(head: &[u8]) -> Result<Self, FormatError> {
+        let syntax = Syntax::detect(head);
+        let mut rows = Rows::new(
+            Box::new(std::io::Cursor::new(head.to_vec())),
+            syntax,
+            Position::new(),
+        );
+        let mut prelude = Self {
+            syntax,
+            rows: Vec::new(),
+            beside: false,
+            width: 0,
+            end: Position::new(),
+        };
+        loop {
+            let Some(row) = rows.next_row()? else {
+                let what = "no row of numbers: this is no table of samples";
+                return Err(FormatError::at_line(rows.position().line(), what));
+            };
+            let record = row.record();
+            prelude.beside |= prelude.rows.is_empty() && is_beside(record, syntax);
+            if prelude.width == 0 && (prelude.beside || syntax.is_numbers(record)) {
+                prelude.width = record.len();
+                prelude.end = record.position().cloned().unwrap_or_else(Position::new);
+            }
+            let enough = !prelude.beside || prelude.rows.len() == BESIDE_ROWS;
+            if prelude.width > 0 && enough {
+                return Ok(prelude);
+            }
+            if prelude.rows.len() == LINES {
+                let what = format!("no row of numbers in the first {LINES} lines");
+                return Err(FormatError::at_line(rows.position().line(), what));
+            }
+            prelude.rows.push(record.iter().map(text).collect());
+        }
+    }
+
+    /// The values behind a key, which is compared in lower case without a closing colon.
+    pub fn values(&self, keys: &[&str]) -> Option<&[String]> {
+        let of_row = |row: &'_ &Vec<String>| {
+            let key = row.first().map(|k| k.trim_end_matches(':').to_lowercase());
+            key.is_some_and(|key| keys.contains(&key.as_str()))
+        };
+        self.rows.iter().find(of_row).and_then(|row| row.get(1..))
+    }
+
+    /// The first value behind a key; what stands before a colon (Siglent's `Analog:`) is left out.
+    pub fn value(&self, keys: &[&str]) -> Option<&str> {
+        let first = self.values(keys)?.first()?;
+        let bare = first.rsplit_once(':').map_or(first.as_str(), |(_, v)| v);
+        Some(bare.trim()).filter(|v| !v.is_empty())
+    }
+
+    /// The first value behind a key as a number.
+    pub fn number(&self, keys: &[&str]) -> Option<f64> {
+        let number = self.syntax.number(self.value(keys)?.as_bytes())?;
+        number.is_finite().then_some(number)
+    }
+}
+
+/// Whether a row has a key in its first column and a sample in the fourth and fifth.
+fn is_beside(row: &ByteRecord, syntax: Syntax) -> bool {
+    let number = |k: usize| row.get(k).is_some_and(|f| syntax.number(f).is_some());
+    let key = row.get(0).map(text).unwrap_or_default();
+    key.eq_ignore_ascii_case("record length") && number(3) && number(4)
+}

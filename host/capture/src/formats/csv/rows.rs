@@ -1,0 +1,276 @@
+//! Rows of a delimited text, one at a time, with their line for messages.
+
+use std::io::{self, BufRead, Read};
+
+use csv::{ByteRecord, Position};
+
+use crate::error::FormatError;
+
+/// Longest line that is read, in bytes: 10 000 columns of 100 characters.
+pub const LONGEST_LINE: usize = 1 << 20;
+
+/// What is said of a longer line.
+pub fn too_long() -> String {
+    format!("a line of more than {LONGEST_LINE} bytes: this is no table")
+}
+
+/// Delimiter and decimal sign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Syntax {
+    /// Between two fields.
+    pub delimiter: u8,
+    /// Decimals are written with a comma.
+    pub decimal_comma: bool,
+}
+
+impl Syntax {
+    /// Finds both in the last complete line of the file's beginning: tab before semicolon before
+    /// comma.
+    pub fn detect(head: &[u8]) -> Self {
+        let complete = head.strip_suffix(b"\n").unwrap_or(head);
+        let mut lines = complete
+            .rsplit(|b| *b == b'\n')
+            .filter(|l| !l.trim_ascii().is_empty());
+        let last = lines.next().unwrap_or(&[]);
+        // A file larger than the head is cut within its last line.
+        let line = lines
+            .next()
+            .filter(|_| head.last() != Some(&b'\n'))
+            .unwrap_or(last);
+        let delimiter = [b'\t', b';'].into_iter().find(|d| line.contains(d));
+        Self {
+            delimiter: delimiter.unwrap_or(b','),
+            decimal_comma: delimiter.is_some() && line.contains(&b','),
+        }
+    }
+
+    /// The number in a field, whether finite or not.
+    pub fn number(self, field: &[u8]) -> Option<f64> {
+        let text = std::str::from_utf8(field).ok()?;
+        // Most fields are a bare number.
+        if let Ok(value) = text.parse() {
+            return Some(value);
+        }
+        let text = text.trim().trim_matches('"');
+        if self.decimal_comma && text.contains(',') {
+            return text.replace(',', ".").parse().ok();
+        }
+        text.parse().ok()
+    }
+
+    /// Whether all fields of a row are numbers or empty, and one is a number. An overflow that a scope
+    /// marks (`∞`) counts as one: it is refused as a sample, not taken for a heading.
+    pub fn is_numbers(self, row: &ByteRecord) -> bool {
+        let mut any = false;
+        row.iter().all(|field| {
+            let blank = field.trim_ascii().is_empty();
+            let number = self.number(field).is_some() || is_overflow(field);
+            any |= number;
+            blank || number
+        }) && any
+    }
+}
+
+fn is_overflow(field: &[u8]) -> bool {
+    let sign = |c| matches!(c, '-' | '+' | '"');
+    std::str::from_utf8(field).is_ok_and(|t| t.trim().trim_matches(sign) == "∞")
+}
+
+/// A field as text, whatever its encoding, without quotes and byte-order mark.
+pub fn text(field: &[u8]) -> String {
+    let text = String::from_utf8_lossy(field);
+    let text = text.trim_start_matches('\u{feff}').trim();
+    text.trim_matches('"').trim().to_owned()
+}
+
+/// Place value of a number's last digit: 1e-15 of `-9.99966406e-07`; 0 when it is not written so.
+pub fn resolution(field: &[u8]) -> f64 {
+    let text = text(field);
+    let (mantissa, exponent) = text.split_once(['e', 'E']).unwrap_or((&text, "0"));
+    let decimals = mantissa.split_once(['.', ',']).map_or(0, |(_, d)| d.len());
+    let exponent = exponent.parse::<i32>().unwrap_or(0);
+    let power = exponent.saturating_sub(i32::try_from(decimals).unwrap_or(0));
+    10f64.powi(power.clamp(-300, 300))
+}
+
+/// One row.
+#[derive(Clone, Copy)]
+pub struct Row<'a> {
+    record: &'a ByteRecord,
+    syntax: Syntax,
+    line: u64,
+}
+
+impl<'a> Row<'a> {
+    /// All its fields.
+    pub fn record(&self) -> &'a ByteRecord {
+        self.record
+    }
+
+    /// Checks that the row has not more than `width` fields.
+    ///
+    /// # Errors
+    /// [`FormatError`] with both numbers.
+    pub fn check_width(&self, width: usize) -> Result<(), FormatError> {
+        if self.record.len() > width {
+            let what = format!("{} fields, the first row has {width}", self.record.len());
+            return Err(FormatError::at_line(self.line, what));
+        }
+        Ok(())
+    }
+
+    /// The field in column `index`.
+    ///
+    /// # Errors
+    /// [`FormatError`] when the row is shorter.
+    pub fn field(&self, index: usize) -> Result<&'a [u8], FormatError> {
+        self.record.get(index).ok_or_else(|| {
+            let what = format!(
+                "{} fields, column {} is missing: a row cut short",
+                self.record.len(),
+                index + 1
+            );
+            FormatError::at_line(self.line, what)
+        })
+    }
+
+    /// The finite number in a field.
+    ///
+    /// # Errors
+    /// [`FormatError`] for anything else, overflow included.
+    pub fn number(&self, field: &[u8]) -> Result<f64, FormatError> {
+        match self.syntax.number(field) {
+            // As a sample it is f32.
+            Some(value) if (value as f32).is_finite() => Ok(value),
+            Some(_) => Err(self.wrong(field, "not finite, or beyond f32")),
+            None if is_overflow(field) => Err(self.wrong(field, "beyond the scope's range")),
+            None => Err(self.wrong(field, "no number")),
+        }
+    }
+
+    fn wrong(&self, field: &[u8], what: &str) -> FormatError {
+        let shown: String = text(field).chars().take(40).collect();
+        FormatError::at_line(self.line, format!("`{shown}` is {what}"))
+    }
+}
+
+/// The rows of a text, front to back; empty lines are skipped.
+pub struct Rows {
+    reader: csv::Reader<Bounded>,
+    record: ByteRecord,
+    syntax: Syntax,
+    begin: Position,
+}
+
+impl Rows {
+    /// `source` stands at `begin` in its file.
+    pub fn new(source: Box<dyn BufRead>, syntax: Syntax, begin: Position) -> Self {
+        let bounded = Bounded { source, in_line: 0 };
+        // Quoting is off: an unclosed quote would swallow the rest of the file.
+        let reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .quoting(false)
+            .delimiter(syntax.delimiter)
+            .buffer_capacity(1 << 16)
+            .from_reader(bounded);
+        Self {
+            reader,
+            record: ByteRecord::new(),
+            syntax,
+            begin,
+        }
+    }
+
+    /// Byte and line behind the row that was read last, in the file.
+    pub fn position(&self) -> Position {
+        let here = self.reader.position();
+        let mut position = Position::new();
+        position
+            .set_byte(self.begin.byte() + here.byte())
+            .set_line(self.begin.line() + here.line() - 1);
+        position
+    }
+
+    /// The next row; `None` at the end.
+    ///
+    /// # Errors
+    /// [`FormatError`] when reading fails or a line is too long.
+    pub fn next_row(&mut self) -> Result<Option<Row<'_>>, FormatError> {
+        let read = self.reader.read_byte_record(&mut self.record);
+        let more = read.map_err(|e| {
+            let line = self.begin.line() + self.reader.position().line() - 1;
+            FormatError::at_line(line, e.to_string())
+        })?;
+        let line = self.record.position().map_or(1, Position::line);
+        Ok(more.then_some(Row {
+            record: &self.record,
+            syntax: self.syntax,
+            line: self.begin.line() + line - 1,
+        }))
+    }
+}
+
+/// Bytes of a text whose lines are not longer than [`LONGEST_LINE`].
+struct Bounded {
+    source: Box<dyn BufRead>,
+    in_line: usize,
+}
+
+impl Read for Bounded {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.source.read(buffer)?;
+        let bytes = buffer.get(..read).unwrap_or(&[]);
+        let begun = bytes.iter().rposition(|b| matches!(b, b'\n' | b'\r'));
+        match begun {
+            Some(k) => self.in_line = read - k,
+            None => self.in_line += read,
+        }
+        if self.in_line > LONGEST_LINE {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, too_long()));
+        }
+        Ok(read)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delimiter_and_decimal_sign() {
+        let of = |head: &str| Syntax::detect(head.as_bytes());
+        assert_eq!(of("a,b\n1.0,2.0\n").delimiter, b',');
+        let german = of("t;v\n1,0;2,5\n");
+        assert_eq!((german.delimiter, german.decimal_comma), (b';', true));
+        assert_eq!(german.number(b" -2,5e-3"), Some(-2.5e-3));
+        assert_eq!(of("Time\tA\n1.0\t2.0").delimiter, b'\t');
+        // The head ends within a line that has no delimiter yet.
+        assert_eq!(of("a;b\n1;2\n3").delimiter, b';');
+    }
+
+    #[test]
+    fn the_last_digits_place() {
+        for (text, place) in [
+            ("-9.99966406e-07", 1e-15),
+            ("0.001", 1e-3),
+            ("5", 1.0),
+            ("1e-6", 1e-6),
+            ("1,25", 1e-2),
+        ] {
+            assert!(
+                (resolution(text.as_bytes()) / place - 1.0).abs() < 1e-12,
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_line_without_end_is_refused_in_bounded_memory() {
+        let endless = io::BufReader::new(io::repeat(b'1'));
+        let syntax = Syntax::detect(b"1");
+        let mut rows = Rows::new(Box::new(endless), syntax, Position::new());
+        let refused = rows.next_row().err().expect("refused");
+        assert!(refused.what.contains("1048576"), "{refused}");
+    }
+}

@@ -1,0 +1,111 @@
+//! From time stamps to a time base: even where the stamps are even within their resolution.
+
+use ihd_signal::TimeBase;
+
+/// Largest deviation from an even grid, as a share of the sampling interval.
+const JITTER: f64 = 1e-3;
+
+/// Stamps that do not ascend.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("time does not ascend: sample {sample} is at {t_s:e} s, the one before at {before_s:e} s")]
+pub struct NotAscending {
+    /// The sample whose time is not later than the one before.
+    pub sample: usize,
+    /// Time of the sample before, in seconds.
+    pub before_s: f64,
+    /// Its own time in seconds.
+    pub t_s: f64,
+}
+
+/// Finds the time base of finite stamps in seconds, at least two of them.
+///
+/// Stamps may be rounded to multiples of `resolution_s` (0: exact), so that two of them can be
+/// equal; they count as even when all lie within one and a half of it (both the first and the k-th
+/// may be off), or a thousandth of the interval, of an even grid. `declared_s`, the interval that
+/// the file tells, is taken where it is as good as the one from the first to the last stamp.
+///
+/// # Errors
+/// [`NotAscending`] for stamps that are neither even nor ascending.
+pub fn time_base(
+    stamps: Vec<f64>,
+    resolution_s: f64,
+    declared_s: Option<f64>,
+) -> Result<TimeBase, NotAscending> {
+    let (Some(&first), Some(&last)) = (stamps.first(), stamps.last()) else {
+        return Ok(TimeBase::Stamps(stamps));
+    };
+    let intervals = stamps.len().saturating_sub(1).max(1) as f64;
+    let mean_s = (last - first) / intervals;
+    // Rounding makes stamps equal, but never turns them.
+    let descends = stamps.windows(2).any(|pair| pair[1] < pair[0]);
+    for dt_s in declared_s.into_iter().chain([mean_s]) {
+        let rounding = f64::EPSILON * first.abs().max(last.abs());
+        let tolerance = (1.5 * resolution_s).max(JITTER * dt_s) + 4.0 * rounding;
+        let even = |(k, t): (usize, &f64)| (t - first - k as f64 * dt_s).abs() <= tolerance;
+        if dt_s > 0.0 && !descends && stamps.iter().enumerate().all(even) {
+            return Ok(TimeBase::Even { t0_s: first, dt_s });
+        }
+    }
+    let not_later = stamps.windows(2).position(|pair| pair[1] <= pair[0]);
+    match not_later {
+        Some(k) => Err(NotAscending {
+            sample: k + 1,
+            before_s: stamps[k],
+            t_s: stamps[k + 1],
+        }),
+        None => Ok(TimeBase::Stamps(stamps)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounded_stamps_of_an_even_grid_are_even() {
+        // 4 ns written with a resolution of 10 ns: every third stamp repeats the one before.
+        let stamps: Vec<f64> = (0..1000)
+            .map(|k| (f64::from(k) * 4e-9 / 1e-8).round() * 1e-8)
+            .collect();
+        let time = time_base(stamps.clone(), 1e-8, Some(4e-9)).unwrap();
+        assert_eq!(
+            time,
+            TimeBase::Even {
+                t0_s: 0.0,
+                dt_s: 4e-9
+            }
+        );
+        let Ok(TimeBase::Even { dt_s, .. }) = time_base(stamps, 1e-8, None) else {
+            panic!("even");
+        };
+        assert!((dt_s / 4e-9 - 1.0).abs() < 1e-2, "{dt_s}");
+    }
+
+    #[test]
+    fn a_gap_stays_and_a_wrong_interval_is_not_believed() {
+        let gap = vec![0.0, 1.0, 2.0, 5.0, 6.0];
+        assert_eq!(
+            time_base(gap.clone(), 0.0, Some(1.0)),
+            Ok(TimeBase::Stamps(gap))
+        );
+        let even = vec![0.0, 1.0, 2.0, 3.0];
+        let time = time_base(even, 0.0, Some(0.5)).unwrap();
+        assert_eq!(
+            time,
+            TimeBase::Even {
+                t0_s: 0.0,
+                dt_s: 1.0
+            }
+        );
+    }
+
+    #[test]
+    fn stamps_that_go_back_are_refused_by_number() {
+        let back = time_base(vec![0.0, 1.0, 0.5, 3.0], 0.0, None).unwrap_err();
+        assert_eq!((back.sample, back.before_s, back.t_s), (2, 1.0, 0.5));
+        assert!(time_base(vec![0.0, -1.0], 0.0, None).is_err());
+        // Within the resolution of an even grid, and yet a table that was pasted twice.
+        assert!(time_base(vec![0.0, 1e-3, 0.0, 1e-3], 1e-3, None).is_err());
+        assert!(time_base(vec![0.0, 0.0, 0.0], 0.0, Some(1.0)).is_err());
+    }
+}

@@ -1,0 +1,263 @@
+//! LeCroy TRC (template LECROY_2_x): one channel a file.
+//!
+//! After the template that LeCroy's instruments answer to `TEMPLATE?`, printed in their remote
+//! control manuals. value = VERTICAL_GAIN · code − VERTICAL_OFFSET,
+//! time = HORIZ_OFFSET + k · HORIZ_INTERVAL. The gain holds the probe's ratio already.
+
+use std::collections::BTreeMap;
+
+use ihd_signal::TimeBase;
+
+use super::input::{Endian, Input, Kind};
+use super::unit::Unit;
+use super::{Channel, Progress, Samples, Source, single_channel};
+use crate::error::FormatError;
+
+/// Name at the descriptor's beginning.
+const DESCRIPTOR: &[u8] = b"WAVEDESC";
+
+/// Bytes in which the descriptor must begin: a block's length may stand before it.
+const LEAD: usize = 64;
+
+/// Least bytes of a descriptor.
+const LEAST_DESCRIPTOR: u64 = 346;
+
+/// Offsets of the descriptor's fields.
+mod field {
+    pub const TEMPLATE: u64 = 16;
+    pub const COMM_TYPE: u64 = 32;
+    pub const COMM_ORDER: u64 = 34;
+    pub const WAVE_DESCRIPTOR: u64 = 36;
+    pub const USER_TEXT: u64 = 40;
+    pub const TRIGTIME_ARRAY: u64 = 48;
+    pub const RIS_TIME_ARRAY: u64 = 52;
+    pub const WAVE_ARRAY_1: u64 = 60;
+    pub const INSTRUMENT_NAME: u64 = 76;
+    pub const TRACE_LABEL: u64 = 96;
+    pub const FIRST_VALID_POINT: u64 = 124;
+    pub const LAST_VALID_POINT: u64 = 128;
+    pub const SUBARRAY_COUNT: u64 = 144;
+    pub const VERTICAL_GAIN: u64 = 156;
+    pub const VERTICAL_OFFSET: u64 = 160;
+    pub const MAX_VALUE: u64 = 164;
+    pub const MIN_VALUE: u64 = 168;
+    pub const HORIZ_INTERVAL: u64 = 176;
+    pub const HORIZ_OFFSET: u64 = 180;
+    pub const VERT_UNIT: u64 = 196;
+    pub const HOR_UNIT: u64 = 244;
+    pub const RECORD_TYPE: u64 = 316;
+    pub const PROBE_ATT: u64 = 328;
+    pub const WAVE_SOURCE: u64 = 344;
+}
+
+/// Where the descriptor begins in a file with this beginning.
+pub fn descriptor(head: &[u8]) -> Option<usize> {
+    let lead = head.get(..LEAD.min(head.len()))?;
+    lead.windows(DESCRIPTOR.len()).position(|w| w == DESCRIPTOR)
+}
+
+/// A TRC file whose descriptor has been read.
+pub struct TrcSource {
+    input: Input,
+    endian: Endian,
+    kind: Kind,
+    at: u64,
+    samples: u64,
+    gain: f64,
+    offset: f64,
+    time: TimeBase,
+    channel: Channel,
+    metadata: BTreeMap<String, String>,
+}
+
+/// The descriptor's fields.
+struct Descriptor<'a> {
+    input: &'a mut Input,
+    begin: u64,
+    endian: Endian,
+}
+
+impl Descriptor<'_> {
+    fn number(&mut self, field: u64, kind: Kind) -> Result<f64, FormatError> {
+        self.input.seek(self.begin + field)?;
+        let value = self.input.number(kind, self.endian)?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            let what = "a field of the descriptor is not finite";
+            Err(FormatError::at_byte(self.begin + field, what))
+        }
+    }
+
+    fn text(&mut self, field: u64, length: usize) -> Result<String, FormatError> {
+        self.input.seek(self.begin + field)?;
+        Ok(self.input.text(length)?.trim().to_owned())
+    }
+
+    /// A length or count: a positive 32-bit integer.
+    fn count(&mut self, field: u64) -> Result<u64, FormatError> {
+        let value = self.number(field, Kind::I32)?;
+        if value < 0.0 {
+            let what = format!("a length of {value}");
+            return Err(FormatError::at_byte(self.begin + field, what));
+        }
+        Ok(value as u64)
+    }
+}
+
+impl TrcSource {
+    /// Reads the descriptor.
+    ///
+    /// # Errors
+    /// [`FormatError`] for a damaged file, another template, and sequences.
+    pub fn open(mut input: Input) -> Result<Self, FormatError> {
+        let mut head = vec![0; LEAD.min(input.length() as usize)];
+        input.exact(&mut head)?;
+        let begin = descriptor(&head).map(|k| k as u64);
+        let begin = begin.ok_or_else(|| FormatError::at_byte(0, "no WAVEDESC"))?;
+        input.seek(begin)?;
+        input.need(LEAST_DESCRIPTOR)?;
+        input.seek(begin + field::COMM_ORDER)?;
+        let endian = match input.array::<2>()? {
+            [1, 0] => Endian::Little,
+            [0, 0] => Endian::Big,
+            other => return Err(input.wrong(format!("COMM_ORDER {other:02x?}"))),
+        };
+        let descriptor = Descriptor {
+            input: &mut input,
+            begin,
+            endian,
+        };
+        let (layout, channel, metadata) = Layout::read(descriptor)?;
+        input.seek(layout.at)?;
+        input.need(layout.samples * layout.kind.bytes() as u64)?;
+        Ok(Self {
+            endian,
+            kind: layout.kind,
+            at: layout.at,
+            samples: layout.samples,
+            gain: layout.gain,
+            offset: layout.offset,
+            time: layout.time,
+            channel,
+            metadata,
+            input,
+        })
+    }
+}
+
+/// Where the samples are, and what they mean.
+struct Layout {
+    kind: Kind,
+    at: u64,
+    samples: u64,
+    gain: f64,
+    offset: f64,
+    time: TimeBase,
+}
+
+impl Layout {
+    #[allow(clippy::type_complexity)]
+    fn read(
+        mut d: Descriptor<'_>,
+    ) -> Result<(Self, Channel, BTreeMap<String, String>), FormatError> {
+        let template = d.text(field::TEMPLATE, 16)?;
+        if !template.starts_with("LECROY_2_") {
+            let what = format!("template `{template}`: LECROY_2_x is read");
+            return Err(FormatError::at_byte(d.begin + field::TEMPLATE, what));
+        }
+        let kind = match d.number(field::COMM_TYPE, Kind::U16)? as u16 {
+            0 => Kind::I8,
+            1 => Kind::I16,
+            other => return Err(d.input.wrong(format!("COMM_TYPE {other}"))),
+        };
+        let record = d.number(field::RECORD_TYPE, Kind::U16)?;
+        if record != 0.0 || d.count(field::SUBARRAY_COUNT)? > 1 {
+            let what = "a sequence or another record than a single sweep: export one segment";
+            return Err(FormatError::at_byte(d.begin + field::RECORD_TYPE, what));
+        }
+        let before = [
+            field::WAVE_DESCRIPTOR,
+            field::USER_TEXT,
+            field::TRIGTIME_ARRAY,
+            field::RIS_TIME_ARRAY,
+        ];
+        let mut at = d.begin;
+        for length in before {
+            at += d.count(length)?;
+        }
+        let stored = d.count(field::WAVE_ARRAY_1)? / kind.bytes() as u64;
+        let first = d.count(field::FIRST_VALID_POINT)?;
+        let last = d.count(field::LAST_VALID_POINT)?;
+        if last < first || last >= stored {
+            let what = format!("valid points {first} to {last} of {stored}");
+            return Err(FormatError::at_byte(
+                d.begin + field::FIRST_VALID_POINT,
+                what,
+            ));
+        }
+        let dt_s = d.number(field::HORIZ_INTERVAL, Kind::F32)?;
+        let begin_s = d.number(field::HORIZ_OFFSET, Kind::F64)?;
+        if dt_s <= 0.0 {
+            let what = format!("a sampling interval of {dt_s:e} s");
+            return Err(FormatError::at_byte(d.begin + field::HORIZ_INTERVAL, what));
+        }
+        let scale = Unit::parse(&d.text(field::HOR_UNIT, 48)?).map_or(1.0, |u| u.scale);
+        let gain = d.number(field::VERTICAL_GAIN, Kind::F32)?;
+        let offset = -d.number(field::VERTICAL_OFFSET, Kind::F32)?;
+        let codes = [field::MAX_VALUE, field::MIN_VALUE].map(|f| d.number(f, Kind::F32));
+        let [high, low] = codes;
+        let magnitude = |code: f64| (gain * code + offset).abs();
+        let full_scale = magnitude(high?).max(magnitude(low?));
+        let mut metadata = BTreeMap::from([("format".to_owned(), format!("TRC, {template}"))]);
+        let probe = d.number(field::PROBE_ATT, Kind::F32)?;
+        metadata.insert("probe_attenuation".to_owned(), probe.to_string());
+        metadata.insert("instrument".to_owned(), d.text(field::INSTRUMENT_NAME, 16)?);
+        let label = d.text(field::TRACE_LABEL, 16)?;
+        let source = d.number(field::WAVE_SOURCE, Kind::U16)? as u32;
+        let channel = Channel {
+            name: if label.is_empty() {
+                format!("C{}", source + 1)
+            } else {
+                label
+            },
+            unit: Unit::parse(&d.text(field::VERT_UNIT, 48)?),
+            full_scale: Some(full_scale).filter(|x| *x > 0.0),
+        };
+        let layout = Self {
+            kind,
+            at: at + first * kind.bytes() as u64,
+            samples: last - first + 1,
+            gain,
+            offset,
+            time: TimeBase::Even {
+                t0_s: (begin_s + first as f64 * dt_s) * scale,
+                dt_s: dt_s * scale,
+            },
+        };
+        Ok((layout, channel, metadata))
+    }
+}
+
+impl Source for TrcSource {
+    fn channels(&self) -> &[Channel] {
+        std::slice::from_ref(&self.channel)
+    }
+
+    fn metadata(&self) -> BTreeMap<String, String> {
+        self.metadata.clone()
+    }
+
+    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+        self.input.seek(self.at)?;
+        let values = self.input.samples(
+            self.samples,
+            self.kind,
+            self.endian,
+            self.gain,
+            self.offset,
+            progress,
+        )?;
+        Ok(single_channel(values, self.time.clone(), wanted))
+    }
+}

@@ -1,0 +1,311 @@
+//! Tektronix WFM, versions 1 to 3: one channel a file.
+//!
+//! After Tektronix' *Reference Waveform File Format* (001-1378-03); version 3 has two more data
+//! formats and a wider point density. Samples are value = scale · code + offset. The time of sample
+//! k is offset + (k + tt) · scale with the trigger's place between two samples, tt, from the update
+//! specification: the vendor's own CSV of the same waveform has these times.
+
+use std::collections::BTreeMap;
+
+use ihd_signal::TimeBase;
+
+use super::input::{Endian, Input, Kind};
+use super::unit::Unit;
+use super::{Channel, Progress, Samples, Source, single_channel};
+use crate::error::FormatError;
+
+/// Byte-order mark of little-endian files; big-endian ones have it reversed.
+pub const LITTLE: [u8; 2] = [0x0F, 0x0F];
+/// Byte-order mark of big-endian files.
+pub const BIG: [u8; 2] = [0xF0, 0xF0];
+/// What follows the byte-order mark, up to the version's digit.
+pub const VERSION: &[u8] = b":WFM#00";
+
+/// Bytes of the second explicit dimension's description, and of the fields that are skipped.
+const EXPLICIT_BYTES: u64 = 100;
+const IMPLICIT_BYTES: u64 = 76;
+const TIME_BASE_BYTES: u64 = 12;
+
+/// Longest text in the metadata that is kept.
+const LONGEST_TEXT: u64 = 256;
+
+/// A WFM file whose header has been read.
+pub struct WfmSource {
+    input: Input,
+    endian: Endian,
+    channel: Channel,
+    metadata: BTreeMap<String, String>,
+    curve: Curve,
+    t0_s: f64,
+    dt_s: f64,
+}
+
+/// Where the samples are, and how they are stored.
+struct Curve {
+    at: u64,
+    samples: u64,
+    kind: Kind,
+    scale: f64,
+    offset: f64,
+}
+
+/// Explicit dimension 1: the vertical axis.
+struct Vertical {
+    scale: f64,
+    offset: f64,
+    unit: String,
+    extent: (f64, f64),
+    format: u32,
+}
+
+impl WfmSource {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// [`FormatError`] for a damaged file, and for what holds no voltage or current over time:
+    /// FastFrame, digital, IQ, envelope.
+    pub fn open(mut input: Input) -> Result<Self, FormatError> {
+        let endian = match input.array::<2>()? {
+            LITTLE => Endian::Little,
+            BIG => Endian::Big,
+            mark => {
+                let what = format!("{mark:02x?} is no byte-order mark of a WFM file");
+                return Err(FormatError::at_byte(0, what));
+            }
+        };
+        let version = match input.array::<8>()? {
+            [
+                b':',
+                b'W',
+                b'F',
+                b'M',
+                b'#',
+                b'0',
+                b'0',
+                digit @ b'1'..=b'3',
+            ] => digit - b'0',
+            other => {
+                let shown = String::from_utf8_lossy(&other).into_owned();
+                let what = format!("`{shown}`: versions :WFM#001 to :WFM#003 are read");
+                return Err(FormatError::at_byte(2, what));
+            }
+        };
+        Self::header(input, endian, version)
+    }
+
+    fn header(mut input: Input, endian: Endian, version: u8) -> Result<Self, FormatError> {
+        input.skip(5)?;
+        let point_bytes = input.number(Kind::U8, endian)? as u64;
+        let curve_at = input.number(Kind::U32, endian)? as u64;
+        input.skip(20)?;
+        let label = input.text(32)?;
+        let more_frames = input.number(Kind::U32, endian)?;
+        if more_frames > 0.0 {
+            let what = "FastFrame: export one frame as a waveform of its own";
+            return Err(input.wrong(format!("{} frames, {what}", more_frames + 1.0)));
+        }
+        // Size of the header, and the header up to its data type.
+        input.skip(2 + 44)?;
+        if input.number(Kind::I32, endian)? == 6.0 {
+            return Err(input.wrong("a digital waveform, no voltage"));
+        }
+        let summary_frame = if version > 1 { 2 } else { 0 };
+        input.skip(28 + summary_frame + 12)?;
+        let view_bytes = if version == 3 { 60 } else { 56 };
+        let vertical = vertical(&mut input, endian)?;
+        input.skip(view_bytes + EXPLICIT_BYTES + view_bytes)?;
+        let dt_at = input.offset();
+        let dt_s = input.number(Kind::F64, endian)?;
+        let first_s = input.number(Kind::F64, endian)?;
+        let declared = input.number(Kind::U32, endian)? as u64;
+        let time_unit = Unit::parse(&input.text(20)?).unwrap_or(Unit::SECOND);
+        input.skip(36 + view_bytes + IMPLICIT_BYTES + view_bytes + 2 * TIME_BASE_BYTES + 4)?;
+        let trigger = input.number(Kind::F64, endian)?;
+        // Fraction and seconds of the trigger; state, type and value of the checksum; precharge.
+        input.skip(12 + 10 + 4)?;
+        let ends_at = input.offset();
+        let first = input.number(Kind::U32, endian)? as u64;
+        let end = input.number(Kind::U32, endian)? as u64;
+        input.skip(4)?;
+        let buffer = input.number(Kind::U32, endian)? as u64;
+        if !(dt_s > 0.0 && dt_s.is_finite() && first_s.is_finite() && trigger.is_finite()) {
+            let what = format!("a sampling interval of {dt_s:e} s from {first_s:e} s");
+            return Err(FormatError::at_byte(dt_at, what));
+        }
+        let kind = kind(vertical.format, version, point_bytes)
+            .map_err(|what| FormatError::at_byte(ends_at, what))?;
+        let bytes = kind.bytes() as u64;
+        let samples = end.saturating_sub(first) / bytes;
+        let whole = buffer / bytes;
+        if first > end || end > buffer || (declared != samples && declared != whole) {
+            let what = format!(
+                "samples from byte {first} to {end} of {buffer}, but {declared} samples declared"
+            );
+            return Err(FormatError::at_byte(ends_at, what));
+        }
+        input.seek(curve_at)?;
+        input.need(buffer)?;
+        input.seek(curve_at + buffer)?;
+        let mut metadata = metadata(&mut input, endian)?;
+        metadata.insert("format".to_owned(), format!("Tektronix WFM {version}"));
+        let curve = Curve {
+            at: curve_at + first,
+            samples,
+            kind,
+            scale: vertical.scale,
+            offset: vertical.offset,
+        };
+        let scale = time_unit.scale;
+        Ok(Self {
+            channel: Channel {
+                name: label.trim().to_owned(),
+                unit: Unit::parse(&vertical.unit),
+                full_scale: vertical.full_scale(kind),
+            },
+            input,
+            endian,
+            metadata,
+            curve,
+            t0_s: (first_s + trigger * dt_s) * scale,
+            dt_s: dt_s * scale,
+        })
+    }
+}
+
+impl Vertical {
+    /// Largest magnitude: the extent where the file gives one, else the integers' range.
+    fn full_scale(&self, kind: Kind) -> Option<f64> {
+        let value = |code: f64| (self.scale * code + self.offset).abs();
+        if self.extent.1 > self.extent.0 {
+            return Some(self.extent.0.abs().max(self.extent.1.abs())).filter(|x| x.is_finite());
+        }
+        kind.range().map(|(low, high)| value(low).max(value(high)))
+    }
+}
+
+fn vertical(input: &mut Input, endian: Endian) -> Result<Vertical, FormatError> {
+    let at = input.offset();
+    let scale = input.number(Kind::F64, endian)?;
+    let offset = input.number(Kind::F64, endian)?;
+    if !scale.is_finite() || !offset.is_finite() || scale == 0.0 {
+        let what = format!("a vertical scale of {scale:e} with offset {offset:e}");
+        return Err(FormatError::at_byte(at, what));
+    }
+    input.skip(4)?;
+    let unit = input.text(20)?;
+    let low = input.number(Kind::F64, endian)?;
+    let high = input.number(Kind::F64, endian)?;
+    input.skip(16)?;
+    let format = input.number(Kind::U32, endian)? as u32;
+    let storage = input.number(Kind::U32, endian)? as u32;
+    if storage != 0 {
+        return Err(input.wrong("an envelope or histogram, no samples over time"));
+    }
+    input.skip(20)?;
+    Ok(Vertical {
+        scale,
+        offset,
+        unit,
+        extent: (low, high),
+        format,
+    })
+}
+
+/// The data format's code; 6 and 7 came with version 3.
+fn kind(format: u32, version: u8, point_bytes: u64) -> Result<Kind, String> {
+    let kind = match (format, version) {
+        (0, _) if point_bytes == 1 => Kind::I8,
+        (0, _) => Kind::I16,
+        (1, _) => Kind::I32,
+        (2, _) => Kind::U32,
+        (3, _) => Kind::U64,
+        (4, _) => Kind::F32,
+        (5, _) => Kind::F64,
+        (6, 3) => Kind::U8,
+        (7, 3) => Kind::I8,
+        _ => {
+            return Err(format!(
+                "data format {format} is unknown in version {version}"
+            ));
+        }
+    };
+    if kind.bytes() as u64 == point_bytes {
+        Ok(kind)
+    } else {
+        Err(format!(
+            "{point_bytes} bytes a point do not fit data format {format}"
+        ))
+    }
+}
+
+/// Key and value pairs behind the samples (`tekmeta!`); absent in older files.
+fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String>, FormatError> {
+    let mut all = BTreeMap::new();
+    // A checksum of 8 bytes comes first.
+    if input.remaining() < 20 {
+        return Ok(all);
+    }
+    input.skip(8)?;
+    if &input.array::<8>()? != b"tekmeta!" {
+        return Ok(all);
+    }
+    let count = input.number(Kind::U32, endian)? as u64;
+    for _ in 0..count {
+        let key = sized_text(input, endian)?;
+        let value = match input.number(Kind::U8, endian)? as u8 {
+            1 => sized_text(input, endian)?,
+            2 => input.number(Kind::I32, endian)?.to_string(),
+            3 => input.number(Kind::F64, endian)?.to_string(),
+            4 => input.number(Kind::U32, endian)?.to_string(),
+            other => {
+                let what = format!("metadata `{key}` has the unknown type {other}");
+                return Err(input.wrong(what));
+            }
+        };
+        if key.starts_with("IQ_") {
+            return Err(input.wrong("an IQ waveform, no voltage over time"));
+        }
+        if !value.trim().is_empty() {
+            all.insert(key, value);
+        }
+    }
+    Ok(all)
+}
+
+/// A text behind its length; only the beginning of a long one is kept.
+fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> {
+    let length = input.number(Kind::U32, endian)? as u64;
+    input.need(length)?;
+    let kept = length.min(LONGEST_TEXT);
+    let text = input.text(kept as usize)?;
+    input.skip(length - kept)?;
+    Ok(text)
+}
+
+impl Source for WfmSource {
+    fn channels(&self) -> &[Channel] {
+        std::slice::from_ref(&self.channel)
+    }
+
+    fn metadata(&self) -> BTreeMap<String, String> {
+        self.metadata.clone()
+    }
+
+    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+        let curve = &self.curve;
+        self.input.seek(curve.at)?;
+        let values = self.input.samples(
+            curve.samples,
+            curve.kind,
+            self.endian,
+            curve.scale,
+            curve.offset,
+            progress,
+        )?;
+        let time = TimeBase::Even {
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+        };
+        Ok(single_channel(values, time, wanted))
+    }
+}

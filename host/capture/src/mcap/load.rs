@@ -1,0 +1,293 @@
+//! Whole captures, or parts of them, from the file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ihd_signal::{Capture, FrequencyStep, TimeBase};
+
+use super::McapFileError;
+use super::cdr::{self, Samples};
+use super::framing::lead_in;
+use super::reader::{Item, Message, Reader};
+use super::save::key;
+use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::writer::nanoseconds;
+
+/// Most pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
+pub const MAX_PAIRS: usize = 1 << 27;
+
+/// Reads a whole capture. A file that was cut gives what is whole.
+///
+/// # Errors
+/// [`McapFileError`].
+pub fn read(path: &Path) -> Result<Capture, McapFileError> {
+    gather(Reader::open(path)?, f64::NEG_INFINITY, f64::INFINITY)
+}
+
+/// Reads the samples and events from `from_s` to `to_s`, in seconds after the capture's beginning,
+/// without unpacking the rest.
+///
+/// # Errors
+/// [`McapFileError`].
+pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
+    let first_ns = lead_in(path, nanoseconds(from_s))?;
+    let reader = Reader::open(path)?.between(first_ns, nanoseconds(to_s));
+    gather(reader, from_s, to_s)
+}
+
+/// A capture being put together.
+struct Gathered {
+    capture: Capture,
+    /// Times of the pairs from the first irregularity on; until then the spacing is even.
+    stamps: Option<Vec<f64>>,
+    t0_s: f64,
+    dt_s: f64,
+}
+
+fn gather(mut reader: Reader, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
+    let mut gathered = Gathered {
+        capture: Capture {
+            name: reader.path().display().to_string(),
+            time: TimeBase::Even {
+                t0_s: 0.0,
+                dt_s: 0.0,
+            },
+            v_v: Vec::new(),
+            i_a: Vec::new(),
+            v_full_scale_v: None,
+            i_full_scale_a: None,
+            f_sw: Vec::new(),
+            mains_hz: None,
+            zero_crossing_s: None,
+            truth: Vec::new(),
+            metadata: BTreeMap::new(),
+        },
+        stamps: None,
+        t0_s: 0.0,
+        dt_s: 0.0,
+    };
+    while let Some(item) = reader.next_item()? {
+        let result = match item {
+            Item::Metadata { name, entries } => gathered.take_metadata(&name, entries),
+            Item::Message(message) => gathered.take_message(message, from_s, to_s),
+        };
+        result.map_err(|why| reader.damaged(why))?;
+        if gathered.capture.len() > MAX_PAIRS {
+            return Err(McapFileError::TooManyPairs {
+                path: reader.path().into(),
+                limit: MAX_PAIRS,
+            });
+        }
+    }
+    Ok(gathered.finish())
+}
+
+impl Gathered {
+    fn take_metadata(
+        &mut self,
+        name: &str,
+        entries: BTreeMap<String, String>,
+    ) -> Result<(), String> {
+        match name {
+            META_CAPTURE => {
+                let number = |key: &str| -> Result<Option<f64>, String> {
+                    let Some(text) = entries.get(key) else {
+                        return Ok(None);
+                    };
+                    let value = text.parse::<f64>().ok().filter(|x| x.is_finite());
+                    let value = value.ok_or_else(|| format!("its {key} is {text:?}"))?;
+                    Ok(Some(value))
+                };
+                self.capture.v_full_scale_v = number(key::V_FULL_SCALE)?;
+                self.capture.i_full_scale_a = number(key::I_FULL_SCALE)?;
+            }
+            META_FREE => self.capture.metadata.extend(entries),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn take_message(&mut self, m: Message<'_>, from_s: f64, to_s: f64) -> Result<(), String> {
+        let wrong =
+            |what: &dyn std::fmt::Display| format!("a message of {}: {what}", m.topic.name());
+        match m.topic {
+            Topic::Samples => {
+                let samples = cdr::read_samples(m.data, m.as_codes).map_err(|e| wrong(&e))?;
+                self.take_samples(&samples, from_s, to_s);
+            }
+            Topic::Truth => {
+                let truth = cdr::read_truth(m.data).map_err(|e| wrong(&e))?;
+                if (from_s..=to_s).contains(&truth.t_s) {
+                    self.capture.truth.push(truth);
+                }
+            }
+            Topic::FSw => {
+                let step: FSw = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
+                let f_sw = &mut self.capture.f_sw;
+                // A recorder repeats it, so that a part of the file tells it too.
+                if f_sw.last().is_none_or(|last| last.f_sw_hz != step.f_sw_hz) {
+                    f_sw.push(FrequencyStep {
+                        t_s: step.t_s,
+                        f_sw_hz: step.f_sw_hz,
+                    });
+                }
+            }
+            Topic::Mains => {
+                let mains: Mains = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
+                let capture = &mut self.capture;
+                capture.mains_hz = capture.mains_hz.or(mains.mains_hz);
+                capture.zero_crossing_s = capture.zero_crossing_s.or(mains.zero_crossing_s);
+            }
+            Topic::CleanSamples
+            | Topic::Telemetry
+            | Topic::Window
+            | Topic::Fault
+            | Topic::Lookup
+            | Topic::LinkCounters
+            | Topic::FromDevice
+            | Topic::ToDevice => {}
+        }
+        Ok(())
+    }
+
+    fn take_samples(&mut self, samples: &Samples, from_s: f64, to_s: f64) {
+        let mut inside = (0..samples.len()).filter(|&k| (from_s..=to_s).contains(&samples.at(k)));
+        let Some(first) = inside.next() else { return };
+        let have = self.capture.len();
+        if have == 0 {
+            (self.t0_s, self.dt_s) = (samples.at(first), samples.dt_s);
+        }
+        let due_s = self.t0_s + have as f64 * self.dt_s;
+        let even = samples.t_s.is_empty()
+            && samples.dt_s == self.dt_s
+            && (samples.at(first) - due_s).abs() <= 1e-3 * self.dt_s;
+        if !even && self.stamps.is_none() {
+            let (t0_s, dt_s) = (self.t0_s, self.dt_s);
+            self.stamps = Some((0..have).map(|k| t0_s + k as f64 * dt_s).collect());
+        }
+        for k in std::iter::once(first).chain(inside) {
+            if let Some((v, i)) = samples.pair(k) {
+                self.capture.v_v.push(v);
+                self.capture.i_a.push(i);
+                if let Some(stamps) = &mut self.stamps {
+                    stamps.push(samples.at(k));
+                }
+            }
+        }
+    }
+
+    fn finish(mut self) -> Capture {
+        self.capture.time = match self.stamps {
+            Some(stamps) => TimeBase::Stamps(stamps),
+            None => TimeBase::Even {
+                t0_s: self.t0_s,
+                dt_s: self.dt_s,
+            },
+        };
+        self.capture
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_sim::recording::run::record;
+    use ihd_sim::recording::sensing::Rate;
+    use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+
+    use super::super::write;
+    use super::*;
+
+    fn capture(rate: Rate) -> Capture {
+        let mut settings = Settings {
+            load: LoadKind::Behavioural,
+            duration_s: 4e-3,
+            events: vec![Event {
+                t_s: 2e-3,
+                change: Change::Frequency(50e3),
+            }],
+            ..Settings::default()
+        };
+        settings.sensing.rate = rate;
+        let recording = record(&settings, |_| ()).unwrap();
+        let mut capture = recording.capture("of a test");
+        capture.metadata.insert("coil".into(), "23 turns".into());
+        // Without current there is no impedance, and NaN equals nothing.
+        capture.truth.retain(|t| t.r_ohm[0].is_finite());
+        capture
+    }
+
+    /// No assert_eq: nobody wants to read what differs.
+    fn assert_same(a: &Capture, b: &Capture, path: &Path) {
+        let b = &Capture {
+            name: path.display().to_string(),
+            ..b.clone()
+        };
+        assert!(a.time == b.time, "times differ");
+        assert!(a.v_v == b.v_v && a.i_a == b.i_a, "samples differ");
+        assert_eq!(a.truth.len(), b.truth.len());
+        assert!(a.truth == b.truth, "truth differs");
+        assert_eq!(a.f_sw, b.f_sw);
+        assert!(a == b, "all but samples, truth and frequency differs");
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.mcap");
+        let even = capture(Rate::Hz(50e6));
+        write(&even, &path).unwrap();
+        assert_same(&read(&path).unwrap(), &even, &path);
+        let again = dir.path().join("b.mcap");
+        write(&even, &again).unwrap();
+        let bytes = |path| std::fs::read(path).unwrap();
+        assert!(bytes(&path) == bytes(&again), "same capture, same bytes");
+    }
+
+    #[test]
+    fn times_that_follow_the_frequency_come_back_within_a_picosecond() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.mcap");
+        let locked = capture(Rate::Locked);
+        write(&locked, &path).unwrap();
+        let back = read(&path).unwrap();
+        let (TimeBase::Stamps(written), TimeBase::Stamps(read)) = (&locked.time, &back.time) else {
+            panic!("one even run");
+        };
+        assert_eq!(written.len(), read.len());
+        assert!(written.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-12));
+        let size = std::fs::metadata(&path).unwrap().len();
+        // 8 bytes a pair of f32, 104 a period of truth, schemas; a stamp each would cost 30 kB more.
+        assert!(size < 8 * 3800 + 104 * 190 + 15_000, "{size}");
+    }
+
+    #[test]
+    fn jittering_times_come_back_exactly() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.mcap");
+        let mut jittering = capture(Rate::Hz(10e6));
+        let n = jittering.len();
+        let t_s = (0..n).map(|k| (k as f64 + 0.3 * f64::from(k as u32 % 7)) * 1e-7);
+        jittering.time = TimeBase::Stamps(t_s.collect());
+        write(&jittering, &path).unwrap();
+        assert_same(&read(&path).unwrap(), &jittering, &path);
+    }
+
+    #[test]
+    fn a_part_is_the_part_of_the_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.mcap");
+        let whole = capture(Rate::Hz(200e6));
+        write(&whole, &path).unwrap();
+        let part = read_between(&path, 1.1e-3, 3.1e-3).unwrap();
+        let TimeBase::Even { t0_s, dt_s } = part.time else {
+            panic!("even");
+        };
+        assert!((t0_s - 1.1e-3).abs() < 1.5 * dt_s && part.len().abs_diff(400_000) < 2);
+        let from = (t0_s / dt_s).round() as usize;
+        assert!(part.v_v[..] == whole.v_v[from..][..part.len()]);
+        assert_eq!(part.f_sw, whole.f_sw);
+        assert_eq!(part.zero_crossing_s, whole.zero_crossing_s);
+        let inside = |t: &&ihd_signal::truth::PeriodTruth| (1.1e-3..=3.1e-3).contains(&t.t_s);
+        assert_eq!(part.truth.len(), whole.truth.iter().filter(inside).count());
+    }
+}

@@ -1,0 +1,103 @@
+//! What a device says, as the file's JSON messages: SI units and words in place of codes.
+
+use ihd_link::{Counters, Window, WindowDefect};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
+use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
+use ihd_shared::sampling::ADC_LOCK_Q;
+use ihd_shared::wire::messages;
+
+use super::topics::{FaultNote, LinkCounters, Lookup, Telemetry, WholeWindow, WindowNote};
+
+/// A telemetry.
+pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
+    Telemetry {
+        seq: t.seq,
+        dropped: t.dropped,
+        half_cycle: t.half_cycle,
+        state: format!("{:?}", t.state),
+        fault: format!("{:?}", t.fault),
+        pot: format!("{:?}", t.pot),
+        f_sw_hz: t.f_sw_hz,
+        r_ohm: t.r.ohm(),
+        l_h: t.l.henry(),
+        i_crest_a: f64::from(t.i_crest_ma) * 1e-3,
+        power_w: f64::from(t.power_mw) * 1e-3,
+        phase_rad: f64::from(t.phase_mrad) * 1e-3,
+        lookup_version: t.lookup_version,
+    }
+}
+
+/// A fault.
+pub fn fault(f: &messages::FaultEvent) -> FaultNote {
+    FaultNote {
+        half_cycle: f.half_cycle,
+        number: f.fault.number(),
+        fault: format!("{:?}", f.fault),
+    }
+}
+
+/// A window that was rejected.
+pub fn rejected(seq: u32, reason: &WindowDefect) -> WindowNote {
+    WindowNote {
+        seq,
+        rejected: Some(reason.to_string()),
+        whole: None,
+    }
+}
+
+/// A whole window whose zero crossing lies at a time in seconds.
+pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
+    WindowNote {
+        seq: w.seq,
+        rejected: None,
+        whole: Some(WholeWindow {
+            half_cycle: w.half_cycle,
+            f_sw_hz: w.f_sw_hz,
+            half_cycle_s: f64::from(w.half_cycle_ns) * 1e-9,
+            zero_crossing_s,
+            pairs: w.pairs.len(),
+            saturated: w.saturated,
+            lookup_version: w.lookup_version,
+            track_t0_s: zero_crossing_s + w.track_time_s(0),
+            track_dt_s: f64::from(ADC_LOCK_Q) / f64::from(w.f_sw_hz),
+            track_r_ohm: w.track.iter().map(|e| e.r.ohm()).collect(),
+            track_l_h: w.track.iter().map(|e| e.l.henry()).collect(),
+        }),
+    }
+}
+
+/// A lookup by its bytes; `None` for bytes that are none.
+pub fn lookup(what: &str, blob: &[u8]) -> Option<Lookup> {
+    let lookup = RlLookup::from_bytes(blob).ok()?;
+    let scaled = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
+        let row = |row: &[u16; CURRENTS]| row.iter().map(|&c| f64::from(c) * unit).collect();
+        cells.iter().map(row).collect()
+    };
+    Some(Lookup {
+        what: what.to_owned(),
+        version: lookup.version,
+        observed_cells: lookup.observed_cells(),
+        f_sw_hz: (0..FREQUENCIES).map(frequency_hz).collect(),
+        i_a: (0..CURRENTS).map(current_a).collect(),
+        r_ohm: scaled(&lookup.r, OHM_PER_CODE),
+        l_h: scaled(&lookup.l, HENRY_PER_CODE),
+    })
+}
+
+/// What a link has counted.
+pub fn link_counters(c: &Counters) -> LinkCounters {
+    LinkCounters {
+        bytes: c.bytes,
+        frames_good: c.frames_good,
+        frames_bad: c.frames_bad,
+        frames_lost: c.frames_lost,
+        telemetry: c.telemetry.received,
+        telemetry_missing: c.telemetry.missing,
+        telemetry_dropped: c.telemetry.dropped_by_device,
+        windows: c.windows.received,
+        windows_missing: c.windows.missing,
+        windows_dropped: c.windows.dropped_by_device,
+        windows_rejected: c.windows_rejected_total(),
+    }
+}

@@ -1,0 +1,142 @@
+//! Whole captures to the file, and the pieces that other writers of captures share.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ihd_signal::{Capture, TimeBase};
+
+use super::McapFileError;
+use super::cdr::{self, When};
+use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::writer::{Existing, PAIRS_PER_MESSAGE, Writer};
+
+/// How far a sample may be from its evenly spaced place, in seconds, and still count as even.
+const EVEN_WITHIN_S: f64 = 1e-12;
+
+/// Keys of the table [`META_CAPTURE`].
+pub mod key {
+    /// Where the capture comes from.
+    pub const NAME: &str = "name";
+    /// Largest magnitude of the voltage channel in volt.
+    pub const V_FULL_SCALE: &str = "v_full_scale_v";
+    /// Largest magnitude of the current channel in ampere.
+    pub const I_FULL_SCALE: &str = "i_full_scale_a";
+}
+
+/// Writes a capture, its samples as f32: what is read back is the same, times of uneven samples to
+/// within a picosecond.
+///
+/// # Errors
+/// [`McapFileError`].
+pub fn write(capture: &Capture, path: &Path) -> Result<(), McapFileError> {
+    let mut writer = Writer::create(path, Existing::Replace, true)?;
+    write_head(&mut writer, capture)?;
+    let pair = |k: usize| [capture.v_v[k], capture.i_a[k]];
+    for run in runs(&capture.time, capture.len().min(capture.i_a.len())) {
+        let pairs = (run.from..run.to).map(pair);
+        let message = cdr::singles(&run.when, pairs);
+        writer.message(Topic::Samples, run.when.t0_s(), &message)?;
+    }
+    write_truth(&mut writer, capture)?;
+    writer.finish()
+}
+
+/// The table [`META_CAPTURE`]: where the capture comes from, and the full scales of voltage in volt
+/// and current in ampere.
+pub fn describe(name: &str, full_scale: [Option<f64>; 2]) -> BTreeMap<String, String> {
+    let mut table = BTreeMap::from([(key::NAME.to_owned(), name.to_owned())]);
+    for (key, value) in [key::V_FULL_SCALE, key::I_FULL_SCALE]
+        .iter()
+        .zip(full_scale)
+    {
+        table.extend(value.map(|x| ((*key).to_owned(), x.to_string())));
+    }
+    table
+}
+
+/// Everything of a capture that comes before its samples.
+pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
+    let full_scale = [capture.v_full_scale_v, capture.i_full_scale_a];
+    writer.metadata(META_CAPTURE, describe(&capture.name, full_scale))?;
+    if !capture.metadata.is_empty() {
+        writer.metadata(META_FREE, capture.metadata.clone())?;
+    }
+    for step in &capture.f_sw {
+        let message = FSw {
+            t_s: step.t_s,
+            f_sw_hz: step.f_sw_hz,
+        };
+        writer.json(Topic::FSw, step.t_s, &message)?;
+    }
+    let mains = Mains {
+        zero_crossing_s: capture.zero_crossing_s,
+        mains_hz: capture.mains_hz,
+    };
+    if mains.mains_hz.is_some() || mains.zero_crossing_s.is_some() {
+        writer.json(Topic::Mains, mains.zero_crossing_s.unwrap_or(0.0), &mains)?;
+    }
+    Ok(())
+}
+
+/// The truth of a capture.
+pub fn write_truth(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
+    for truth in &capture.truth {
+        writer.message(Topic::Truth, truth.t_s, &cdr::truth(truth))?;
+    }
+    Ok(())
+}
+
+/// Samples of one message.
+pub struct Run<'a> {
+    /// Index of the first pair.
+    pub from: usize,
+    /// Index behind the last pair.
+    pub to: usize,
+    /// When they were taken.
+    pub when: When<'a>,
+}
+
+/// Cuts `n` pairs into messages of at most [`PAIRS_PER_MESSAGE`], each evenly spaced where its
+/// samples are.
+pub fn runs(time: &TimeBase, n: usize) -> Vec<Run<'_>> {
+    let mut runs = Vec::new();
+    let mut from = 0;
+    while from < n {
+        let full = (from + PAIRS_PER_MESSAGE).min(n);
+        let (to, when) = match time {
+            TimeBase::Even { t0_s, dt_s } => {
+                let t0_s = t0_s + from as f64 * dt_s;
+                (full, When::Even { t0_s, dt_s: *dt_s })
+            }
+            TimeBase::Stamps(t_s) => stamped(t_s.get(from..full).unwrap_or_default(), from),
+        };
+        // Fewer stamps than pairs: the rest has no time and is not written.
+        if to == from {
+            break;
+        }
+        runs.push(Run { from, to, when });
+        from = to;
+    }
+    runs
+}
+
+/// The beginning of `t_s` as one run: even as far as it goes, else with its stamps.
+fn stamped(t_s: &[f64], from: usize) -> (usize, When<'_>) {
+    let (Some(&first), Some(&second)) = (t_s.first(), t_s.get(1)) else {
+        return (from + t_s.len(), When::Stamps(t_s));
+    };
+    let step_s = second - first;
+    // A step is known to the rounding of the times.
+    let same =
+        |w: &[f64]| (w[1] - w[0] - step_s).abs() <= EVEN_WITHIN_S + 4.0 * f64::EPSILON * w[1].abs();
+    let even = 1 + t_s.windows(2).take_while(|w| same(w)).count();
+    let run = &t_s[..even];
+    let dt_s = (run[even - 1] - first) / (even - 1) as f64;
+    let fits = |(k, t): (usize, &f64)| (first + k as f64 * dt_s - t).abs() <= EVEN_WITHIN_S;
+    // Short runs of jittering times would cost a message each.
+    if even >= t_s.len().min(16) && run.iter().enumerate().all(fits) {
+        (from + even, When::Even { t0_s: first, dt_s })
+    } else {
+        (from + t_s.len(), When::Stamps(t_s))
+    }
+}

@@ -1,0 +1,387 @@
+//! A session with a device: every byte as it came over the link, and what the bytes mean.
+//!
+//! The bytes are the record that loses nothing: [`SessionReader`] makes the same windows,
+//! rejections and counts of them that the live client saw. The decoded topics beside them are for
+//! [`super::read`] and for other tools.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use ihd_link::incoming::{Answer, Incoming};
+use ihd_link::{Counters, Event, FrameSink, Window};
+use ihd_shared::sampling::{AMPERE_PER_CODE, I_FULL_SCALE_A, V_FULL_SCALE_V, VOLT_PER_CODE};
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::{FrameError, MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ROLE_HOST, check, ours};
+use ihd_shared::wire::messages::{AnyMessage, Hello};
+use ihd_signal::TimeBase;
+
+use super::McapFileError;
+use super::cdr;
+use super::notes;
+use super::reader::{Item, Reader};
+use super::save::{describe, runs};
+use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::writer::{Existing, Writer};
+
+/// What a recorder that is killed may lose, on the transport's clock.
+const FLUSH_EVERY: Duration = Duration::from_millis(500);
+
+/// A session being recorded.
+pub struct SessionRecorder {
+    writer: Writer,
+    incoming: Incoming,
+    /// The host's frames, for what they push.
+    outgoing: Deframer,
+    /// The transport's clock at the beginning.
+    began: Option<Duration>,
+    flushed: Duration,
+    grid: Option<Grid>,
+}
+
+/// Half-cycles of the device in the time of the capture.
+#[derive(Clone, Copy)]
+struct Grid {
+    half_cycle: u32,
+    zero_crossing_s: f64,
+    half_cycle_s: f64,
+}
+
+impl SessionRecorder {
+    /// Begins a recording of the device that said `hello`.
+    ///
+    /// # Errors
+    /// [`McapFileError::Exists`] when there is such a file, else what the operating system says.
+    pub fn create(path: &Path, hello: &Hello) -> Result<Self, McapFileError> {
+        let mut writer = Writer::create(path, Existing::Keep, false)?;
+        let name = format!("{} ({})", hello.board, hello.build);
+        let full_scale = [Some(V_FULL_SCALE_V), Some(I_FULL_SCALE_A)];
+        writer.metadata(META_CAPTURE, describe(&name, full_scale))?;
+        let note = |key: &str, value: String| (key.to_owned(), value);
+        let simulated = hello.capabilities & CAP_SIMULATED != 0;
+        writer.metadata(
+            META_FREE,
+            BTreeMap::from([
+                note("device_board", hello.board.to_string()),
+                note("device_build", hello.build.to_string()),
+                note("device_boot_id", hello.boot_id.to_string()),
+                note("device_simulated", simulated.to_string()),
+                note(
+                    "protocol",
+                    format!("{}.{}", hello.protocol_major, hello.protocol_minor),
+                ),
+            ]),
+        )?;
+        let mut frame = [0; MAX_ENCODED];
+        // The table's longest message fits a frame.
+        let length = encode(hello, 0, &mut frame).unwrap_or(0);
+        writer.message(Topic::FromDevice, 0.0, &frame[..length])?;
+        writer.flush()?;
+        Ok(Self {
+            writer,
+            incoming: Incoming::default(),
+            outgoing: Deframer::new(),
+            began: None,
+            flushed: Duration::ZERO,
+            grid: None,
+        })
+    }
+
+    /// How large the file is by now, in bytes, to be asked from anywhere.
+    pub fn size(&self) -> std::sync::Arc<std::sync::atomic::AtomicU64> {
+        self.writer.size()
+    }
+
+    fn seconds(&mut self, at: Duration) -> f64 {
+        let began = *self.began.get_or_insert(at);
+        at.saturating_sub(began).as_secs_f64()
+    }
+
+    fn take(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
+        let t_s = self.seconds(at);
+        self.writer.message(Topic::FromDevice, t_s, bytes)?;
+        for &byte in bytes {
+            // Bad frames are in the counters, and in the bytes.
+            let _ = self.incoming.push(byte);
+        }
+        while let Some(answer) = self.incoming.answers.pop_front() {
+            if let Answer::Lookup(blob) = answer
+                && let Some(note) = notes::lookup("active", &blob)
+            {
+                self.writer.json(Topic::Lookup, t_s, &note)?;
+            }
+        }
+        while let Some(event) = self.incoming.events.pop_front() {
+            self.event(t_s, &event)?;
+        }
+        self.flush_when_due(at, t_s)
+    }
+
+    fn give(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
+        let t_s = self.seconds(at);
+        self.writer.message(Topic::ToDevice, t_s, bytes)?;
+        for &byte in bytes {
+            if let Some(Ok(frame)) = self.outgoing.push(byte)
+                && let Ok(AnyMessage::PushLookup(push)) =
+                    AnyMessage::decode(frame.id, frame.payload)
+                && let Some(note) = notes::lookup("pushed", push.blob.0)
+            {
+                self.writer.json(Topic::Lookup, t_s, &note)?;
+            }
+        }
+        self.flush_when_due(at, t_s)
+    }
+
+    fn flush_when_due(&mut self, at: Duration, t_s: f64) -> Result<(), McapFileError> {
+        if at.saturating_sub(self.flushed) < FLUSH_EVERY {
+            return Ok(());
+        }
+        self.flushed = at;
+        let counters = notes::link_counters(&self.incoming.counters());
+        self.writer.json(Topic::LinkCounters, t_s, &counters)?;
+        self.writer.flush()
+    }
+
+    fn event(&mut self, t_s: f64, event: &Event) -> Result<(), McapFileError> {
+        match event {
+            Event::Telemetry(t) => self
+                .writer
+                .json(Topic::Telemetry, t_s, &notes::telemetry(t)),
+            Event::Fault(f) => self.writer.json(Topic::Fault, t_s, &notes::fault(f)),
+            Event::WindowRejected { seq, reason } => {
+                let note = notes::rejected(*seq, reason);
+                self.writer.json(Topic::Window, t_s, &note)
+            }
+            Event::Window(window) => self.window(t_s, window),
+        }
+    }
+
+    fn window(&mut self, t_s: f64, window: &Window) -> Result<(), McapFileError> {
+        let zero_crossing_s = self.zero_crossing_s(t_s, window);
+        let f_sw = FSw {
+            t_s: zero_crossing_s,
+            f_sw_hz: f64::from(window.f_sw_hz),
+        };
+        self.writer.json(Topic::FSw, zero_crossing_s, &f_sw)?;
+        let mains = Mains {
+            zero_crossing_s: Some(zero_crossing_s),
+            mains_hz: Some(window.f_mains_hz()),
+        };
+        self.writer.json(Topic::Mains, zero_crossing_s, &mains)?;
+        let time = TimeBase::Even {
+            t0_s: zero_crossing_s + window.pair_time_s(0),
+            dt_s: window.dt_s(),
+        };
+        for run in runs(&time, window.pairs.len()) {
+            let pairs = window.pairs[run.from..run.to].iter().map(|p| [p.v, p.i]);
+            let t0_s = run.when.t0_s();
+            let message = cdr::codes(&run.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
+            self.writer.message(Topic::Samples, t0_s, &message)?;
+        }
+        let note = notes::window(window, zero_crossing_s);
+        self.writer.json(Topic::Window, t_s, &note)
+    }
+
+    /// Windows lie on the device's own half-cycles, as it counts them; the first one lies where it
+    /// arrived, at the latest, because no message carries an absolute time.
+    fn zero_crossing_s(&mut self, arrived_s: f64, window: &Window) -> f64 {
+        let fresh = |half_cycle_s: f64, not_before_s: f64| Grid {
+            half_cycle: window.half_cycle,
+            zero_crossing_s: (arrived_s - half_cycle_s).max(not_before_s),
+            half_cycle_s,
+        };
+        let duration_s = f64::from(window.half_cycle_ns) * 1e-9;
+        let grid = match self.grid {
+            Some(grid) if window.half_cycle > grid.half_cycle => Grid {
+                half_cycle: window.half_cycle,
+                zero_crossing_s: grid.zero_crossing_s
+                    + f64::from(window.half_cycle - grid.half_cycle) * grid.half_cycle_s,
+                ..grid
+            },
+            // The device began anew.
+            Some(grid) => fresh(duration_s, grid.zero_crossing_s + grid.half_cycle_s),
+            None => fresh(duration_s, 0.0),
+        };
+        self.grid = Some(grid);
+        grid.zero_crossing_s
+    }
+}
+
+impl FrameSink for SessionRecorder {
+    fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
+        self.take(at, bytes).map_err(io::Error::other)
+    }
+
+    fn sent(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
+        self.give(at, bytes).map_err(io::Error::other)
+    }
+
+    fn finish(mut self: Box<Self>) -> io::Result<()> {
+        let counters = notes::link_counters(&self.incoming.counters());
+        let began = self.began.unwrap_or_default();
+        let t_s = self.flushed.saturating_sub(began).as_secs_f64();
+        let told = self.writer.json(Topic::LinkCounters, t_s, &counters);
+        told.and_then(|()| self.writer.finish())
+            .map_err(io::Error::other)
+    }
+}
+
+/// A run of recorded bytes that is no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkDamage {
+    /// Bytes that the device had sent before it, the hello included.
+    pub offset: u64,
+    /// What is wrong with it.
+    pub reason: FrameError,
+}
+
+/// A recorded session being read.
+pub struct SessionReader {
+    reader: Reader,
+    hello: Hello,
+    incoming: Incoming,
+    bytes: VecDeque<u8>,
+    offset: u64,
+    run_start: u64,
+    first_damage: Option<LinkDamage>,
+    file_damage: Option<McapFileError>,
+    ended: bool,
+}
+
+impl SessionReader {
+    /// Opens a recording and reads its hello.
+    ///
+    /// # Errors
+    /// [`McapFileError`] when the file cannot be read, holds no session, or comes from a device of
+    /// another major protocol version.
+    pub fn open(path: &Path) -> Result<Self, McapFileError> {
+        let us = ours(ROLE_HOST, 0, 0, "", "");
+        let mut session = Self {
+            reader: Reader::open(path)?,
+            hello: us.clone(),
+            incoming: Incoming::default(),
+            bytes: VecDeque::new(),
+            offset: 0,
+            run_start: 0,
+            first_damage: None,
+            file_damage: None,
+            ended: false,
+        };
+        let none = || McapFileError::Missing {
+            path: path.into(),
+            what: "holds no session of a device: its bytes do not begin with a device's hello",
+        };
+        while session.incoming.counters().frames_good == 0 {
+            let damaged = session.first_damage.is_some() || session.file_damage.is_some();
+            if damaged || session.offset > MAX_ENCODED as u64 || !session.step()? {
+                return Err(none());
+            }
+        }
+        match session.incoming.answers.pop_front() {
+            Some(Answer::Hello(hello)) if hello.role == ROLE_DEVICE => session.hello = hello,
+            _ => return Err(none()),
+        }
+        check(&us, &session.hello).map_err(|why| McapFileError::Mismatch {
+            path: path.into(),
+            why,
+        })?;
+        // The recording may have begun long after the device.
+        session.incoming.restart_sequence();
+        Ok(session)
+    }
+
+    /// What the recorded device said of itself.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Everything read and missed so far, the hello included.
+    pub fn counters(&self) -> Counters {
+        self.incoming.counters()
+    }
+
+    /// The first run of bytes so far that is no frame; [`SessionReader::counters`] tells how many
+    /// there are.
+    pub fn first_damage(&self) -> Option<LinkDamage> {
+        self.first_damage
+    }
+
+    /// The first damage of the file itself that was passed over.
+    pub fn file_damage(&self) -> Option<&McapFileError> {
+        self.file_damage.as_ref()
+    }
+
+    /// Whether the file ends before its end mark.
+    pub fn is_cut(&self) -> bool {
+        self.reader.is_cut()
+    }
+
+    /// The next event; `None` at the end of the file.
+    ///
+    /// # Errors
+    /// [`McapFileError::Io`] when the file cannot be read on.
+    pub fn next_event(&mut self) -> Result<Option<Event>, McapFileError> {
+        loop {
+            if let Some(event) = self.incoming.events.pop_front() {
+                return Ok(Some(event));
+            }
+            self.incoming.answers.clear();
+            if !self.step()? && self.incoming.events.is_empty() {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// Takes one byte; false at the end of the file.
+    fn step(&mut self) -> Result<bool, McapFileError> {
+        if self.bytes.is_empty() {
+            self.refill()?;
+        }
+        if let Some(byte) = self.bytes.pop_front() {
+            self.offset += 1;
+            self.push(byte);
+            return Ok(true);
+        }
+        if !self.ended {
+            self.ended = true;
+            // A frame cut by the end of the file is no frame, and counts.
+            if self.run_start < self.offset {
+                self.push(0);
+            }
+            self.incoming.finish();
+        }
+        Ok(false)
+    }
+
+    /// The bytes of the next message. A damaged chunk is passed over; the frame that it cuts is
+    /// counted as every other.
+    fn refill(&mut self) -> Result<(), McapFileError> {
+        while self.bytes.is_empty() {
+            match self.reader.next_item() {
+                Ok(Some(Item::Message(m))) if m.topic == Topic::FromDevice => {
+                    self.bytes.extend(m.data);
+                }
+                Ok(Some(_)) => {}
+                Ok(None) => return Ok(()),
+                Err(damage @ McapFileError::Damaged { .. }) => {
+                    self.file_damage.get_or_insert(damage);
+                }
+                Err(other) => return Err(other),
+            }
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, byte: u8) {
+        if let Err(reason) = self.incoming.push(byte) {
+            let offset = self.run_start;
+            self.first_damage
+                .get_or_insert(LinkDamage { offset, reason });
+        }
+        if byte == 0 {
+            self.run_start = self.offset;
+        }
+    }
+}

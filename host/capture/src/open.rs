@@ -1,0 +1,330 @@
+//! Opens a capture, whatever wrote it: the format is recognised by the content, not by the name.
+
+use std::path::{Path, PathBuf};
+
+use ihd_signal::{Capture, TimeBase};
+
+use super::channels::{ChannelOptions, ChannelRef, Chosen, choose, quantity_of_name};
+use super::error::CaptureError;
+use super::format::{Opener, recognise, regular};
+use super::formats::unit::Unit;
+use super::formats::{Channel, Samples, Source};
+use super::pair::overlap;
+
+/// What the user says of a file, and a second one with the other channel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OpenOptions {
+    /// File with the other channel, of one acquisition; its channels are numbered after the first's.
+    pub second: Option<PathBuf>,
+    /// Channels, units, ratios and signs.
+    pub channels: ChannelOptions,
+    /// Columns of a table: time (`-` for none), voltage, current; instead of
+    /// [`ChannelOptions::channels`].
+    pub columns: Option<[ChannelRef; 3]>,
+    /// Sampling rate in hertz instead of the file's time.
+    pub rate_hz: Option<f64>,
+}
+
+/// Opens a capture.
+///
+/// # Errors
+/// [`CaptureError`] naming the file, the place in it and what to do.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<Capture, CaptureError> {
+    open_with(path, options, &mut |_| ())
+}
+
+/// Opens a capture; `progress` hears how far the file has been read, from 0 to 1.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(
+    path: &Path,
+    options: &OpenOptions,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Capture, CaptureError> {
+    let opener = recognise(path)?;
+    if let Opener::Whole(read) = opener {
+        return adjusted(path, read(path)?, options);
+    }
+    let mut files = vec![Opened::new(path, opener, options)?];
+    if let Some(second) = &options.second {
+        files.push(Opened::new(second, recognise(second)?, options)?);
+    }
+    assembled(files, options, progress)
+}
+
+/// A file whose header has been read.
+struct Opened {
+    path: PathBuf,
+    source: Box<dyn Source>,
+}
+
+impl Opened {
+    fn new(path: &Path, opener: &Opener, options: &OpenOptions) -> Result<Self, CaptureError> {
+        let Opener::Channels(open) = opener else {
+            return Err(CaptureError::Choice {
+                path: path.to_owned(),
+                what: "it holds both channels already and cannot be paired".to_owned(),
+            });
+        };
+        let opened = open(regular(path)?, options.columns.as_ref());
+        Ok(Self {
+            path: path.to_owned(),
+            source: opened.map_err(|e| e.in_file(path))?,
+        })
+    }
+
+    /// The channels; of a pair the file's name tells where the channel's does not.
+    fn channels(&self, paired: bool) -> Vec<Channel> {
+        let mut channels = self.source.channels().to_vec();
+        let stem = self
+            .path
+            .file_stem()
+            .map(|s| s.to_string_lossy().into_owned());
+        if let ([channel], Some(stem), true) = (channels.as_mut_slice(), stem, paired)
+            && quantity_of_name(&channel.name).is_none()
+            && (channel.name.is_empty() || quantity_of_name(&stem).is_some())
+        {
+            channel.name = stem;
+        }
+        channels
+    }
+}
+
+/// One chosen channel with its samples.
+struct Side {
+    values: Vec<f32>,
+    full_scale: Option<f64>,
+}
+
+impl Side {
+    /// Applies the factor to volt or ampere.
+    ///
+    /// # Errors
+    /// The sample that the factor drives beyond f32.
+    fn new(mut values: Vec<f32>, channel: &Channel, factor: f64) -> Result<Self, String> {
+        if factor != 1.0 {
+            for (k, x) in values.iter_mut().enumerate() {
+                let scaled = (f64::from(*x) * factor) as f32;
+                if !scaled.is_finite() {
+                    return Err(format!(
+                        "sample {k} is {x:e} in the file, times {factor:e} is no voltage or current: \
+                         see --probe and --units"
+                    ));
+                }
+                *x = scaled;
+            }
+        }
+        Ok(Self {
+            values,
+            full_scale: channel.full_scale.map(|full| full * factor.abs()),
+        })
+    }
+}
+
+/// Chooses the channels among those of all files, reads them and puts them together.
+fn assembled(
+    mut files: Vec<Opened>,
+    options: &OpenOptions,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Capture, CaptureError> {
+    let paired = files.len() > 1;
+    let path = files[0].path.clone();
+    let choice = |what: String| CaptureError::Choice {
+        path: path.clone(),
+        what,
+    };
+    let channels: Vec<Channel> = files.iter().flat_map(|f| f.channels(paired)).collect();
+    let of_first = files[0].source.channels().len();
+    let chosen = choose(&channels, &options.channels).map_err(choice)?;
+    let mut metadata = files[0].source.metadata();
+    let mut read = |file: &mut Opened, wanted: &[usize]| {
+        let samples = file.source.read(wanted, progress);
+        samples.map_err(|e| e.in_file(&file.path))
+    };
+    let apart = chosen.map(|c| c.index >= of_first);
+    let (mut columns, time) = if apart[0] == apart[1] {
+        let k = usize::from(apart[0]);
+        let wanted = chosen.map(|c| c.index - k * of_first);
+        let samples = read(&mut files[k], &wanted)?;
+        (samples.columns, samples.time)
+    } else {
+        let mut both = Vec::new();
+        for (c, second) in chosen.iter().zip(apart) {
+            let k = usize::from(second);
+            both.push(read(&mut files[k], &[c.index - k * of_first])?);
+        }
+        metadata.insert(
+            "paired_with".to_owned(),
+            files[1].path.display().to_string(),
+        );
+        paired_columns(both, options).map_err(|what| CaptureError::Pair {
+            first: files[0].path.clone(),
+            second: files[1].path.clone(),
+            what,
+        })?
+    };
+    let stated = options.rate_hz.map(|rate_hz| TimeBase::Even {
+        t0_s: 0.0,
+        dt_s: 1.0 / rate_hz,
+    });
+    let no_time = "the file tells no time: give the sampling rate with --rate, as in --rate 50M";
+    let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
+    let mut side = |k: usize| {
+        let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
+        Side::new(values, &channels[chosen[k].index], chosen[k].factor).map_err(choice)
+    };
+    let (v, i) = (side(0)?, side(1)?);
+    Ok(Capture {
+        name: path.display().to_string(),
+        time,
+        v_v: v.values,
+        i_a: i.values,
+        v_full_scale_v: v.full_scale,
+        i_full_scale_a: i.full_scale,
+        f_sw: Vec::new(),
+        mains_hz: None,
+        zero_crossing_s: None,
+        truth: Vec::new(),
+        metadata,
+    })
+}
+
+type Columns = (Vec<Vec<f32>>, Option<TimeBase>);
+
+/// Cuts voltage and current, from two files, to the times that both have. With a stated rate the
+/// files' times do not count.
+fn paired_columns(both: Vec<Samples>, options: &OpenOptions) -> Result<Columns, String> {
+    let lengths: Vec<usize> = both
+        .iter()
+        .map(|s| s.columns.first().map_or(0, Vec::len))
+        .collect();
+    let times: Vec<_> = both.iter().map(|s| s.time.clone()).collect();
+    let mut columns: Vec<_> = both.into_iter().flat_map(|s| s.columns).collect();
+    let timed = options.rate_hz.is_none();
+    let ([Some(a), Some(b)], true) = (&times[..], timed) else {
+        let shortest = lengths.iter().copied().min().unwrap_or(0);
+        columns.iter_mut().for_each(|c| c.truncate(shortest));
+        return Ok((columns, None));
+    };
+    let common = overlap((a, lengths[0]), (b, lengths[1]))?;
+    for (column, range) in columns.iter_mut().zip([&common.first, &common.second]) {
+        column.truncate(range.end);
+        column.drain(..range.start);
+    }
+    let time = match a {
+        TimeBase::Even { dt_s, .. } => TimeBase::Even {
+            t0_s: a.at(common.first.start).unwrap_or(0.0),
+            dt_s: *dt_s,
+        },
+        TimeBase::Stamps(_) => a.clone(),
+    };
+    Ok((columns, Some(time)))
+}
+
+/// Applies signs, ratios, units, swap and rate to a capture in a format of our own.
+fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capture, CaptureError> {
+    let choice = |what: String| CaptureError::Choice {
+        path: path.to_owned(),
+        what,
+    };
+    if options.second.is_some() || options.columns.is_some() {
+        let what = "it holds voltage and current: no second file and no --columns are needed";
+        return Err(choice(what.to_owned()));
+    }
+    let channel = |name: &str, unit, full_scale| Channel {
+        name: name.to_owned(),
+        unit: Some(unit),
+        full_scale,
+    };
+    let channels = [
+        channel("v", Unit::VOLT, capture.v_full_scale_v),
+        channel("i", Unit::AMPERE, capture.i_full_scale_a),
+    ];
+    let chosen = choose(&channels, &options.channels).map_err(choice)?;
+    let mut columns = [capture.v_v, capture.i_a];
+    let mut side = |c: Chosen| {
+        let values = std::mem::take(&mut columns[c.index]);
+        Side::new(values, &channels[c.index], c.factor).map_err(choice)
+    };
+    let (v, i) = (side(chosen[0])?, side(chosen[1])?);
+    let time = options.rate_hz.map(|rate_hz| TimeBase::Even {
+        t0_s: capture.time.at(0).unwrap_or(0.0),
+        dt_s: 1.0 / rate_hz,
+    });
+    Ok(Capture {
+        time: time.unwrap_or(capture.time),
+        v_v: v.values,
+        i_a: i.values,
+        v_full_scale_v: v.full_scale,
+        i_full_scale_a: i.full_scale,
+        ..capture
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(name: &str, content: &[u8]) -> (tempfile::TempDir, PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        (dir, path)
+    }
+
+    #[test]
+    fn a_plain_table_is_a_capture() {
+        let text = "time_s,v_V,i_mA\n-1e-6,10,1000\n0,20,-500\n1e-6,30,250\n";
+        let (_dir, path) = written("a.csv", text.as_bytes());
+        let capture = open(&path, &OpenOptions::default()).unwrap();
+        assert_eq!(capture.v_v, [10.0, 20.0, 30.0]);
+        assert_eq!(capture.i_a, [1.0, -0.5, 0.25]);
+        let TimeBase::Even { t0_s, dt_s } = capture.time else {
+            panic!("{:?}", capture.time);
+        };
+        assert!((t0_s + 1e-6).abs() < 1e-18 && (dt_s - 1e-6).abs() < 1e-18);
+    }
+
+    #[test]
+    fn columns_and_rate_by_the_user() {
+        let text = "1,5,7,9\n2,6,8,10\n";
+        let (_dir, path) = written("a.csv", text.as_bytes());
+        let columns = ["-", "4", "2"].map(ChannelRef::parse);
+        let options = OpenOptions {
+            columns: Some(columns),
+            channels: ChannelOptions {
+                channels: Some([ChannelRef::Number(1), ChannelRef::Number(2)]),
+                ..ChannelOptions::default()
+            },
+            rate_hz: Some(2.0),
+            ..OpenOptions::default()
+        };
+        let capture = open(&path, &options).unwrap();
+        assert_eq!(
+            (capture.v_v, capture.i_a),
+            (vec![9.0, 10.0], vec![5.0, 6.0])
+        );
+        let dt_s = 0.5;
+        assert_eq!(capture.time, TimeBase::Even { t0_s: 0.0, dt_s });
+        let no_rate = OpenOptions {
+            rate_hz: None,
+            ..options
+        };
+        let asked = open(&path, &no_rate).unwrap_err().to_string();
+        assert!(asked.contains("--rate 50M"), "{asked}");
+    }
+
+    #[test]
+    fn what_is_no_file_or_no_capture_is_told() {
+        let told = |path: &Path| open(path, &OpenOptions::default()).unwrap_err().to_string();
+        let (dir, path) = written("a.bin", b"\x01\x02\x03");
+        assert!(told(&path).contains("binary"));
+        assert!(told(dir.path()).contains("is a directory"));
+        std::fs::write(&path, b"").unwrap();
+        assert!(told(&path).contains("empty"));
+        std::fs::write(&path, b"t,v,i\n").unwrap();
+        assert!(told(&path).contains("a.bin, line"), "{}", told(&path));
+        assert!(told(&dir.path().join("none.csv")).contains("none.csv"));
+    }
+}

@@ -1,0 +1,212 @@
+//! The paper's extended Kalman filter, eq. (15)-(19): literally, repaired, and smoothed.
+//!
+//! The repaired filter works in units of the capture's own rms current and voltage, so that a probe
+//! of another ratio changes nothing but the units of the result, and takes the measurement noise
+//! from the capture ([`WhiteNoise`]). docs/estimators.md gives the reasons of its tuning.
+
+pub mod literal;
+pub mod rts;
+pub mod step;
+pub(crate) mod waveforms;
+
+use std::time::Instant;
+
+use ihd_signal::Segment;
+use ihd_signal::correlation::mean_impedance;
+use ihd_signal::noise::WhiteNoise;
+use serde::{Deserialize, Serialize};
+
+use self::step::{Filter, Model, State};
+use self::waveforms::{PeriodMeans, Waveforms};
+use super::{Estimate, IdentifyError, Method, Settings};
+
+/// Noise model of the repaired filter, in units of the capture's rms current and voltage.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tuning {
+    /// Standard deviation of what i does beyond x2 in a sample of 20 ns: Euler's error.
+    pub current: f64,
+    /// Standard deviation of the change of x2 in a sample of 20 ns: an edge of the bridge.
+    pub slope: f64,
+    /// Standard deviation of the change of R and ωL in a sample of 20 ns.
+    pub impedance: f64,
+    /// Standard deviation of R and ωL at the start, as a share of the mean impedance.
+    pub start: f64,
+    /// Least standard deviation of a measured current.
+    pub current_floor: f64,
+    /// Least standard deviation of a measured voltage.
+    pub voltage_floor: f64,
+}
+
+impl Default for Tuning {
+    fn default() -> Self {
+        Self {
+            current: 4e-4,
+            slope: 1.3e-3,
+            impedance: 3e-4,
+            start: 0.25,
+            current_floor: 4e-3,
+            voltage_floor: 6e-3,
+        }
+    }
+}
+
+/// Sampling interval at which [`Tuning`] is stated, in seconds: the paper's 50 MS/s.
+const REFERENCE_S: f64 = 20e-9;
+
+/// A segment in units of its rms current and voltage, and the filter for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prepared {
+    /// Current, sample by sample.
+    pub i: Vec<f64>,
+    /// Voltage in the middle between each sample and the next.
+    pub v: Vec<f64>,
+    /// Ampere and volt of one unit.
+    i_unit_a: f64,
+    v_unit_v: f64,
+    /// Noise and transition.
+    pub model: Model,
+    /// Where the filter starts.
+    pub start: Filter,
+}
+
+fn rms(x: &[f64]) -> f64 {
+    (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
+}
+
+impl Prepared {
+    /// Measures units, noise and start of a segment that passes [`Segment::check`].
+    pub fn new(segment: &Segment, settings: &Settings) -> Self {
+        let (i_unit_a, v_unit_v) = (rms(&segment.i_a), rms(&segment.v_v));
+        // x2 is the change to the next sample, so R·i + L·di/dt belongs to the middle between the two.
+        let last = segment.v_v.last().copied();
+        let next = segment.v_v.iter().skip(1).copied().chain(last);
+        let half = segment.v_v.iter().zip(next);
+        let v = half.map(|(a, b)| 0.5 * (a + b) / v_unit_v).collect();
+        let noise = WhiteNoise::measure(segment);
+        let tuning = &settings.ekf;
+        let ratio = segment.dt_s / REFERENCE_S;
+        let omega_dt = std::f64::consts::TAU * segment.f_sw_hz * segment.dt_s;
+        // Random walks grow with √T_s; x2 = T_s·di/dt brings a T_s more, x4 = L/T_s one less.
+        let deviation = [
+            tuning.current * ratio.sqrt(),
+            tuning.slope * ratio.sqrt() * ratio,
+            tuning.impedance * ratio.sqrt(),
+            tuning.impedance * ratio.sqrt() / omega_dt,
+        ];
+        let square = |x: f64| x * x;
+        let z = mean_impedance(segment) * (i_unit_a / v_unit_v);
+        let (r, l) = match settings.start {
+            Some((r, l)) => {
+                let unit = v_unit_v / i_unit_a;
+                (r / unit, l / segment.dt_s / unit)
+            }
+            None => (z.re, z.im / omega_dt),
+        };
+        let x4 = l + 0.5 * r;
+        let z2 = z.norm_sqr();
+        Self {
+            i: segment.i_a.iter().map(|i| i / i_unit_a).collect(),
+            v,
+            i_unit_a,
+            v_unit_v,
+            model: Model {
+                f12: 1.0,
+                q: deviation.map(square),
+                q34: 0.0,
+                r: [
+                    square(tuning.current_floor.max(noise.i_a / i_unit_a)),
+                    square(tuning.voltage_floor.max(noise.v_v / v_unit_v)),
+                ],
+            },
+            start: Filter {
+                x: [0.0, 0.0, r, x4],
+                p: [
+                    1.0,
+                    0.0,
+                    0.0,
+                    0.0,
+                    square(omega_dt),
+                    0.0,
+                    0.0,
+                    square(settings.ekf.start) * z2,
+                    0.0,
+                    square(settings.ekf.start) * z2 / square(omega_dt),
+                ],
+            },
+        }
+    }
+
+    /// Factors from the filter's R and x4 to ohm and henry.
+    fn units(&self, segment: &Segment) -> [f64; 2] {
+        let ohm = self.v_unit_v / self.i_unit_a;
+        [ohm, ohm * segment.dt_s]
+    }
+}
+
+/// L/T_s of a state: the current in the middle between two samples is x1 + x2/2, so x4 is
+/// L/T_s + R/2.
+#[inline(always)]
+fn inductance(x: &State) -> f64 {
+    x[3] - 0.5 * x[2]
+}
+
+/// Runs the repaired filter once over the segment.
+///
+/// # Errors
+/// [`IdentifyError::Diverged`] when state or covariance stop being sound.
+pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+    let started = Instant::now();
+    let prepared = Prepared::new(segment, settings);
+    let mut means = PeriodMeans::new(segment, prepared.units(segment));
+    let mut waves = Waveforms::new(segment.len(), prepared.i_unit_a, prepared.v_unit_v);
+    let mut filter = prepared.start;
+    for (i, v) in prepared.i.iter().zip(&prepared.v) {
+        filter.step(&prepared.model, *i, *v);
+        means.push(
+            filter.x[2],
+            inductance(&filter.x),
+            [filter.p[7], filter.p[9]],
+        );
+        waves.push(filter.x[0], filter.v());
+    }
+    waveforms::sound(&filter, segment, Method::Ekf)?;
+    let mut estimate = means.finish(Method::Ekf);
+    waves.centre_voltage();
+    waves.finish(&mut estimate);
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}
+
+/// Runs the repaired filter forward and the smoother backward.
+///
+/// # Errors
+/// [`IdentifyError::Diverged`] when the estimates stop being finite numbers.
+pub fn identify_smoothed(
+    segment: &Segment,
+    settings: &Settings,
+) -> Result<Estimate, IdentifyError> {
+    let started = Instant::now();
+    let prepared = Prepared::new(segment, settings);
+    let n = segment.len();
+    // The smoother comes from the end: its means are those of the reversed segment.
+    let mut means = PeriodMeans::backward(segment, prepared.units(segment));
+    let mut waves = Waveforms::new(n, prepared.i_unit_a, prepared.v_unit_v);
+    rts::smooth(
+        &prepared.model,
+        prepared.start,
+        &prepared.i,
+        &prepared.v,
+        |_, x, variance| {
+            means.push(x[2], inductance(x), variance);
+            waves.push(x[0], x[0] * x[2] + x[1] * x[3]);
+        },
+    );
+    let mut estimate = means.finish(Method::Rts);
+    waveforms::finite(&estimate, segment)?;
+    waves.reverse();
+    waves.centre_voltage();
+    waves.finish(&mut estimate);
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}

@@ -1,0 +1,95 @@
+//! The firmware's own chain: the capture resampled to the ADC's grid, demodulator and fixed-point
+//! filter as the board runs them, bit for bit.
+
+use std::f64::consts::TAU;
+use std::time::Instant;
+
+use ihd_firmware::demod::{Demodulator, correlate};
+use ihd_firmware::ekf::{Ekf, Noise};
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::sampling::ADC_LOCK_P;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_signal::Segment;
+use ihd_signal::SegmentError;
+use ihd_signal::TimeBase;
+use ihd_signal::resample::{AdcGrid, adc_pairs};
+
+use super::{Estimate, IdentifyError, Method, Settings};
+
+/// Runs the firmware's chain over the segment. It starts from the load that the built-in lookup
+/// expects without current.
+///
+/// # Errors
+/// [`IdentifyError::Unfit`] for a switching frequency outside the hob's ratings,
+/// [`SegmentError::TooShort`] when the demodulator does not fill.
+pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+    let started = Instant::now();
+    let f_sw_hz = segment.f_sw_hz.round() as u32;
+    if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
+        return Err(IdentifyError::Unfit {
+            method: Method::Firmware,
+            why: format!(
+                "{f_sw_hz} Hz is outside the hob's {F_SW_MIN_HZ} to {F_SW_MAX_HZ} Hz: use another method"
+            ),
+        });
+    }
+    let time = TimeBase::Even {
+        t0_s: segment.t0_s,
+        dt_s: segment.dt_s,
+    };
+    let grid = AdcGrid {
+        f_sw_hz: segment.f_sw_hz,
+        t0_s: segment.t0_s,
+    };
+    let pairs = adc_pairs(&time, &segment.v_v, &segment.i_a, grid);
+    let (r, l) = start(settings, f_sw_hz);
+    let omega = TAU * segment.f_sw_hz;
+    let mut demod = Demodulator::new(f_sw_hz);
+    let mut ekf = Ekf::new(f_sw_hz, r, l, Noise::TUNED);
+    let block_s = ADC_LOCK_P as f64 * grid.dt_s();
+    let mut estimate = Estimate::new(Method::Firmware, segment.f_sw_hz);
+    let (mut saturated, mut at_bound) = (0u32, false);
+    for (k, block) in pairs.as_chunks::<ADC_LOCK_P>().0.iter().enumerate() {
+        let sums = correlate(block);
+        saturated += u32::from(sums.saturated);
+        let Some(phasors) = demod.push(&sums) else {
+            continue;
+        };
+        ekf.step(&phasors);
+        at_bound |= ekf.is_at_bound();
+        let centre = k as f64 + 0.5 - f64::from(demod.delay_blocks());
+        let t_s = segment.t0_s + centre * block_s - 0.5 * grid.dt_s();
+        let found = (ekf.r().ohm(), ekf.l().henry());
+        // The filter keeps one variance for R and X = ωL.
+        let sigma = ekf.r_sigma().ohm();
+        estimate.push(t_s, found, (sigma, sigma / omega));
+    }
+    if estimate.t_s.is_empty() {
+        return Err(SegmentError::TooShort {
+            periods: segment.len() as f64 / segment.samples_per_period(),
+            needed: 3.0 * f64::from(2 * demod.delay_blocks() + 1),
+        }
+        .into());
+    }
+    if saturated > 0 {
+        estimate.notes.push(format!(
+            "{saturated} sample pairs beyond the ADC's ±400 V and ±80 A"
+        ));
+    }
+    if at_bound {
+        estimate
+            .notes
+            .push("the filter ran into a bound of R or L: this is no load of a hob".into());
+    }
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}
+
+fn start(settings: &Settings, f_sw_hz: u32) -> (MicroOhm, PicoHenry) {
+    let rounded = |x: f64| libm::round(x).clamp(0.0, f64::from(i32::MAX)) as i32;
+    match settings.start {
+        Some((r, l)) => (MicroOhm(rounded(r * 1e6)), PicoHenry(rounded(l * 1e12))),
+        None => prior().interpolate(f_sw_hz, 0),
+    }
+}

@@ -1,0 +1,169 @@
+//! R(t) and ωL(t) as B-splines through the fundamental's phasors: V = R·I + ωL·(jI + I'/ω).
+//!
+//! A Gaussian prior on the second differences of the coefficients keeps noise from bending R and L;
+//! its weight against the data comes from the noise measured in the capture and vanishes without.
+//! R and L are functions of the current's amplitude whose slopes are largest at small currents, so
+//! the expected bend grows as the current falls. The posterior's covariance gives the error bars.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
+use ihd_spline::CubicSpline;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use super::phasors::Fit;
+use super::{LeastSquaresSettings, intervals};
+use crate::{Estimate, IdentifyError, Method};
+
+/// Phasors that are compared in each interval.
+const PER_INTERVAL: usize = 4;
+
+/// Least relative noise that is assumed: what the splines of the phasors leave over.
+const NOISE_FLOOR: f64 = 1e-6;
+
+/// Largest expected bend, as a share of the impedance.
+const MOST_BEND: f64 = 0.3;
+
+/// Appends R and L of a stretch, one a switching period.
+pub fn fit(
+    segment: &Segment,
+    phasors: &Fit,
+    settings: &LeastSquaresSettings,
+    noise: WhiteNoise,
+    estimate: &mut Estimate,
+) -> Result<(), IdentifyError> {
+    let omega = TAU * segment.f_sw_hz;
+    let duration_s = phasors.duration_s;
+    let count = intervals(settings.impedance_intervals, duration_s, segment);
+    let spline = CubicSpline::new(count, duration_s);
+    let points = PER_INTERVAL * count;
+    let at = |k: usize| (k as f64 + 0.5) / points as f64 * duration_s;
+    let (mut cross, mut square, mut largest) = (0.0, 0.0, 0.0f64);
+    for k in 0..points {
+        let p = phasors.at(at(k));
+        cross += p.v.norm_sqr();
+        square += p.i.norm_sqr();
+        largest = largest.max(p.i.norm_sqr());
+    }
+    let z2 = cross / square;
+    // Variance of one component of V − Z·I, shared by the points of an interval.
+    let floor = NOISE_FLOOR * NOISE_FLOOR * cross / points as f64;
+    let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
+    let variance = 2.0 * white / phasors.samples_per_interval + floor;
+    let weight = 1.0 / (variance * PER_INTERVAL as f64);
+    let mut problem = Problem::new(&spline);
+    for k in 0..points {
+        let (p, local) = (phasors.at(at(k)), spline.at(at(k)));
+        let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
+        for (v, i, d) in [(p.v.re, p.i.re, d.re), (p.v.im, p.i.im, d.im)] {
+            problem.add_row(weight, local.first, &local.values, (i, d), v);
+        }
+    }
+    for j in 1..spline.functions().saturating_sub(1) {
+        let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
+        let share = (largest / phasors.at(tau_s).i.norm_sqr().max(1e-9 * largest)).powf(0.75);
+        let bend = (settings.bend * share).min(MOST_BEND);
+        problem.add_bend(j, 1.0 / (bend * bend * z2));
+    }
+    let solution = problem.solve()?;
+    let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
+    for k in 0..periods {
+        let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
+        let (found, sigma) = solution.at(&spline, tau_s);
+        let t_s = phasors.t0_s + tau_s;
+        estimate.push(
+            t_s,
+            (found[0], found[1] / omega),
+            (sigma[0], sigma[1] / omega),
+        );
+    }
+    Ok(())
+}
+
+/// Normal equations of the coefficients, R and ωL alternating.
+struct Problem {
+    a: DMatrix<f64>,
+    b: DVector<f64>,
+}
+
+struct Solution {
+    coefficients: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl Problem {
+    fn new(spline: &CubicSpline) -> Self {
+        let size = 2 * spline.functions();
+        Self {
+            a: DMatrix::zeros(size, size),
+            b: DVector::zeros(size),
+        }
+    }
+
+    /// Adds weight·(v − R·i − X·d)².
+    fn add_row(
+        &mut self,
+        weight: f64,
+        first: usize,
+        values: &[f64; 4],
+        (i, d): (f64, f64),
+        v: f64,
+    ) {
+        let row: [f64; 8] = std::array::from_fn(|m| values[m / 2] * if m % 2 == 0 { i } else { d });
+        for (m, x) in row.iter().enumerate() {
+            self.b[2 * first + m] += weight * x * v;
+            for (n, y) in row.iter().enumerate() {
+                self.a[(2 * first + m, 2 * first + n)] += weight * x * y;
+            }
+        }
+    }
+
+    /// Adds weight·(c[j−1] − 2c[j] + c[j+1])² for R and for ωL.
+    fn add_bend(&mut self, j: usize, weight: f64) {
+        const STENCIL: [f64; 3] = [1.0, -2.0, 1.0];
+        for quantity in 0..2 {
+            for (m, x) in STENCIL.iter().enumerate() {
+                for (n, y) in STENCIL.iter().enumerate() {
+                    let (r, c) = (2 * (j + m - 1) + quantity, 2 * (j + n - 1) + quantity);
+                    self.a[(r, c)] += weight * x * y;
+                }
+            }
+        }
+    }
+
+    fn solve(self) -> Result<Solution, IdentifyError> {
+        let factor: Cholesky<f64, Dyn> =
+            Cholesky::new(self.a).ok_or_else(|| IdentifyError::Unfit {
+                method: Method::LeastSquares,
+                why: "R and L cannot be told apart: there is too little current".into(),
+            })?;
+        Ok(Solution {
+            coefficients: factor.solve(&self.b),
+            covariance: factor.inverse(),
+        })
+    }
+}
+
+impl Solution {
+    /// R and ωL in ohm at a time, and their standard deviations.
+    fn at(&self, spline: &CubicSpline, tau_s: f64) -> ([f64; 2], [f64; 2]) {
+        let local = spline.at(tau_s);
+        let index = |m: usize, quantity: usize| 2 * (local.first + m) + quantity;
+        let value = |quantity: usize| {
+            (0..4)
+                .map(|m| local.values[m] * self.coefficients[index(m, quantity)])
+                .sum()
+        };
+        let sigma = |quantity: usize| {
+            let mut sum = 0.0;
+            for (m, x) in local.values.iter().enumerate() {
+                for (n, y) in local.values.iter().enumerate() {
+                    sum += x * y * self.covariance[(index(m, quantity), index(n, quantity))];
+                }
+            }
+            sum.max(0.0).sqrt()
+        };
+        ([value(0), value(1)], [sigma(0), sigma(1)])
+    }
+}

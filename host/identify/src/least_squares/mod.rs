@@ -1,0 +1,81 @@
+//! Banded least squares: phasors of the switching harmonics as B-splines in slow time, then R(t) and
+//! L(t) as B-splines through the phasors of the fundamental. Two linear solves a mains half-cycle,
+//! no iteration, no start value.
+//!
+//! Splines are smooth; R and L have their kinks at the mains zero crossings. So each half-cycle is
+//! a problem of its own.
+
+mod impedance;
+mod phasors;
+
+use std::time::Instant;
+
+use ihd_signal::Segment;
+use ihd_signal::SegmentError;
+use ihd_signal::noise::WhiteNoise;
+use ihd_signal::segment::MIN_PERIODS;
+use serde::{Deserialize, Serialize};
+
+use super::{Estimate, IdentifyError, Method};
+
+/// Settings of the fit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LeastSquaresSettings {
+    /// B-spline intervals of the phasors in a mains half-cycle.
+    pub phasor_intervals: usize,
+    /// B-spline intervals of R and L in a mains half-cycle.
+    pub impedance_intervals: usize,
+    /// Expected second difference of the coefficients of R and ωL at full current, as a share of
+    /// the impedance: what noise may not bend. It grows where the current is small.
+    pub bend: f64,
+}
+
+impl Default for LeastSquaresSettings {
+    fn default() -> Self {
+        Self {
+            phasor_intervals: 24,
+            impedance_intervals: 24,
+            bend: 2e-3,
+        }
+    }
+}
+
+/// Fits every half-cycle of the segment that is long enough; one estimate a switching period.
+///
+/// # Errors
+/// [`SegmentError::TooShort`] when no half-cycle is long enough, [`IdentifyError::Unfit`] when the
+/// sampling cannot tell the harmonics apart.
+pub fn identify(
+    segment: &Segment,
+    settings: &LeastSquaresSettings,
+) -> Result<Estimate, IdentifyError> {
+    let started = Instant::now();
+    let noise = WhiteNoise::measure(segment);
+    let mut estimate = Estimate::new(Method::LeastSquares, segment.f_sw_hz);
+    let least = MIN_PERIODS * segment.samples_per_period();
+    for (from, to) in segment.half_cycles() {
+        if (to - from) as f64 >= least {
+            let fit = phasors::Fit::new(segment, from..to, settings)?;
+            impedance::fit(segment, &fit, settings, noise, &mut estimate)?;
+        }
+    }
+    if estimate.t_s.is_empty() {
+        return Err(SegmentError::TooShort {
+            periods: segment.len() as f64 / segment.samples_per_period(),
+            needed: MIN_PERIODS,
+        }
+        .into());
+    }
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}
+
+/// Spline intervals for a stretch of so many seconds.
+fn intervals(per_half_cycle: usize, duration_s: f64, segment: &Segment) -> usize {
+    let share = (duration_s / segment.half_cycle_s()).min(1.0);
+    let wanted = (per_half_cycle as f64 * share).round().max(1.0);
+    // Three switching periods an interval at least, or the harmonics cannot be told apart.
+    let most = (duration_s * segment.f_sw_hz / 3.0).floor().max(1.0);
+    wanted.min(most) as usize
+}

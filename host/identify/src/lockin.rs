@@ -1,0 +1,229 @@
+//! Lock-in demodulator at any sampling rate: heterodyne at f_sw, two boxcars (a CIC filter of order
+//! two), then R and L from the phasors.
+//!
+//! Both boxcars span a whole number of switching periods, so that every harmonic falls on a zero of
+//! both. V and I pass the same kernel, so V = R·I + L·(jωI + dI/dt) survives it as long as R and L
+//! stand still within it; near the zero crossings they do not, which is the method's error.
+
+use std::f64::consts::TAU;
+use std::time::Instant;
+
+use ihd_signal::Segment;
+use ihd_signal::SegmentError;
+use ihd_signal::correlation::{BlockSums, Correlator};
+use ihd_signal::noise::WhiteNoise;
+use nalgebra::Complex;
+use serde::{Deserialize, Serialize};
+
+use super::{Estimate, IdentifyError, Method};
+
+/// Settings of the lock-in.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LockinSettings {
+    /// Duration of each boxcar in seconds; the nearest that holds whole periods is taken.
+    pub boxcar_s: f64,
+    /// R and L are held where the current is below this share of its largest amplitude.
+    pub hold_below: f64,
+}
+
+impl Default for LockinSettings {
+    fn default() -> Self {
+        Self {
+            boxcar_s: 0.1e-3,
+            hold_below: 0.01,
+        }
+    }
+}
+
+/// Samples of a block and blocks of a boxcar.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Boxcar {
+    /// Samples of a block: the table's length.
+    pub block: usize,
+    /// Blocks of a boxcar.
+    pub blocks: usize,
+}
+
+/// Most samples of a block: a longer table leaves the cache without being faster.
+const MAX_BLOCK: usize = 64;
+
+impl Boxcar {
+    /// The boxcar nearest to `boxcar_s` seconds that holds a whole number of switching periods in
+    /// whole blocks, nearly. A residue of ε periods leaves about ε/(2·periods) of the double frequency
+    /// behind one boxcar, and its square behind both: a hundredth of a period costs 1e-6.
+    pub fn fitting(samples_per_period: f64, f_sw_hz: f64, boxcar_s: f64) -> Self {
+        let wanted = (boxcar_s * f_sw_hz).round().max(1.0);
+        let (from, to) = ((0.75 * wanted).floor().max(1.0), (1.25 * wanted).ceil());
+        let mut best = (
+            f64::INFINITY,
+            Self {
+                block: 1,
+                blocks: 1,
+            },
+        );
+        let mut periods = from;
+        while periods <= to {
+            let samples = periods * samples_per_period;
+            for block in 1..=MAX_BLOCK {
+                let blocks = (samples / block as f64).round().max(1.0);
+                let residue = (blocks * block as f64 - samples).abs() / samples_per_period;
+                // A long block is faster, the wanted duration is kinder.
+                let left = 0.5 * residue / periods;
+                let score =
+                    left * left + 1e-7 * ((periods - wanted).abs() / wanted + 4.0 / block as f64);
+                if score < best.0 {
+                    let blocks = blocks as usize;
+                    best = (score, Self { block, blocks });
+                }
+            }
+            periods += 1.0;
+        }
+        best.1
+    }
+
+    /// Samples of a boxcar.
+    pub fn samples(self) -> usize {
+        self.block * self.blocks
+    }
+}
+
+/// Phasors of the fundamental, amplitudes, and their time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phasors {
+    /// Index of the kernel's centre, in samples.
+    pub centre: f64,
+    /// Coil voltage in volt.
+    pub v: Complex<f64>,
+    /// Coil current in ampere.
+    pub i: Complex<f64>,
+}
+
+/// The streaming part: correlator and two running sums.
+#[derive(Clone, Debug)]
+pub struct Lockin {
+    correlator: Correlator<1>,
+    blocks: usize,
+    first: Vec<[Complex<f64>; 2]>,
+    second: Vec<[Complex<f64>; 2]>,
+    first_sum: [Complex<f64>; 2],
+    second_sum: [Complex<f64>; 2],
+    taken: usize,
+}
+
+impl Lockin {
+    /// An empty demodulator for a segment's sampling.
+    pub fn new(segment: &Segment, boxcar: Boxcar) -> Self {
+        let zero = [Complex::new(0.0, 0.0); 2];
+        Self {
+            correlator: Correlator::new(segment, boxcar.block, [1.0]),
+            blocks: boxcar.blocks,
+            first: vec![zero; boxcar.blocks],
+            second: vec![zero; boxcar.blocks],
+            first_sum: zero,
+            second_sum: zero,
+            taken: 0,
+        }
+    }
+
+    /// Takes the next block of samples; gives phasors once both boxcars are full.
+    pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<Phasors> {
+        let length = self.correlator.length();
+        let BlockSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
+        let at = self.taken % self.blocks;
+        for (k, new) in [v[0], i[0]].into_iter().enumerate() {
+            self.first_sum[k] += new - self.first[at][k];
+            self.first[at][k] = new;
+            self.second_sum[k] += self.first_sum[k] - self.second[at][k];
+            self.second[at][k] = self.first_sum[k];
+        }
+        self.taken += 1;
+        if self.taken + 1 < 2 * self.blocks {
+            return None;
+        }
+        let samples = (self.blocks * length) as f64;
+        let scale = 2.0 / (samples * self.blocks as f64);
+        let end = (self.taken * length) as f64;
+        Some(Phasors {
+            centre: end - 0.5 * (samples + 1.0) - 0.5 * (samples - length as f64),
+            v: self.second_sum[0] * scale,
+            i: self.second_sum[1] * scale,
+        })
+    }
+}
+
+/// R and L in ohm and henry of V = R·I + L·D, D the phasor of di/dt: two real equations.
+pub fn r_l(v: Complex<f64>, i: Complex<f64>, d: Complex<f64>) -> (f64, f64) {
+    let determinant = i.re * d.im - i.im * d.re;
+    (
+        (v.re * d.im - v.im * d.re) / determinant,
+        (i.re * v.im - i.im * v.re) / determinant,
+    )
+}
+
+/// Phasors of a whole segment, about one a switching period.
+pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<Phasors> {
+    let stride = (segment.samples_per_period() / boxcar.block as f64).round() as usize;
+    let mut lockin = Lockin::new(segment, boxcar);
+    let v_blocks = segment.v_v.chunks_exact(boxcar.block);
+    let outputs = v_blocks
+        .zip(segment.i_a.chunks_exact(boxcar.block))
+        .filter_map(|(v, i)| lockin.push(v, i));
+    outputs.step_by(stride.max(1)).collect()
+}
+
+/// Identifies by lock-in.
+///
+/// # Errors
+/// [`SegmentError::TooShort`] when the segment does not fill both boxcars.
+pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate, IdentifyError> {
+    let started = Instant::now();
+    let boxcar = Boxcar::fitting(
+        segment.samples_per_period(),
+        segment.f_sw_hz,
+        settings.boxcar_s,
+    );
+    let phasors = demodulate(segment, boxcar);
+    if phasors.len() < 3 {
+        let per_period = segment.samples_per_period();
+        return Err(SegmentError::TooShort {
+            periods: segment.len() as f64 / per_period,
+            needed: (2 * boxcar.samples()) as f64 / per_period + 3.0,
+        }
+        .into());
+    }
+    let omega = TAU * segment.f_sw_hz;
+    let largest = phasors.iter().map(|p| p.i.norm()).fold(0.0, f64::max);
+    let noise = WhiteNoise::measure(segment);
+    // Variance of a phasor of white noise behind the triangle of both boxcars.
+    let share = 2.0 * triangle_power(boxcar);
+    let mut estimate = Estimate::new(Method::Lockin, segment.f_sw_hz);
+    let mut sigma_held = 0.0;
+    for w in phasors.windows(3) {
+        let (before, p, after) = (&w[0], &w[1], &w[2]);
+        let dt_s = (after.centre - before.centre) * segment.dt_s;
+        let d = p.i * Complex::new(0.0, omega) + (after.i - before.i) / dt_s;
+        let amplitude = p.i.norm();
+        let t_s = segment.t0_s + p.centre * segment.dt_s;
+        let found = r_l(p.v, p.i, d);
+        if amplitude < settings.hold_below * largest || !(found.0 + found.1).is_finite() {
+            if let Some((r, l)) = estimate.last() {
+                estimate.push(t_s, (r, l), (sigma_held, sigma_held / omega));
+            }
+            continue;
+        }
+        let z2 = found.0 * found.0 + (omega * found.1) * (omega * found.1);
+        let variance = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
+        let sigma = (share * variance).sqrt() / amplitude;
+        sigma_held = sigma;
+        estimate.push(t_s, found, (sigma, sigma / omega));
+    }
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}
+
+/// Σw² of the kernel's weights, which sum to 1: (2n² + 1)/(3n³) in blocks, spread over the samples.
+fn triangle_power(boxcar: Boxcar) -> f64 {
+    let n = boxcar.blocks as f64;
+    (2.0 * n * n + 1.0) / (3.0 * n * n * n * boxcar.block as f64)
+}

@@ -1,0 +1,93 @@
+//! The hybrid-timescale PINN of `ihd_pinn`, half-cycle by half-cycle.
+
+use ihd_signal::Segment;
+use serde::{Deserialize, Serialize};
+
+use super::{Estimate, IdentifyError, Settings, Watch};
+
+/// What of the network may be chosen; words, so that they mean the same in a build without it.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PinnSettings {
+    /// Preset, such as `hybrid`, `paper-literal` or `paper-repaired`; `hybrid` if not given.
+    pub preset: Option<String>,
+    /// `fused`, `flex` or `ndarray`; the preset's if not given.
+    pub backend: Option<String>,
+    /// No wall-clock limit, so that two runs give the same digits.
+    pub deterministic: bool,
+    /// Any other setting of `ihd_pinn::Config` by its name.
+    pub config: toml::Table,
+}
+
+#[cfg(feature = "pinn")]
+impl PinnSettings {
+    /// The network's configuration.
+    fn resolve(&self) -> Result<ihd_pinn::Config, ihd_pinn::PinnError> {
+        let mut table = self.config.clone();
+        if let Some(preset) = &self.preset {
+            table.insert("preset".into(), preset.clone().into());
+        }
+        if let Some(backend) = &self.backend {
+            table.insert("backend".into(), backend.clone().into());
+        }
+        if self.deterministic {
+            table.insert("deterministic".into(), true.into());
+        }
+        ihd_pinn::Config::from_toml(&table.to_string())
+    }
+}
+
+/// Trains the network on each mains half-cycle of the segment.
+///
+/// # Errors
+/// [`IdentifyError::NotInThisBuild`] without the feature `pinn`.
+#[cfg(not(feature = "pinn"))]
+pub fn identify(_: &Segment, _: &Settings, _: &mut Watch<'_>) -> Result<Estimate, IdentifyError> {
+    Err(IdentifyError::NotInThisBuild {
+        method: super::Method::Pinn,
+        feature: "pinn",
+    })
+}
+
+/// Trains the network on each mains half-cycle of the segment.
+///
+/// # Errors
+/// [`IdentifyError::Unfit`] with what the network says.
+#[cfg(feature = "pinn")]
+pub fn identify(
+    segment: &Segment,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Estimate, IdentifyError> {
+    use std::time::Instant;
+
+    use ihd_signal::SegmentError;
+    use ihd_signal::segment::MIN_PERIODS;
+
+    use super::{Method, network};
+
+    let started = Instant::now();
+    let unfit = |e: ihd_pinn::PinnError| IdentifyError::Unfit {
+        method: Method::Pinn,
+        why: e.to_string(),
+    };
+    let config = network::informed(settings.pinn.resolve().map_err(unfit)?, segment);
+    let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
+    let least = MIN_PERIODS * segment.samples_per_period();
+    for (from, to) in segment.half_cycles() {
+        if ((to - from) as f64) < least {
+            continue;
+        }
+        network::half_cycle(segment, (from, to), &config, None, watch, &mut estimate)
+            .map_err(unfit)?;
+    }
+    if estimate.t_s.is_empty() {
+        return Err(SegmentError::TooShort {
+            periods: segment.len() as f64 / segment.samples_per_period(),
+            needed: MIN_PERIODS,
+        }
+        .into());
+    }
+    estimate.elapsed = started.elapsed();
+    Ok(estimate)
+}

@@ -1,0 +1,132 @@
+//! `ihd calibrate`: skew, gain and offsets of a measuring chain from a capture of a reference.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use ihd_survey::Survey;
+use ihd_survey::calibration::{Calibration, Reference, estimate};
+
+use super::capture_args::CaptureArgs;
+use super::hint_args::HintArgs;
+use super::simulate::quantity::quantity;
+
+/// Find skew, gain and offsets of a measuring chain from a capture of a known load.
+///
+/// Every command that takes a capture applies the file that this writes with --calibration FILE.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd calibrate empty.csv --reference no-pot --out bench.toml\n  \
+    ihd calibrate empty.csv --reference no-pot,r=0.1,l=72u --out bench.toml\n  \
+    ihd calibrate dummy.csv --reference r=3.3,l=25u --out bench.json --json\n  \
+    ihd identify capture.csv --calibration bench.toml\n\n\
+    Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage")]
+pub struct CalibrateArgs {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    #[command(flatten)]
+    hints: HintArgs,
+    /// What was captured: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, or a load with r=, l= or both
+    #[arg(long, value_name = "WHAT", value_parser = reference)]
+    reference: Reference,
+    /// Write the calibration to this file: JSON if it ends so, else TOML
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print the calibration as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Reads `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
+fn reference(text: &str) -> Result<Reference> {
+    let (mut no_pot, mut r_ohm, mut l_h) = (false, None, None);
+    for word in text.split(',').map(str::trim) {
+        if word == "no-pot" {
+            no_pot = true;
+            continue;
+        }
+        let slot = match word.split_once('=') {
+            Some(("r", value)) => (&mut r_ohm, value),
+            Some(("l", value)) => (&mut l_h, value),
+            _ => anyhow::bail!(
+                "`{word}` is not known: write no-pot, r=OHM or l=HENRY, as in r=3.3,l=25u"
+            ),
+        };
+        let number = quantity(slot.1)?;
+        ensure!(number > 0.0, "`{word}` must be above zero");
+        *slot.0 = Some(number);
+    }
+    Ok(if no_pot {
+        Reference::NoPot { r_ohm, l_h }
+    } else {
+        Reference::Load { r_ohm, l_h }
+    })
+}
+
+impl CalibrateArgs {
+    /// Opens, surveys, calibrates, writes.
+    ///
+    /// # Errors
+    /// What the capture's reader, the survey or the calibration says; a file that cannot be written.
+    pub fn run(&self) -> Result<()> {
+        let capture = self.capture.open()?;
+        let survey = Survey::of(&capture, &self.hints.hints())?;
+        let found = estimate(&capture, &survey, self.reference)?;
+        if let Some(path) = &self.out {
+            found.write(path)?;
+        }
+        let mut text = if self.json {
+            serde_json::to_string_pretty(&found)? + "\n"
+        } else {
+            summary(&found)
+        };
+        if let (Some(path), false) = (&self.out, self.json) {
+            text += &format!("written    {}\n", path.display());
+        }
+        std::io::stdout().write_all(text.as_bytes())?;
+        Ok(())
+    }
+}
+
+/// The calibration for a person.
+fn summary(found: &Calibration) -> String {
+    format!(
+        "skew       {:.2} ± {:.2} ns (current later)\n\
+         gain       voltage over current {:.5} ± {:.5}\n\
+         offsets    {:.4} V, {:.5} A\n\
+         assumed    {}\n",
+        found.skew_s * 1e9,
+        found.skew_sigma_s * 1e9,
+        found.gain_ratio,
+        found.gain_ratio_sigma,
+        found.v_offset_v,
+        found.i_offset_a,
+        found.assumed.join("; ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_become_references() {
+        let empty = Reference::NoPot {
+            r_ohm: None,
+            l_h: None,
+        };
+        assert_eq!(reference("no-pot").ok(), Some(empty));
+        let known = reference("no-pot,r=0.1,l=72u").unwrap();
+        assert!(
+            matches!(known, Reference::NoPot { r_ohm: Some(r), l_h: Some(l) }
+            if r == 0.1 && (l / 72e-6 - 1.0).abs() < 1e-9)
+        );
+        assert_eq!(known.to_string(), "no-pot,r=0.1,l=72.0000u");
+        let load = reference("r=3.3").unwrap();
+        assert_eq!(load.to_string(), "r=3.3");
+        for text in ["", "pot", "r", "r=", "r=-1", "x=3", "r=0", "r=NaN"] {
+            assert!(reference(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The arguments of every command that takes a capture.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, ensure};
+use clap::{Args, ValueEnum};
+use ihd_capture::OpenOptions;
+use ihd_capture::channels::{ChannelOptions, ChannelRef};
+use ihd_capture::formats::unit::Unit;
+use ihd_capture::open::open_with;
+use ihd_signal::Capture;
+use ihd_survey::calibration::Calibration;
+
+use super::simulate::quantity::{list, quantity};
+
+/// Whose sign to change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Invert {
+    /// The voltage's.
+    V,
+    /// The current's.
+    I,
+}
+
+/// A capture and what the user knows of it. Formats and detection: docs/import.md.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Capture")]
+pub struct CaptureArgs {
+    /// Capture: MCAP, CSV, Tektronix WFM or ISF, LeCroy TRC, MATLAB v5 or NPZ
+    file: PathBuf,
+    /// File of the same acquisition with the other channel; numbered after the first's
+    second: Option<PathBuf>,
+    /// Voltage and current channel, by number (from 1) or name; else found by unit and name
+    #[arg(long, value_name = "V,I", value_parser = pair)]
+    channels: Option<[ChannelRef; 2]>,
+    /// Time, voltage and current column of a table, by number (from 1) or name; T is - for no time
+    #[arg(long, value_name = "T,V,I", value_parser = triple, conflicts_with = "channels")]
+    columns: Option<[ChannelRef; 3]>,
+    /// Factors: ratio of the voltage probe, ampere per volt of the current probe
+    #[arg(long, value_name = "V,I", value_parser = list::<2>)]
+    probe: Option<[f64; 2]>,
+    /// Units of voltage and current, as in mV,mA, instead of the file's
+    #[arg(long, value_name = "V,I", value_parser = units)]
+    units: Option<[Unit; 2]>,
+    /// Change the sign of the voltage, the current, or both (v,i)
+    #[arg(long, value_name = "CHANNELS", value_delimiter = ',')]
+    invert: Vec<Invert>,
+    /// Exchange voltage and current
+    #[arg(long)]
+    swap: bool,
+    /// Sampling rate in S/s instead of the file's time
+    #[arg(long, value_name = "HZ", value_parser = quantity)]
+    rate: Option<f64>,
+    /// Take skew, gain and offsets out by this file of ihd calibrate
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+fn several<const N: usize>(text: &str) -> Result<[ChannelRef; N], String> {
+    let all: Vec<_> = text.split(',').map(ChannelRef::parse).collect();
+    all.try_into()
+        .map_err(|_| format!("`{text}` must be {N} numbers or names with commas between them"))
+}
+
+fn pair(text: &str) -> Result<[ChannelRef; 2], String> {
+    several(text)
+}
+
+fn triple(text: &str) -> Result<[ChannelRef; 3], String> {
+    several(text)
+}
+
+fn units(text: &str) -> Result<[Unit; 2], String> {
+    let both: Option<Vec<Unit>> = text.split(',').map(Unit::parse).collect();
+    both.and_then(|units| units.try_into().ok())
+        .ok_or_else(|| format!("`{text}` must be two units with a comma between them, as in mV,A"))
+}
+
+impl CaptureArgs {
+    /// The file, or the first of two.
+    pub fn path(&self) -> &Path {
+        &self.file
+    }
+
+    /// The file, or both.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        std::iter::once(self.path()).chain(self.second.as_deref())
+    }
+
+    /// What the arguments mean.
+    pub fn options(&self) -> OpenOptions {
+        // The table then has these two channels, in this order.
+        let first_two = [ChannelRef::Number(1), ChannelRef::Number(2)];
+        let of_columns = self.columns.as_ref().map(|_| first_two);
+        OpenOptions {
+            second: self.second.clone(),
+            channels: ChannelOptions {
+                channels: of_columns.or_else(|| self.channels.clone()),
+                units: self.units,
+                probe: self.probe,
+                invert_v: self.invert.contains(&Invert::V),
+                invert_i: self.invert.contains(&Invert::I),
+                swap: self.swap,
+            },
+            columns: self.columns.clone(),
+            rate_hz: self.rate,
+        }
+    }
+
+    /// Opens the capture.
+    ///
+    /// # Errors
+    /// [`ihd_capture::CaptureError`] or [`ihd_survey::calibration::CalibrationFileError`],
+    /// naming the file and what to do.
+    pub fn open(&self) -> Result<Capture> {
+        self.open_with(&mut |_| ())
+    }
+
+    /// Opens the capture; `progress` hears how far the file has been read, from 0 to 1.
+    ///
+    /// # Errors
+    /// As [`CaptureArgs::open`].
+    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Capture> {
+        if let Some(rate_hz) = self.rate {
+            let sound = rate_hz.is_finite() && rate_hz > 0.0;
+            ensure!(
+                sound,
+                "--rate is {rate_hz}, but a sampling rate is positive"
+            );
+        }
+        let mut capture = open_with(&self.file, &self.options(), progress)?;
+        if let Some(path) = &self.calibration {
+            Calibration::read(path)?.apply(&mut capture);
+        }
+        Ok(capture)
+    }
+}

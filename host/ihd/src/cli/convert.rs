@@ -1,0 +1,109 @@
+//! `ihd convert`: a capture from one format to another.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use ihd_capture::format;
+use ihd_signal::{Capture, TimeBase};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::capture_args::CaptureArgs;
+
+/// Convert a capture: what scopes write to MCAP, CSV, NPZ or Parquet.
+///
+/// Formats are recognised by content when reading, by the ending when writing. docs/import.md lists them,
+/// what is detected and what the flags say.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd convert scope.csv --out capture.mcap\n  \
+    ihd convert coil_voltage.wfm coil_current.wfm --out capture.mcap\n  \
+    ihd convert scope.csv --channels CH1,CH3 --probe 100,10 --invert i --out capture.npz\n  \
+    ihd convert table.csv --columns 1,4,2 --units V,mA --out capture.mcap --json")]
+pub struct ConvertArgs {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// File to write; its ending names the format: .mcap, .csv, .npz or .parquet
+    #[arg(long, short)]
+    out: PathBuf,
+    /// Print a summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl ConvertArgs {
+    /// Reads, writes and says what was converted.
+    ///
+    /// # Errors
+    /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].
+    pub fn run(&self) -> Result<()> {
+        // A wrong ending is refused before a long file is read.
+        format::check(&self.out)?;
+        for input in self.capture.paths() {
+            let same = input.canonicalize().ok().zip(self.out.canonicalize().ok());
+            ensure!(
+                same.is_none_or(|(input, out)| input != out),
+                "{} is also what is read: give --out another name",
+                self.out.display()
+            );
+        }
+        let bar = ProgressBar::new(1000);
+        let style = "{msg:8} {bar:40} {percent:>3} %  {eta} left";
+        bar.set_style(ProgressStyle::with_template(style)?);
+        let mut at = |share: f64| bar.set_position((share * 1000.0) as u64);
+        bar.set_message("reading");
+        let capture = self.capture.open_with(&mut at)?;
+        bar.set_message("writing");
+        format::write(&capture, &self.out, &mut at)?;
+        bar.finish_and_clear();
+        self.report(&capture)
+    }
+
+    fn report(&self, capture: &Capture) -> Result<()> {
+        let samples = capture.len();
+        let rate_hz = match capture.time {
+            TimeBase::Even { dt_s, .. } => Some(1.0 / dt_s),
+            TimeBase::Stamps(_) => None,
+        };
+        let ends = capture
+            .time
+            .at(0)
+            .zip(capture.time.at(samples.saturating_sub(1)));
+        let duration_s = ends.map_or(0.0, |(first, last)| last - first);
+        let range = |x: &[f32]| {
+            let pair = |(low, high): (f32, f32), x: &f32| (low.min(*x), high.max(*x));
+            x.iter().fold((f32::INFINITY, f32::NEG_INFINITY), pair)
+        };
+        let (v, i) = (range(&capture.v_v), range(&capture.i_a));
+        let format = capture
+            .metadata
+            .get("format")
+            .map_or("MCAP", String::as_str);
+        if self.json {
+            let summary = serde_json::json!({
+                "in": self.capture.paths().collect::<Vec<_>>(),
+                "format": format,
+                "out": self.out,
+                "samples": samples,
+                "rate_hz": rate_hz,
+                "duration_s": duration_s,
+                "v_V": [v.0, v.1],
+                "i_A": [i.0, i.1],
+            });
+            println!("{}", serde_json::to_string_pretty(&summary)?);
+            return Ok(());
+        }
+        let rate = rate_hz.map_or("uneven times".to_owned(), |hz| {
+            format!("{} MS/s", hz * 1e-6)
+        });
+        println!("read     {} ({format})", capture.name);
+        println!(
+            "samples  {samples} of each channel, {rate}, {} ms",
+            duration_s * 1e3
+        );
+        println!("voltage  {} to {} V", v.0, v.1);
+        println!("current  {} to {} A", i.0, i.1);
+        println!("wrote    {}", self.out.display());
+        Ok(())
+    }
+}

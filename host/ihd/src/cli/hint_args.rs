@@ -1,0 +1,31 @@
+//! What a person tells about a capture's switching and mains.
+
+use clap::Args;
+use ihd_survey::Hints;
+
+use super::simulate::quantity::quantity;
+
+/// Instead of what the capture tells or shows.
+#[derive(Clone, Debug, Args)]
+pub struct HintArgs {
+    /// Switching frequency in Hz, instead of the capture's
+    #[arg(long, value_parser = quantity)]
+    fsw: Option<f64>,
+    /// Mains frequency in Hz, instead of the capture's
+    #[arg(long, value_parser = quantity)]
+    mains: Option<f64>,
+    /// Time of a mains zero crossing in s, instead of the capture's
+    #[arg(long, value_name = "S", value_parser = quantity, allow_negative_numbers = true)]
+    zero_crossing: Option<f64>,
+}
+
+impl HintArgs {
+    /// As the survey takes them.
+    pub fn hints(&self) -> Hints {
+        Hints {
+            f_sw_hz: self.fsw,
+            mains_hz: self.mains,
+            zero_crossing_s: self.zero_crossing,
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! `ihd identify`: R(t) and L(t) of a capture, by one estimator or all of them.
+
+mod report;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use ihd_identify::accuracy::{Accuracy, fundamental};
+use ihd_identify::{Method, Settings, Watch, reconstruction, run_watched};
+use ihd_survey::{Severity, Survey};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use self::report::Outcome;
+use super::capture_args::CaptureArgs;
+use super::hint_args::HintArgs;
+use super::simulate::quantity::quantity;
+use crate::report::identified;
+
+/// Identify R(t) and L(t) of the load in a capture.
+///
+/// Switching frequency and mains are found in the capture where they are not given. A method that
+/// fails on a stretch says why; the others go on.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd identify capture.csv\n  \
+    ihd identify capture.csv --method all --plot identified.svg\n  \
+    ihd identify capture.mcap --method pinn --preset hybrid --backend flex\n  \
+    ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
+    Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage")]
+pub struct IdentifyArgs {
+    /// Estimators, with commas between them, or all
+    #[arg(
+        long,
+        short,
+        value_name = "NAME,…",
+        value_delimiter = ',',
+        default_value = "least-squares"
+    )]
+    method: Vec<MethodWord>,
+    /// Compare with the truth from this time on, in s
+    #[arg(long, value_name = "S", value_parser = quantity, allow_negative_numbers = true)]
+    from: Option<f64>,
+    /// TOML file with the estimators' settings; what it leaves out keeps its default
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// With the method pinn: preset of the network, as in docs/pinn.md
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// With the method pinn: what computes the network, fused, flex or ndarray
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// With the method pinn: no wall-clock limit, so that two runs give the same digits
+    #[arg(long)]
+    deterministic: bool,
+    /// Identify even where the survey says that R and L would be wrong
+    #[arg(long)]
+    anyway: bool,
+    /// Print the estimates as JSON, one object a method and stretch
+    #[arg(long)]
+    json: bool,
+    /// Write the estimates to this file, as a table
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Draw R, L and the reconstructed waveforms to this file (SVG)
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    // Last: their heading in the help is that of all that follows.
+    #[command(flatten)]
+    capture: CaptureArgs,
+    #[command(flatten)]
+    hints: HintArgs,
+}
+
+/// A method, or all of this build.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MethodWord {
+    /// Every method of this build.
+    All,
+    /// One.
+    One(Method),
+}
+
+impl MethodWord {
+    /// The methods that a list of words means, in the order of tables.
+    pub fn chosen(words: &[Self]) -> Vec<Method> {
+        let chosen = |m: &Method| {
+            let in_build = cfg!(feature = "pinn") || *m != Method::Pinn;
+            words.contains(&Self::One(*m)) || (in_build && words.contains(&Self::All))
+        };
+        Method::ALL.into_iter().filter(chosen).collect()
+    }
+}
+
+impl ValueEnum for MethodWord {
+    fn value_variants<'a>() -> &'a [Self] {
+        const WORDS: [MethodWord; Method::ALL.len() + 1] = {
+            let mut words = [MethodWord::All; Method::ALL.len() + 1];
+            let mut k = 0;
+            while k < Method::ALL.len() {
+                words[k] = MethodWord::One(Method::ALL[k]);
+                k += 1;
+            }
+            words
+        };
+        &WORDS
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        Some(match self {
+            Self::All => clap::builder::PossibleValue::new("all"),
+            Self::One(method) => clap::builder::PossibleValue::new(method.name()),
+        })
+    }
+}
+
+impl IdentifyArgs {
+    /// Opens, surveys, identifies, reports.
+    pub fn run(&self) -> Result<()> {
+        let settings = self.settings()?;
+        let capture = self.capture.open()?;
+        let survey = Survey::of(&capture, &self.hints.hints())?;
+        for finding in survey
+            .findings
+            .iter()
+            .filter(|f| f.severity() > Severity::Note)
+        {
+            eprintln!("{}: {finding}", finding.severity());
+        }
+        if survey.worst() == Some(Severity::Error) && !self.anyway {
+            bail!("R and L would be wrong; mend the capture as advised, or go on with --anyway");
+        }
+        let methods = MethodWord::chosen(&self.method);
+        let segments = survey.segments(&capture);
+        let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
+        bar.set_style(
+            ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}")
+                .context("progress bar")?,
+        );
+        let truth = (!capture.truth.is_empty()).then(|| fundamental(&capture.truth));
+        let mut outcomes = Vec::new();
+        for segment in &segments {
+            for &method in &methods {
+                bar.set_message(method.name());
+                let mut watch = Watch {
+                    truth: truth.as_ref(),
+                    say: &mut |text| bar.set_message(format!("{method}: {text}")),
+                };
+                let result = run_watched(method, segment, &settings, &mut watch);
+                let result = result.map(|mut estimate| {
+                    reconstruction::complete(segment, &mut estimate);
+                    estimate
+                });
+                let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
+                let accuracy = result
+                    .as_ref()
+                    .ok()
+                    .and_then(|e| Accuracy::of(e, segment, &capture.truth, from_s));
+                outcomes.push(Outcome {
+                    method,
+                    f_sw_hz: segment.f_sw_hz,
+                    result,
+                    accuracy,
+                });
+                bar.inc(1);
+            }
+        }
+        bar.finish_and_clear();
+        if let Some(path) = &self.csv {
+            report::write_csv(&outcomes, path)?;
+        }
+        if let Some(path) = &self.plot {
+            let found: Vec<_> = outcomes
+                .iter()
+                .filter_map(|o| o.result.as_ref().ok())
+                .collect();
+            identified::draw(&capture.name, &segments, &found, &capture.truth, path)?;
+        }
+        if self.json {
+            println!(
+                "{}",
+                serde_json::to_string_pretty(&report::json(&outcomes))?
+            );
+        } else {
+            print!("{}", report::text(&survey, &capture, &segments, &outcomes));
+        }
+        if outcomes.iter().all(|o| o.result.is_err()) {
+            bail!("no method could identify {}", self.capture.path().display());
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Result<Settings> {
+        let mut settings = match &self.config {
+            Some(path) => read_settings(path)?,
+            None => Settings::default(),
+        };
+        let pinn = &mut settings.pinn;
+        pinn.preset = self.preset.clone().or(pinn.preset.take());
+        pinn.backend = self.backend.clone().or(pinn.backend.take());
+        pinn.deterministic |= self.deterministic;
+        Ok(settings)
+    }
+}
+
+fn read_settings(path: &Path) -> Result<Settings> {
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text).with_context(|| format!("{} holds no settings", path.display()))
+}

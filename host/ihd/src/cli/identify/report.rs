@@ -1,0 +1,236 @@
+//! What `ihd identify` says: text, JSON, CSV.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use ihd_identify::accuracy::Accuracy;
+use ihd_identify::{Estimate, IdentifyError, Method};
+use ihd_signal::Capture;
+use ihd_signal::Segment;
+use ihd_survey::Survey;
+use serde::Serialize;
+
+use crate::report::table::Table;
+
+/// What a method made of a stretch.
+pub struct Outcome {
+    /// Who.
+    pub method: Method,
+    /// Switching frequency of the stretch in hertz.
+    pub f_sw_hz: f64,
+    /// The estimate, or why there is none.
+    pub result: Result<Estimate, IdentifyError>,
+    /// Against the truth, where the capture carries one.
+    pub accuracy: Option<Accuracy>,
+}
+
+/// One object of the JSON array.
+#[derive(Serialize)]
+pub struct Entry<'a> {
+    method: Method,
+    f_sw_hz: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
+    t_s: &'a [f64],
+    r_ohm: &'a [f64],
+    l_h: &'a [f64],
+    r_sigma: &'a [f64],
+    l_sigma: &'a [f64],
+    /// P/I_rms² in ohm.
+    #[serde(skip_serializing_if = "<[f64]>::is_empty")]
+    r_power_ohm: &'a [f64],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mre_r_pct: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mre_l_pct: Option<f64>,
+    nmse_v_pct: Option<f64>,
+    nmse_i_pct: Option<f64>,
+    elapsed_s: f64,
+    notes: &'a [String],
+}
+
+/// The outcomes as JSON; a method that failed has an `error` and empty vectors.
+pub fn json(outcomes: &[Outcome]) -> Vec<Entry<'_>> {
+    outcomes
+        .iter()
+        .map(|o| {
+            let found = o.result.as_ref().ok();
+            let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
+            Entry {
+                method: o.method,
+                f_sw_hz: o.f_sw_hz,
+                error: o.result.as_ref().err().map(ToString::to_string),
+                t_s: of(|e| &e.t_s),
+                r_ohm: of(|e| &e.r_ohm),
+                l_h: of(|e| &e.l_h),
+                r_sigma: of(|e| &e.r_sigma_ohm),
+                l_sigma: of(|e| &e.l_sigma_h),
+                r_power_ohm: of(|e| &e.r_power_ohm),
+                mre_r_pct: o.accuracy.map(|a| a.whole.r_pct),
+                mre_l_pct: o.accuracy.map(|a| a.whole.l_pct),
+                nmse_v_pct: found.and_then(|e| e.nmse_v_pct),
+                nmse_i_pct: found.and_then(|e| e.nmse_i_pct),
+                elapsed_s: found.map_or(0.0, |e| e.elapsed.as_secs_f64()),
+                notes: o.result.as_ref().map_or(&[], |e| e.notes.as_slice()),
+            }
+        })
+        .collect()
+}
+
+fn found_slice(outcome: &Outcome, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] {
+    outcome
+        .result
+        .as_ref()
+        .map_or(&[], |e| values(e).as_slice())
+}
+
+/// Writes every estimate as a row: method, f_sw, time, R, L, their standard deviations and P/I_rms².
+pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
+    let cannot = || format!("cannot write {}", path.display());
+    let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
+    let heading = [
+        "method",
+        "f_sw_hz",
+        "t_s",
+        "r_ohm",
+        "l_h",
+        "r_sigma_ohm",
+        "l_sigma_h",
+        "r_power_ohm",
+    ];
+    writer.write_record(heading).with_context(cannot)?;
+    for estimate in outcomes.iter().filter_map(|o| o.result.as_ref().ok()) {
+        for (k, (t, r, l)) in estimate.points().enumerate() {
+            let number = |x: &[f64]| x.get(k).map_or(String::new(), |s| format!("{s:.6e}"));
+            writer
+                .write_record([
+                    estimate.method.name().to_owned(),
+                    format!("{:.3}", estimate.f_sw_hz),
+                    format!("{t:.9}"),
+                    format!("{r:.9e}"),
+                    format!("{l:.9e}"),
+                    number(&estimate.r_sigma_ohm),
+                    number(&estimate.l_sigma_h),
+                    number(&estimate.r_power_ohm),
+                ])
+                .with_context(cannot)?;
+        }
+    }
+    writer.flush().with_context(cannot)
+}
+
+/// The outcomes as text: a table a stretch.
+pub fn text(
+    survey: &Survey,
+    capture: &Capture,
+    segments: &[Segment],
+    outcomes: &[Outcome],
+) -> String {
+    let mut out = String::new();
+    let per_segment = outcomes.len() / segments.len().max(1);
+    for (segment, outcomes) in segments.iter().zip(outcomes.chunks(per_segment.max(1))) {
+        let _ = writeln!(
+            out,
+            "{}: {:.3} kHz, {:.2} to {:.2} ms, {:.3} MS/s, mains {:.2} Hz",
+            survey.name,
+            segment.f_sw_hz * 1e-3,
+            segment.t0_s * 1e3,
+            segment.t_s(segment.len()) * 1e3,
+            1e-6 / segment.dt_s,
+            segment.mains_hz
+        );
+        out.push_str(&stretch(segment, outcomes));
+        for outcome in outcomes {
+            match &outcome.result {
+                Ok(estimate) => {
+                    for note in &estimate.notes {
+                        let _ = writeln!(out, "{}: {note}", outcome.method);
+                    }
+                }
+                Err(error) => {
+                    let _ = writeln!(out, "{} failed: {error}", outcome.method);
+                }
+            }
+        }
+    }
+    match (capture.metadata.get("calibration"), survey.skew_note()) {
+        (Some(calibration), _) => {
+            let _ = writeln!(out, "calibrated: {calibration}");
+        }
+        (None, Some(note)) => {
+            let _ = writeln!(out, "not calibrated: {note}");
+        }
+        (None, None) => {}
+    }
+    out
+}
+
+fn stretch(segment: &Segment, outcomes: &[Outcome]) -> String {
+    let truth = outcomes.iter().any(|o| o.accuracy.is_some());
+    let mut heading = vec![
+        "method",
+        "R Ω: mean",
+        "crest",
+        "±",
+        "L µH: mean",
+        "crest",
+        "±",
+    ];
+    if truth {
+        heading.extend(["MRE R %", "MRE L %"]);
+    }
+    heading.extend(["NMSE v %", "NMSE i %", "ms"]);
+    let mut table = Table::new(&heading);
+    for outcome in outcomes {
+        let Ok(estimate) = &outcome.result else {
+            continue;
+        };
+        let crest = crest(segment, estimate);
+        let of = |x: &[f64], scale: f64| {
+            let value = crest.and_then(|k| x.get(k));
+            value.map_or("–".into(), |x| format!("{:.3}", x * scale))
+        };
+        let mean = |x: &[f64], scale: f64| {
+            format!(
+                "{:.3}",
+                x.iter().sum::<f64>() / x.len().max(1) as f64 * scale
+            )
+        };
+        let pct = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.3}"));
+        let mut row = vec![
+            outcome.method.name().to_owned(),
+            mean(&estimate.r_ohm, 1.0),
+            of(&estimate.r_ohm, 1.0),
+            of(&estimate.r_sigma_ohm, 1.0),
+            mean(&estimate.l_h, 1e6),
+            of(&estimate.l_h, 1e6),
+            of(&estimate.l_sigma_h, 1e6),
+        ];
+        if truth {
+            row.push(pct(outcome.accuracy.map(|a| a.whole.r_pct)));
+            row.push(pct(outcome.accuracy.map(|a| a.whole.l_pct)));
+        }
+        row.push(pct(estimate.nmse_v_pct));
+        row.push(pct(estimate.nmse_i_pct));
+        row.push(format!("{:.1}", estimate.elapsed.as_secs_f64() * 1e3));
+        table.row(row);
+    }
+    table.render()
+}
+
+/// The estimate nearest to the middle of the last half-cycle that is whole: the current's crest.
+fn crest(segment: &Segment, estimate: &Estimate) -> Option<usize> {
+    let half_s = segment.half_cycle_s();
+    let off = |t: f64| (segment.since_crossing_s(t) - 0.5 * half_s).abs();
+    let near = estimate
+        .t_s
+        .iter()
+        .enumerate()
+        .filter(|(_, t)| off(**t) < 0.02 * half_s);
+    let last = near.clone().next_back().map(|(_, t)| *t)?;
+    let of_last = near.filter(|(_, t)| last - **t < 0.5 * half_s);
+    of_last
+        .min_by(|a, b| off(*a.1).total_cmp(&off(*b.1)))
+        .map(|(k, _)| k)
+}

@@ -1,0 +1,151 @@
+//! What `ihd inspect` prints.
+
+use std::fmt::Write;
+
+use ihd_signal::Capture;
+use ihd_survey::mains::Source;
+use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
+use serde::Serialize;
+
+use crate::report::table::Table;
+
+/// A finding with its words.
+#[derive(Serialize)]
+struct Told<'a> {
+    severity: Severity,
+    message: String,
+    #[serde(flatten)]
+    finding: &'a Finding,
+}
+
+/// The survey as one JSON object; its numbers in the units that their names say.
+pub fn json(survey: &Survey) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Report<'a> {
+        #[serde(flatten)]
+        survey: &'a Survey,
+        findings: Vec<Told<'a>>,
+    }
+    let told = |finding| Told {
+        severity: Finding::severity(finding),
+        message: finding.to_string(),
+        finding,
+    };
+    Report {
+        survey,
+        findings: survey.findings.iter().map(told).collect(),
+    }
+}
+
+/// The survey for a person.
+pub fn text(capture: &Capture, survey: &Survey) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, text: String| {
+        let _ = writeln!(out, "{name:<10} {text}");
+    };
+    line("capture", survey.name.clone());
+    line(
+        "samples",
+        format!(
+            "{} pairs at {:.4} MS/s, {:.3} ms from {:.3} ms",
+            survey.samples,
+            survey.rate_hz * 1e-6,
+            survey.duration_s * 1e3,
+            survey.start_s * 1e3
+        ),
+    );
+    line(
+        "voltage",
+        channel(&survey.voltage, "V", capture.v_full_scale_v),
+    );
+    line(
+        "current",
+        channel(&survey.current, "A", capture.i_full_scale_a),
+    );
+    line("mains", mains(survey));
+    if let [span] = &survey.spans[..] {
+        line(
+            "switching",
+            format!(
+                "{:.3} kHz, {:.2} samples a period",
+                span.f_sw_hz * 1e-3,
+                1.0 / (span.f_sw_hz * span.dt_s)
+            ),
+        );
+        if let Some(z) = span.load {
+            let text = format!(
+                "R {:.3} ohm, L {:.2} µH (fundamental)",
+                z.r_ohm,
+                z.l_h * 1e6
+            );
+            line("load", text);
+        }
+    } else {
+        line("switching", format!("{} stretches", survey.spans.len()));
+    }
+    if let Some(note) = survey.skew_note() {
+        line("skew", note);
+    }
+    if survey.findings.is_empty() {
+        line("findings", "none".to_owned());
+    }
+    for finding in &survey.findings {
+        line(&finding.severity().to_string(), finding.to_string());
+    }
+    if survey.spans.len() > 1 {
+        out.push('\n');
+        out.push_str(&spans(survey));
+    }
+    out
+}
+
+fn channel(c: &ChannelSurvey, unit: &str, full_scale: Option<f64>) -> String {
+    let snr = match (c.snr_db, c.noise) {
+        (Some(db), Some(noise)) => format!("SNR {db:.1} dB (noise {noise:.3} {unit})"),
+        _ => "SNR unknown".to_owned(),
+    };
+    let range = full_scale.map_or(String::new(), |full| format!(" of ±{full:.0} {unit}"));
+    format!(
+        "{:.2} to {:.2} {unit}{range}, {:.3} {unit} rms, mean {:.3} {unit}, {snr}, {} clipped",
+        c.min, c.max, c.rms, c.mean, c.clipped
+    )
+}
+
+fn mains(survey: &Survey) -> String {
+    let word = |source| match source {
+        Source::Told => "told",
+        Source::Measured => "measured",
+        Source::Assumed => "assumed",
+    };
+    let m = &survey.mains;
+    format!(
+        "{:.2} Hz ({}), zero crossing at {:.3} ms ({}), {} whole half-cycles",
+        m.hz,
+        word(m.hz_source),
+        // No minus before a zero.
+        m.zero_crossing_s * 1e3 + 0.0,
+        word(m.zero_crossing_source),
+        survey.half_cycles_s.len()
+    )
+}
+
+/// One row a stretch.
+fn spans(survey: &Survey) -> String {
+    let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
+    for span in &survey.spans {
+        let load = |value: fn(&ihd_survey::impedance::Impedance) -> f64| {
+            span.load
+                .as_ref()
+                .map_or("-".to_owned(), |z| format!("{:.3}", value(z)))
+        };
+        table.row([
+            format!("{:.3}", span.t0_s * 1e3),
+            format!("{:.3}", span.end_s() * 1e3),
+            format!("{:.3}", span.f_sw_hz * 1e-3),
+            format!("{:.2}", 1.0 / (span.f_sw_hz * span.dt_s)),
+            load(|z| z.r_ohm),
+            load(|z| z.l_h * 1e6),
+        ]);
+    }
+    table.render()
+}

@@ -1,0 +1,112 @@
+//! The `ihd` command.
+
+pub mod calibrate;
+pub mod capture_args;
+pub mod convert;
+pub mod hint_args;
+pub mod hob;
+pub mod identify;
+pub mod inspect;
+pub mod interrupt;
+pub mod record;
+pub mod replay;
+pub mod simulate;
+pub mod simulated;
+pub mod study;
+#[cfg(feature = "pinn")]
+pub mod trainer;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use ihd_link::LinkError;
+use ihd_sim::server::ServerError;
+use ihd_train::replay::ReplayError;
+
+/// Identifies an induction hob's load and teaches its controller.
+#[derive(Debug, Parser)]
+#[command(name = "ihd", version, about)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Calibrate(Box<calibrate::CalibrateArgs>),
+    #[cfg(feature = "pinn")]
+    Trainer(trainer::TrainerArgs),
+    Convert(Box<convert::ConvertArgs>),
+    Hob(hob::HobArgs),
+    Identify(Box<identify::IdentifyArgs>),
+    Inspect(Box<inspect::InspectArgs>),
+    Record(Box<record::RecordArgs>),
+    Replay(Box<replay::ReplayArgs>),
+    Simulate(Box<simulate::SimulateArgs>),
+    Study(study::StudyArgs),
+}
+
+impl Cli {
+    /// Runs the chosen subcommand.
+    ///
+    /// # Errors
+    /// Whatever ends it early, with the context that a person needs.
+    pub fn run(&self) -> Result<()> {
+        match &self.command {
+            Command::Calibrate(args) => args.run(),
+            #[cfg(feature = "pinn")]
+            Command::Trainer(args) => args.run(),
+            Command::Convert(args) => args.run(),
+            Command::Hob(args) => args.run(),
+            Command::Identify(args) => args.run(),
+            Command::Inspect(args) => args.run(),
+            Command::Record(args) => args.run(),
+            Command::Replay(args) => args.run(),
+            Command::Simulate(args) => args.run(),
+            Command::Study(args) => args.run(),
+        }
+    }
+}
+
+/// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
+/// 6 a replay that differs, 7 a capture unfit for identification, 1 anything else. Wrong usage is 2,
+/// by clap.
+pub fn exit_code(error: &anyhow::Error) -> u8 {
+    #[cfg(feature = "pinn")]
+    if let Some(error) = error.downcast_ref::<ihd_train::TrainerError>() {
+        use ihd_train::TrainerError as E;
+        return match error {
+            E::Link(_) | E::Silent { .. } => 3,
+            E::Fault { .. } => 4,
+            E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
+            E::Store(_) | E::Write { .. } => 1,
+        };
+    }
+    if error.is::<replay::Differs>() {
+        return 6;
+    }
+    if error.is::<inspect::UnfitCapture>() {
+        return 7;
+    }
+    if let Some(ReplayError::Link(_) | ReplayError::NotLocked { .. }) = error.downcast_ref() {
+        return 3;
+    }
+    if let Some(LinkError::Recording(_)) = error.downcast_ref() {
+        return 1;
+    }
+    if error.is::<LinkError>() || error.is::<ServerError>() {
+        3
+    } else {
+        1
+    }
+}
+
+/// An error and its causes in one line, each told once: many messages quote their cause already.
+pub fn message(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}

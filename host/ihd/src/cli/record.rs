@@ -1,0 +1,228 @@
+//! `ihd record`: everything that a device streams, in a capture file.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use ihd_capture::mcap::SessionRecorder;
+use ihd_capture::mcap::topics::LinkCounters;
+use ihd_link::{Client, DeviceSpec, Event, Transport};
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::wire::messages::Status;
+use ihd_sim::hob::SimHob;
+use ihd_sim::transport::SharedHob;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::interrupt;
+use super::simulate::quantity::quantity;
+use super::simulated::SimulatedHobArgs;
+
+/// How often the device hears from us: it switches off after 10 s without.
+const HEARD_EVERY: Duration = Duration::from_secs(2);
+
+/// How long an event may take before limits and ^C are looked at again.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Record what a device streams: telemetry, windows of samples, faults, and the link byte for byte.
+///
+/// The file (docs/capture.md) is readable whenever the recorder ends, a kill included.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd record --device usb --out kitchen.mcap\n  \
+    ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
+    ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
+    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed, 2 wrong usage, 3 device or link")]
+pub struct RecordArgs {
+    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH
+    #[arg(long, value_name = "DEVICE", default_value = "sim")]
+    device: DeviceSpec,
+    /// The capture file; an existing one is never overwritten
+    #[arg(long, short, value_name = "FILE")]
+    out: PathBuf,
+    /// End after this long, in s
+    #[arg(long, value_name = "S", value_parser = quantity)]
+    duration: Option<f64>,
+    /// End when the file has this size in bytes (10M)
+    #[arg(long, value_name = "BYTES", value_parser = quantity)]
+    max_size: Option<f64>,
+    /// Ask for this power in watt meanwhile; without it the device does what it did
+    #[arg(long, value_name = "W")]
+    power: Option<u16>,
+    /// A telemetry every so many half-cycles; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    telemetry_every: u8,
+    /// A window of samples every so many half-cycles; 0 for none. A window of 57 kB takes 14
+    /// half-cycles on a link of 400 kB/s, what is due sooner is dropped and counted
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    windows_every: u8,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    simulated: SimulatedHobArgs,
+}
+
+/// What was recorded.
+#[derive(Debug, Serialize)]
+struct Report {
+    file: PathBuf,
+    device: String,
+    ended_by: &'static str,
+    seconds: f64,
+    bytes: u64,
+    faults: u32,
+    link: LinkCounters,
+    device_windows_dropped: u32,
+    device_telemetry_dropped: u32,
+}
+
+impl RecordArgs {
+    /// Connects, records, reports.
+    ///
+    /// # Errors
+    /// When the device or the file fails; what was recorded until then is in the file.
+    pub fn run(&self) -> Result<()> {
+        self.check()?;
+        let stop = interrupt::flag().context("cannot catch ^C")?;
+        let config = self.simulated.config()?;
+        let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
+        let mut client = Client::connect(self.device.open(sim)?)?;
+        let recorder = SessionRecorder::create(&self.out, client.hello())?;
+        let size = recorder.size();
+        client.record_to(recorder);
+        let bar = spinner()?;
+        let recorded = self.record(&mut client, stop, &size, &bar);
+        let left = self.leave(&mut client);
+        let closed = client.finish_recording();
+        bar.finish_and_clear();
+        let mut report = recorded?;
+        let status = left?;
+        closed?;
+        report.link = ihd_capture::mcap::link_counters(&client.counters());
+        report.bytes = std::fs::metadata(&self.out).map_or(0, |m| m.len());
+        report.device_windows_dropped = status.windows_dropped;
+        report.device_telemetry_dropped = status.telemetry_dropped;
+        self.print(&report)
+    }
+
+    fn check(&self) -> Result<()> {
+        let positive = |x: Option<f64>| x.is_none_or(|x| x.is_finite() && x > 0.0);
+        ensure!(positive(self.duration), "--duration must be more than 0 s");
+        ensure!(positive(self.max_size), "--max-size must be more than 0");
+        ensure!(
+            self.power.is_none_or(|w| w <= RATED_POWER_W),
+            "--power must be at most {RATED_POWER_W} W"
+        );
+        Ok(())
+    }
+
+    fn record(
+        &self,
+        client: &mut Client,
+        stop: &AtomicBool,
+        size: &AtomicU64,
+        bar: &ProgressBar,
+    ) -> Result<Report> {
+        client.read_lookup()?;
+        client.stream(self.telemetry_every, self.windows_every)?;
+        if let Some(power_w) = self.power {
+            client.set_power(power_w)?;
+        }
+        let began = client.clock();
+        let mut heard = began;
+        let mut faults = 0;
+        let ended_by = loop {
+            let elapsed = client.clock().saturating_sub(began);
+            if stop.load(Ordering::Relaxed) {
+                break "interrupt";
+            }
+            if self.duration.is_some_and(|s| elapsed.as_secs_f64() >= s) {
+                break "duration";
+            }
+            let bytes = size.load(Ordering::Relaxed);
+            if self.max_size.is_some_and(|max| bytes as f64 >= max) {
+                break "size";
+            }
+            if let Some(Event::Fault(_)) = client.next_event(LOOK_EVERY)? {
+                faults += 1;
+            }
+            if client.clock().saturating_sub(heard) >= HEARD_EVERY {
+                heard = client.clock();
+                client.status()?;
+            }
+            show(bar, elapsed, bytes, client);
+        };
+        Ok(Report {
+            file: self.out.clone(),
+            device: format!("{} ({})", client.describe(), client.hello().build),
+            ended_by,
+            seconds: client.clock().saturating_sub(began).as_secs_f64(),
+            bytes: 0,
+            faults,
+            link: LinkCounters::default(),
+            device_windows_dropped: 0,
+            device_telemetry_dropped: 0,
+        })
+    }
+
+    /// Leaves the device silent, and off where it was switched on; takes what is on its way.
+    fn leave(&self, client: &mut Client) -> Result<Status> {
+        if self.power.is_some() {
+            client.set_power(0)?;
+        }
+        client.stream(0, 0)?;
+        while client.next_event(LOOK_EVERY)?.is_some() {}
+        Ok(client.status()?)
+    }
+
+    fn print(&self, r: &Report) -> Result<()> {
+        if self.json {
+            println!("{}", serde_json::to_string_pretty(r)?);
+            return Ok(());
+        }
+        let (l, path) = (&r.link, r.file.display());
+        println!(
+            "recorded   {path}, {} bytes, {:.1} s, ended by {}",
+            r.bytes, r.seconds, r.ended_by
+        );
+        println!("device     {}", r.device);
+        println!(
+            "telemetry  {} received, {} missing, {} dropped by the device",
+            l.telemetry, l.telemetry_missing, r.device_telemetry_dropped
+        );
+        println!(
+            "windows    {} received, {} missing, {} rejected, {} dropped by the device",
+            l.windows, l.windows_missing, l.windows_rejected, r.device_windows_dropped
+        );
+        println!(
+            "frames     {} good, {} bad, {} lost; {} fault events",
+            l.frames_good, l.frames_bad, l.frames_lost, r.faults
+        );
+        Ok(())
+    }
+}
+
+fn spinner() -> Result<ProgressBar> {
+    let bar = ProgressBar::new_spinner();
+    let style = ProgressStyle::with_template("{spinner} {wide_msg}").context("progress bar")?;
+    bar.set_style(style);
+    Ok(bar)
+}
+
+fn show(bar: &ProgressBar, elapsed: Duration, bytes: u64, client: &Client) {
+    let c = client.counters();
+    bar.set_message(format!(
+        "{:.1} s, {:.2} MB, {} telemetry, {} windows; missing {} and {}, {} bad frames, ^C ends",
+        elapsed.as_secs_f64(),
+        bytes as f64 * 1e-6,
+        c.telemetry.received,
+        c.windows.received,
+        c.telemetry.missing,
+        c.windows.missing,
+        c.frames_bad
+    ));
+    bar.tick();
+}

@@ -1,0 +1,155 @@
+//! `ihd replay`: a capture through a device's firmware, compared with the host's build of it.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use ihd_link::{Client, DeviceSpec};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
+use ihd_survey::{Hints, Survey};
+use ihd_train::replay::{Outcome, Settings, Stretch, run};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::capture_args::CaptureArgs;
+use super::simulate::quantity::quantity;
+use crate::report::table::Table;
+
+/// Replay a capture in the loop: its samples go through a device's firmware in place of its ADCs.
+///
+/// R, L, windows and states that come back are compared bit for bit with the host-compiled
+/// firmware. The device's power outputs are locked off meanwhile.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd replay half-cycle.mcap\n  \
+    ihd replay scope.wfm --device usb --fsw 45k\n  \
+    ihd replay kitchen.mcap --device tcp:127.0.0.1:4711 --speed 1 --json\n\n\
+    Exit codes: 0 identical, 1 failed, 2 wrong usage, 3 device or link, 6 the device differs")]
+pub struct ReplayArgs {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH
+    #[arg(long, value_name = "DEVICE", default_value = "sim")]
+    device: DeviceSpec,
+    /// How much faster than the capture's own time; without it as fast as the link allows
+    #[arg(long, value_name = "FACTOR")]
+    speed: Option<f64>,
+    /// Switching frequency in Hz, where the capture does not tell
+    #[arg(long, value_parser = quantity, value_name = "HZ")]
+    fsw: Option<f64>,
+    /// Mains frequency in Hz, where the capture does not tell
+    #[arg(long, value_parser = quantity, value_name = "HZ")]
+    mains: Option<f64>,
+    /// Time of a mains zero crossing in s, where the capture does not tell
+    #[arg(long, value_parser = quantity, value_name = "S", allow_negative_numbers = true)]
+    zero_crossing: Option<f64>,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The device does not compute what this build does.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error(
+    "the device differs from this build of its firmware in {0} values; is it the same version? \
+     Flash the firmware that belongs to this host"
+)]
+pub struct Differs(pub usize);
+
+impl ReplayArgs {
+    /// Replays, compares, reports.
+    ///
+    /// # Errors
+    /// [`Differs`] when the device computes something else; else what keeps it from being compared.
+    pub fn run(&self) -> Result<()> {
+        ensure!(
+            self.speed
+                .is_none_or(|s| s.is_finite() && (1e-3..=1e3).contains(&s)),
+            "--speed must lie between 0.001 and 1000"
+        );
+        let capture = self.capture.open()?;
+        let hints = Hints {
+            f_sw_hz: self.fsw,
+            mains_hz: self.mains,
+            zero_crossing_s: self.zero_crossing,
+        };
+        let survey = Survey::of(&capture, &hints)?;
+        let segments = survey.segments(&capture);
+        let stretches: Vec<_> = segments.iter().filter_map(Stretch::of).collect();
+        let settings = Settings {
+            speed: self.speed,
+            ..Settings::default()
+        };
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        let mut connect = || {
+            let transport = self.device.open(|| Box::new(hob.clone()))?;
+            let mut client = Client::connect(transport)?;
+            // A lost answer is asked for again, so there is no need to wait long for it.
+            client.set_timeout(Duration::from_secs(1));
+            Ok(client)
+        };
+        let bar = ProgressBar::new(stretches.iter().map(|s| s.blocks() as u64).sum());
+        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} blocks, {eta} left");
+        bar.set_style(style.context("progress bar")?);
+        let outcome = run(&stretches, settings, &mut connect, &mut |blocks| {
+            bar.set_position(blocks as u64);
+        });
+        bar.finish_and_clear();
+        let outcome = outcome?;
+        if self.json {
+            println!("{}", serde_json::to_string_pretty(&outcome)?);
+        } else {
+            print!("{}", text(&outcome));
+        }
+        if outcome.is_identical() {
+            Ok(())
+        } else {
+            Err(Differs(outcome.differences).into())
+        }
+    }
+}
+
+fn text(o: &Outcome) -> String {
+    let counted = |c: ihd_train::replay::compare::Compared| match c.lost {
+        0 => format!("{} compared", c.compared),
+        lost => format!("{} compared, {lost} lost on the link", c.compared),
+    };
+    let mut text = format!(
+        "device     {}, power outputs locked off\n\
+         replayed   {} blocks in {} stretches, {:.2} s\n\
+         estimates  {} of R and L compared\n\
+         windows    {}\n\
+         telemetry  {}\n",
+        o.device,
+        o.blocks,
+        o.stretches,
+        o.seconds,
+        o.estimates,
+        counted(o.windows),
+        counted(o.telemetry),
+    );
+    if o.repeats + o.reconnects > 0 {
+        text += &format!(
+            "link       {} messages repeated, {} times connected anew\n",
+            o.repeats, o.reconnects
+        );
+    }
+    if o.is_identical() {
+        return text + "result     identical, bit for bit\n";
+    }
+    let mut table = Table::new(&["t/s", "what", "device", "this build"]);
+    for d in &o.first {
+        table.row([
+            format!("{:.6}", d.t_s),
+            d.what.clone(),
+            d.device.clone(),
+            d.host.clone(),
+        ]);
+    }
+    text + &format!(
+        "result     {} differences, the first {}:\n{}",
+        o.differences,
+        o.first.len(),
+        table.render()
+    )
+}

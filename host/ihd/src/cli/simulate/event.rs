@@ -1,0 +1,74 @@
+//! Events on the command line: `3ms:fsw=60k`, `5ms:pot=none`, `7ms:off`.
+
+use ihd_sim::recording::settings::{Change, Event};
+
+use super::quantity::quantity;
+
+/// An event that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{text}` is no event: {why}; write TIME:fsw=60k, TIME:pot=none, TIME:off or TIME:on")]
+pub struct NotAnEvent {
+    text: String,
+    why: String,
+}
+
+/// Reads one event.
+pub fn event(text: &str) -> Result<Event, NotAnEvent> {
+    let wrong = |why: String| NotAnEvent {
+        text: text.to_owned(),
+        why,
+    };
+    let (time, what) = text
+        .split_once(':')
+        .ok_or_else(|| wrong("no `:`".to_owned()))?;
+    let t_s = quantity(time).map_err(|e| wrong(e.to_string()))?;
+    let change = match what.split_once('=') {
+        None if what == "off" => Change::Off,
+        None if what == "on" => Change::On,
+        Some(("fsw", f)) => Change::Frequency(quantity(f).map_err(|e| wrong(e.to_string()))?),
+        Some(("pot", pot)) => Change::Pot(
+            pot.parse()
+                .map_err(|e: ihd_sim::pot::UnknownPotName| wrong(e.to_string()))?,
+        ),
+        _ => return Err(wrong(format!("unknown change `{what}`"))),
+    };
+    Ok(Event { t_s, change })
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_sim::pot::Pot;
+
+    use super::*;
+
+    #[test]
+    fn events_are_read() {
+        assert_eq!(
+            event("3ms:fsw=60k"),
+            Ok(Event {
+                t_s: 3e-3,
+                change: Change::Frequency(60e3)
+            })
+        );
+        assert_eq!(
+            event("0.5:pot=none"),
+            Ok(Event {
+                t_s: 0.5,
+                change: Change::Pot(Pot::NONE)
+            })
+        );
+        assert_eq!(event("1us:off").map(|e| e.change), Ok(Change::Off));
+    }
+
+    #[test]
+    fn wrong_events_say_why() {
+        assert!(event("3ms").unwrap_err().to_string().contains("no `:`"));
+        assert!(
+            event("3ms:pot=wood")
+                .unwrap_err()
+                .to_string()
+                .contains("ferritic-D")
+        );
+        assert!(event("x:off").unwrap_err().to_string().contains("`x`"));
+    }
+}

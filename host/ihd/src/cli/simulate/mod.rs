@@ -1,0 +1,246 @@
+//! `ihd simulate`: a recording of the simulated power stage, with its truth.
+
+mod event;
+pub mod quantity;
+mod report;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use ihd_sim::pot::Pot;
+use ihd_sim::recording::sensing::Rate;
+use ihd_sim::recording::settings::{Event, LoadKind, Settings};
+use ihd_sim::recording::{file, run};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use self::event::event;
+use self::quantity::{list, quantity};
+use crate::report::recording;
+
+/// Load models, as words on the command line.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum LoadWord {
+    /// Electromagnetic field model, in time.
+    Field,
+    /// Table fitted to the field model, its surrogate.
+    #[value(name = "reduced", alias = "surrogate")]
+    Surrogate,
+    /// Closed formulas for R and L.
+    Behavioural,
+}
+
+impl From<LoadWord> for LoadKind {
+    fn from(word: LoadWord) -> Self {
+        match word {
+            LoadWord::Field => Self::Field,
+            LoadWord::Surrogate => Self::Surrogate,
+            LoadWord::Behavioural => Self::Behavioural,
+        }
+    }
+}
+
+/// Simulate coil voltage and current of a hob, with the truth about R and L.
+///
+/// Numbers take SI prefixes: 45k, 50M, 20ms, 0.2us. What is not given comes from the preset.
+#[derive(Debug, Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  \
+        ihd simulate --plot waveforms.svg\n  \
+        ihd simulate --fsw 50k --pot ferritic-18 --snr 30 --rate 50M --out half-cycle.mcap\n  \
+        ihd simulate --load behavioural --rate locked --at 5ms:pot=none"
+)]
+pub struct SimulateArgs {
+    /// Operating point of the paper to start from: paper-45, paper-50, paper-60 or paper-70
+    #[arg(long, default_value = "paper-45")]
+    preset: String,
+    /// Switching frequency in Hz
+    #[arg(long, value_parser = quantity)]
+    fsw: Option<f64>,
+    /// Mains frequency in Hz
+    #[arg(long, value_parser = quantity)]
+    mains: Option<f64>,
+    /// Mains distortion: third, fifth and seventh harmonic in percent, as in 4,-2,1
+    #[arg(long, value_parser = list::<3>, value_name = "PCT,PCT,PCT")]
+    distortion: Option<[f64; 3]>,
+    /// Bus capacitance in F; 0: the bus is the rectified mains
+    #[arg(long, value_parser = quantity)]
+    bus_capacitance: Option<f64>,
+    /// Dead time of the half-bridge in s
+    #[arg(long, value_parser = quantity)]
+    dead_time: Option<f64>,
+    /// ferritic-D, stainless-D, aluminium-D with D = 9 to 21 (cm), or none
+    #[arg(long)]
+    pot: Option<Pot>,
+    /// Lift the pot, in m (5mm)
+    #[arg(long, value_parser = quantity, default_value = "0")]
+    lift: f64,
+    /// Move the pot off centre, in m (20mm)
+    #[arg(long, value_parser = quantity, default_value = "0")]
+    offset: f64,
+    /// Temperature of the pot in °C
+    #[arg(long, default_value = "20")]
+    temperature: f64,
+    /// How the load is modelled
+    #[arg(long)]
+    load: Option<LoadWord>,
+    /// Winding resistance in ohm
+    #[arg(long, value_parser = quantity)]
+    winding: Option<f64>,
+    /// Start this long after a mains zero crossing, from rest, in s
+    #[arg(long, value_parser = quantity)]
+    start: Option<f64>,
+    /// Length in s
+    #[arg(long, value_parser = quantity)]
+    duration: Option<f64>,
+    /// Integration step in s
+    #[arg(long, value_parser = quantity)]
+    step: Option<f64>,
+    /// Change something meanwhile: TIME:fsw=60k, TIME:pot=none, TIME:off or TIME:on; repeatable
+    #[arg(long, value_parser = event, value_name = "EVENT")]
+    at: Vec<Event>,
+    #[command(flatten)]
+    sensing: SensingArgs,
+    /// Seed of noise and spikes
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Write the recording to this file (MCAP, docs/capture.md)
+    #[arg(long, short)]
+    out: Option<PathBuf>,
+    /// Write the waveforms without noise and quantising too
+    #[arg(long, requires = "out")]
+    clean: bool,
+    /// Draw waveforms, R and L to this file (SVG)
+    #[arg(long)]
+    plot: Option<PathBuf>,
+    /// List what each approximation of the field model costs, and do nothing else
+    #[arg(long)]
+    approximations: bool,
+}
+
+/// The sensing chain.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Sensing")]
+struct SensingArgs {
+    /// Sampling rate in S/s, or `locked` for f_sw · 61/3
+    #[arg(long, value_parser = rate)]
+    rate: Option<Rate>,
+    /// Accept a rate that cannot show the voltage's edges
+    #[arg(long)]
+    allow_aliasing: bool,
+    /// Resolution of the converters, 8 to 16
+    #[arg(long)]
+    bits: Option<u32>,
+    /// Signal-to-noise ratio of white noise in dB (paper, section V)
+    #[arg(long)]
+    snr: Option<f64>,
+    /// Gains of the voltage and current channel, as in 1.01,0.99
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    gain: Option<[f64; 2]>,
+    /// Offsets of the channels in V and A
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    offsets: Option<[f64; 2]>,
+    /// Corner of the anti-alias filter in Hz; 0: none
+    #[arg(long, value_parser = quantity)]
+    pole: Option<f64>,
+    /// How much later the current is sampled, in s
+    #[arg(long, value_parser = quantity)]
+    skew: Option<f64>,
+    /// Ringing on the voltage after each edge, as a share of the edge
+    #[arg(long)]
+    ringing: Option<f64>,
+    /// Spikes per second
+    #[arg(long, value_parser = quantity)]
+    spikes: Option<f64>,
+}
+
+fn rate(text: &str) -> Result<Rate, quantity::NotANumber> {
+    if text == "locked" {
+        Ok(Rate::Locked)
+    } else {
+        quantity(text).map(Rate::Hz)
+    }
+}
+
+/// Puts a value in place where one was given.
+fn set<T>(slot: &mut T, value: Option<T>) {
+    if let Some(value) = value {
+        *slot = value;
+    }
+}
+
+impl SimulateArgs {
+    /// The settings that the arguments mean.
+    pub fn settings(&self) -> Result<Settings> {
+        let mut s = Settings::preset(&self.preset)?;
+        set(&mut s.f_sw_hz, self.fsw);
+        set(&mut s.mains_hz, self.mains);
+        set(
+            &mut s.mains_harmonics,
+            self.distortion.map(|d| d.map(|pct| pct / 100.0)),
+        );
+        set(&mut s.bus_capacitance_f, self.bus_capacitance);
+        set(&mut s.dead_s, self.dead_time);
+        set(&mut s.pot, self.pot);
+        s.pot.lift_m = self.lift;
+        s.pot.offset_m = self.offset;
+        s.pot.temperature_c = self.temperature;
+        set(&mut s.load, self.load.map(LoadKind::from));
+        set(&mut s.winding_r_ohm, self.winding);
+        set(&mut s.start_s, self.start);
+        set(&mut s.duration_s, self.duration);
+        set(&mut s.dt_s, self.step);
+        s.events.clone_from(&self.at);
+        set(&mut s.seed, self.seed);
+        self.sensing.apply(&mut s);
+        s.check()?;
+        Ok(s)
+    }
+
+    /// Simulates, writes what was asked for and prints a summary.
+    pub fn run(&self) -> Result<()> {
+        if self.approximations {
+            return report::approximations();
+        }
+        let settings = self.settings()?;
+        let bar = ProgressBar::new(1000);
+        let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  {eta} left");
+        bar.set_style(style.context("progress bar")?);
+        let started = Instant::now();
+        let recording = run::record(&settings, |share| bar.set_position((share * 1000.0) as u64))?;
+        bar.finish_and_clear();
+        let took = started.elapsed();
+        report::summary(&recording, took)?;
+        if let Some(path) = &self.out {
+            file::write(&recording, path, self.clean)?;
+            println!("recording  {}", path.display());
+        }
+        if let Some(path) = &self.plot {
+            recording::write(&recording, path)?;
+            println!("figure     {}", path.display());
+        }
+        Ok(())
+    }
+}
+
+impl SensingArgs {
+    fn apply(&self, s: &mut Settings) {
+        let sensing = &mut s.sensing;
+        set(&mut sensing.rate, self.rate);
+        sensing.allow_aliasing = self.allow_aliasing;
+        set(&mut sensing.bits, self.bits);
+        sensing.snr_db = self.snr;
+        if let Some([v, i]) = self.gain {
+            (sensing.v_gain, sensing.i_gain) = (v, i);
+        }
+        if let Some([v, i]) = self.offsets {
+            (sensing.v_offset_v, sensing.i_offset_a) = (v, i);
+        }
+        set(&mut sensing.pole_hz, self.pole);
+        set(&mut sensing.skew_s, self.skew);
+        set(&mut sensing.ringing, self.ringing);
+        set(&mut sensing.spikes_per_s, self.spikes);
+    }
+}

@@ -1,0 +1,86 @@
+//! Options of the simulated hob, shared by the commands that start one.
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use ihd_sim::adc::Noise;
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::hob::HobConfig;
+
+use super::simulate::LoadWord;
+
+/// The simulated hob.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Simulated hob")]
+pub struct SimulatedHobArgs {
+    /// What stands on the coil: ferromagnetic, small, aluminium, stainless or none.
+    #[arg(long, value_name = "POT", default_value = "ferromagnetic")]
+    pot: PotKind,
+    /// How the load is modelled: field is the electromagnetic model (35 to 70 times slower than
+    /// real time), reduced a table fitted to it.
+    #[arg(long, value_name = "MODEL", default_value = "behavioural")]
+    load: LoadWord,
+    /// Let the pot warm up: R and L drift over minutes of simulated time.
+    #[arg(long)]
+    warming: bool,
+    /// Mains frequency in hertz.
+    #[arg(long, value_name = "HZ", default_value_t = 50.0)]
+    mains: f64,
+    /// White noise on both channels as a signal-to-noise ratio in decibel at 45 kHz and full
+    /// power (179 V, 27.7 A rms); without it half an ADC step.
+    #[arg(long, value_name = "DB")]
+    snr: Option<f64>,
+    /// Corner of the anti-alias filters in hertz; 0 for none.
+    #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().anti_alias_hz)]
+    anti_alias: f64,
+    /// Seed of the noise; the same seed gives the same digits.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+/// Rms voltage and current at 45 kHz, full power: what `--snr` refers to (measured on
+/// tests/fixtures/half_cycle, and close to the paper's Table 4).
+const RATED_RMS: (f64, f64) = (179.1, 27.7);
+
+impl SimulatedHobArgs {
+    /// The pot.
+    pub fn pot(&self) -> PotKind {
+        self.pot
+    }
+
+    /// The configuration.
+    ///
+    /// # Errors
+    /// When a value is out of its range.
+    pub fn config(&self) -> Result<HobConfig> {
+        ensure!(
+            (45.0..=65.0).contains(&self.mains),
+            "--mains is {} Hz, but must lie between 45 and 65",
+            self.mains
+        );
+        ensure!(
+            self.anti_alias == 0.0 || (1e5..=1e7).contains(&self.anti_alias),
+            "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
+            self.anti_alias
+        );
+        let noise = match self.snr {
+            None => HobConfig::default().noise,
+            Some(db) => {
+                ensure!(
+                    (10.0..=200.0).contains(&db),
+                    "--snr is {db} dB, but must lie between 10 and 200"
+                );
+                Noise::from_snr_db(db, RATED_RMS.0, RATED_RMS.1)
+            }
+        };
+        Ok(HobConfig {
+            mains_hz: self.mains,
+            pot: self.pot,
+            load: self.load.into(),
+            warming: self.warming,
+            anti_alias_hz: self.anti_alias,
+            noise,
+            seed: self.seed,
+            ..HobConfig::default()
+        })
+    }
+}

@@ -1,0 +1,231 @@
+//! `ihd trainer`: teaches a hob its load.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{fs, io};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use ihd_capture::{OpenOptions, open};
+use ihd_link::{Client, DeviceSpec};
+use ihd_pinn::{Backend, Config};
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_sim::hob::SimHob;
+use ihd_sim::transport::SharedHob;
+use ihd_survey::{Hints, Survey};
+use ihd_train::{Progress, Recorded, Settings, Source, TruthSource, run};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::interrupt;
+use super::simulated::SimulatedHobArgs;
+use crate::report::{trained, training};
+
+/// Most runs in one store.
+const MAX_RUNS: u32 = 9_999;
+
+/// Identifies the load of a hob with a PINN and pushes the R, L lookup to its controller.
+///
+/// The default device is a simulated hob whose controller is the firmware itself.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd trainer\n  \
+    ihd trainer --power 1500 --backend ndarray --json\n  \
+    ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
+    ihd trainer --replay capture.mcap\n\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 fault on the device,\n\
+    5 nothing fit for the lookup")]
+pub struct TrainerArgs {
+    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH.
+    #[arg(long, value_name = "DEVICE", default_value = "sim")]
+    device: DeviceSpec,
+    /// Powers to heat with, in watt, one operating point each.
+    #[arg(
+        long,
+        value_name = "W,W,…",
+        value_delimiter = ',',
+        default_value = "1500,2000,1000,700,1500"
+    )]
+    power: Vec<u16>,
+    /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["power", "follow"])]
+    replay: Option<PathBuf>,
+    /// What computes the network: fused (own code), flex or ndarray (burn).
+    #[arg(long, value_name = "NAME")]
+    backend: Option<Backend>,
+    /// TOML file with the network's settings over the preset that it names; what it leaves out keeps
+    /// the preset's value.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder in which each run gets a folder of its own, for the recording, the lookups and the
+    /// figure.
+    #[arg(long, value_name = "DIR", default_value = "ihd-store")]
+    store: PathBuf,
+    /// Write nothing to disk.
+    #[arg(long)]
+    no_store: bool,
+    /// Go on at the last power until ^C, and push a lookup whenever the load has changed.
+    #[arg(long)]
+    follow: bool,
+    /// Print the report as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    simulated: SimulatedHobArgs,
+}
+
+impl TrainerArgs {
+    /// Connects, trains, reports.
+    pub fn run(&self) -> Result<()> {
+        for &power_w in &self.power {
+            ensure!(
+                (1..=RATED_POWER_W).contains(&power_w),
+                "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
+            );
+        }
+        let pinn = self.pinn_config()?;
+        let stop = if self.follow {
+            Some(interrupt::flag().context("cannot catch ^C")?)
+        } else {
+            None
+        };
+        let bar = progress_bar();
+        let mut truth: TruthSource = None;
+        let config = self.simulated.config()?;
+        let transport = self.device.open(|| {
+            let hob = SharedHob::new(SimHob::new(&config));
+            let known = hob.clone();
+            truth = Some(Box::new(move |half_cycle| known.truth(half_cycle)));
+            Box::new(hob)
+        })?;
+        let client = Client::connect(transport)?;
+        let settings = Settings {
+            source: self.source()?,
+            pinn,
+            store: if self.no_store {
+                None
+            } else {
+                Some(new_run_folder(&self.store)?)
+            },
+            follow: stop,
+        };
+        let report = run(client, truth, &settings, &mut |p| {
+            show(&bar, self.follow, p)
+        });
+        bar.finish_and_clear();
+        let report = report?;
+        if let Some(store) = &settings.store {
+            trained::write(&report, &store.join("identified.svg"))?;
+        }
+        if self.json {
+            println!(
+                "{}",
+                serde_json::to_string_pretty(&training::json(&report))?
+            );
+        } else {
+            print!("{}", training::text(&report));
+            if let Some(store) = &settings.store {
+                println!(
+                    "kept     session.mcap, lookup-v*.json and identified.svg in {}",
+                    store.display()
+                );
+            }
+        }
+        Ok(())
+    }
+
+    fn source(&self) -> Result<Source> {
+        let Some(path) = &self.replay else {
+            return Ok(Source::Powers(self.power.clone()));
+        };
+        let capture = open(path, &OpenOptions::default())?;
+        let survey = Survey::of(&capture, &Hints::default())?;
+        let segments = survey.segments(&capture);
+        let half_cycles: Vec<_> = segments.iter().flat_map(Recorded::half_cycles).collect();
+        ensure!(
+            !half_cycles.is_empty(),
+            "{} holds no whole mains half-cycle to replay",
+            path.display()
+        );
+        Ok(Source::Replay(half_cycles))
+    }
+
+    fn pinn_config(&self) -> Result<Config> {
+        let mut config = match &self.config {
+            None => Config::default(),
+            Some(path) => {
+                let text = std::fs::read_to_string(path)
+                    .with_context(|| format!("cannot read {}", path.display()))?;
+                Config::from_toml(&text)
+                    .with_context(|| format!("{} is no configuration", path.display()))?
+            }
+        };
+        if let Some(backend) = self.backend {
+            config.backend = backend;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+/// Makes the first `run-NNN` that does not exist yet, so that no run writes over another.
+fn new_run_folder(store: &Path) -> Result<PathBuf> {
+    let cannot = |path: &Path| format!("cannot make the folder {}", path.display());
+    fs::create_dir_all(store).with_context(|| cannot(store))?;
+    for n in 1..=MAX_RUNS {
+        let run = store.join(format!("run-{n:03}"));
+        match fs::create_dir(&run) {
+            Ok(()) => return Ok(run),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(e) => return Err(e).with_context(|| cannot(&run)),
+        }
+    }
+    bail!(
+        "{} holds {MAX_RUNS} runs already: move some away",
+        store.display()
+    )
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    // The template is a constant; a broken one would show in every test of this command.
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed:>4} {wide_msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}
+
+fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
+    match progress {
+        Progress::Settling {
+            asked_w,
+            telemetry: t,
+        } => bar.set_message(format!(
+            "{asked_w} W: {:?}, {:.0} W at {:.2} kHz, pot {:?}",
+            t.state,
+            f64::from(t.power_mw) * 1e-3,
+            f64::from(t.f_sw_hz) * 1e-3,
+            t.pot
+        )),
+        Progress::AwaitingWindow { point } => {
+            bar.set_message(format!("{point}: waiting for a window"));
+        }
+        Progress::Training { seq, step } => bar.set_message(format!(
+            "window {seq}: step {}, loss {:.3e}, change of R, L {:.1e}",
+            step.iteration, step.loss, step.change
+        )),
+        Progress::Rejected { seq, why } => bar.println(format!("window {seq} not used: {why}")),
+        Progress::Taught {
+            version,
+            observed_cells,
+        } => {
+            let text =
+                format!("lookup {version} active on the device, {observed_cells} cells observed");
+            if follow {
+                bar.println(text);
+            } else {
+                bar.set_message(text);
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! The trainer's report: a table for people, JSON for programs.
+
+use std::fmt::Write;
+
+use ihd_shared::lookup::grid::CELLS;
+use ihd_shared::wire::messages::Status;
+use ihd_signal::Load;
+use ihd_train::{Point, Report};
+use serde::Serialize;
+
+use super::table::Table;
+
+/// The report as text.
+pub fn text(report: &Report) -> String {
+    let mut out = String::new();
+    let _ = writeln!(out, "{}\n", report.device);
+    out.push_str(&points(&report.points));
+    out.push('\n');
+    if report.points.iter().any(|p| p.truth.is_some()) {
+        out.push_str(&accuracy(&report.points));
+        out.push('\n');
+    }
+    let s = &report.status;
+    let observed = report
+        .built
+        .as_ref()
+        .map_or(0, |b| b.lookup.observed_cells());
+    let _ = writeln!(
+        out,
+        "lookup   version {} active on the device; {observed} of {CELLS} cells observed, the others \
+         keep the prior",
+        s.lookup_version
+    );
+    let _ = writeln!(
+        out,
+        "power    {} W asked, {:.0} W delivered at {:.2} kHz",
+        s.asked_w,
+        f64::from(s.delivered_mw) * 1e-3,
+        f64::from(s.f_sw_hz) * 1e-3
+    );
+    let _ = writeln!(
+        out,
+        "pot      {:?}; state {:?}, fault {:?}",
+        s.pot, s.state, s.fault
+    );
+    let _ = writeln!(out, "link     {}", link(report));
+    if let Some(first_s) = report.first_lookup_s {
+        let _ = writeln!(
+            out,
+            "time     {first_s:.2} s from start to the first lookup active, {:.2} s in all",
+            report.total_s
+        );
+    }
+    out
+}
+
+fn link(report: &Report) -> String {
+    let c = &report.counters;
+    format!(
+        "{} windows and {} telemetry received; {} windows dropped by the device, {} rejected, {} \
+         refused by the gate; frames bad {}, lost {}",
+        c.windows.received,
+        c.telemetry.received,
+        c.windows.dropped_by_device,
+        c.windows_rejected_total(),
+        report.refused,
+        c.frames_bad,
+        c.frames_lost
+    )
+}
+
+fn points(points: &[Point]) -> String {
+    let mut t = Table::new(&[
+        "asked W",
+        "got W",
+        "f_sw kHz",
+        "I A",
+        "R Ω: PINN",
+        "EKF",
+        "true",
+        "L µH: PINN",
+        "EKF",
+        "true",
+        "trained ms",
+    ]);
+    let cell = |at: Option<Load>, value: fn(Load) -> f64, digits: usize| {
+        at.map_or("–".into(), |at| format!("{:.digits$}", value(at)))
+    };
+    let r = |at| cell(at, |at: Load| at.r_ohm, 3);
+    let l = |at| cell(at, |at: Load| at.l_h * 1e6, 2);
+    for p in points {
+        t.row([
+            p.asked_w.map_or("–".into(), |w| w.to_string()),
+            p.delivered_w.map_or("–".into(), |w| format!("{w:.0}")),
+            format!("{:.2}", f64::from(p.f_sw_hz) * 1e-3),
+            format!("{:.1}", p.i_crest_a),
+            r(Some(p.pinn)),
+            r(p.ekf),
+            r(p.truth),
+            l(Some(p.pinn)),
+            l(p.ekf),
+            l(p.truth),
+            format!("{:.0}", p.training_s * 1e3),
+        ]);
+    }
+    format!("At the crest of the current:\n{}", t.render())
+}
+
+fn accuracy(points: &[Point]) -> String {
+    let mut t = Table::new(&[
+        "f_sw kHz",
+        "PINN R",
+        "PINN L",
+        "mid 80 % R",
+        "L",
+        "EKF R",
+        "EKF L",
+        "mid 80 % R",
+        "L",
+    ]);
+    for p in points {
+        let errors = [p.pinn_errors, p.ekf_errors].map(|e| {
+            e.map_or(["–"; 4].map(str::to_owned), |e| {
+                [e.r_whole_pct, e.l_whole_pct, e.r_middle_pct, e.l_middle_pct]
+                    .map(|x| format!("{x:.2}"))
+            })
+        });
+        let f_sw = format!("{:.2}", f64::from(p.f_sw_hz) * 1e-3);
+        t.row(std::iter::once(f_sw).chain(errors.into_iter().flatten()));
+    }
+    format!(
+        "Mean relative error against the simulation's truth, %, whole half-cycle:\n{}",
+        t.render()
+    )
+}
+
+/// The report as one JSON object.
+pub fn json(report: &Report) -> serde_json::Value {
+    #[derive(Serialize)]
+    struct Windows {
+        received: u32,
+        dropped_by_device: u32,
+        rejected: u32,
+        refused_by_gate: u32,
+    }
+    let s: &Status = &report.status;
+    let c = &report.counters;
+    serde_json::json!({
+        "device": report.device,
+        "points": report.points,
+        "lookup_version": s.lookup_version,
+        "observed_cells": report.built.as_ref().map_or(0, |b| b.lookup.observed_cells()),
+        "asked_w": s.asked_w,
+        "delivered_w": f64::from(s.delivered_mw) * 1e-3,
+        "f_sw_hz": s.f_sw_hz,
+        "pot": format!("{:?}", s.pot).to_lowercase(),
+        "state": format!("{:?}", s.state).to_lowercase(),
+        "fault": s.fault.number(),
+        "windows": Windows {
+            received: c.windows.received,
+            dropped_by_device: c.windows.dropped_by_device,
+            rejected: c.windows_rejected_total(),
+            refused_by_gate: report.refused,
+        },
+        "frames": { "good": c.frames_good, "bad": c.frames_bad, "lost": c.frames_lost },
+        "first_lookup_s": report.first_lookup_s,
+        "total_s": report.total_s,
+    })
+}

@@ -1,0 +1,275 @@
+//! The paper's Tables 1 to 3 with this project's PINN presets, its EKF and its lock-in: cell by cell,
+//! each kept as a file, so that a study that was stopped goes on.
+
+mod cell;
+mod figure;
+pub mod published;
+pub mod report;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use ihd_identify::{IdentifyError, Method};
+use ihd_pinn::{PinnError, Preset};
+use ihd_signal::truth::Mre;
+use ihd_signal::truth::PeriodTruth;
+use ihd_sim::inverter::InverterError;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_sim::trial::Trial;
+use serde::{Deserialize, Serialize};
+
+use crate::report::FigureError;
+
+/// Who is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Contender {
+    /// A preset of the PINN.
+    Pinn(Preset),
+    /// Another estimator.
+    Other(Method),
+}
+
+impl Contender {
+    /// Its name in tables and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pinn(preset) => preset.name(),
+            Self::Other(method) => method.name(),
+        }
+    }
+}
+
+/// One cell of the study.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Job {
+    /// Load model that gives the capture and the truth.
+    pub load: LoadKind,
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Signal-to-noise ratio in decibel.
+    pub snr_db: Option<f64>,
+    /// Who.
+    pub contender: Contender,
+    /// Seed of the noise and of the network.
+    pub seed: u64,
+    /// Most epochs of presets with a VI-MLP; the preset's own number if not given.
+    pub epochs: Option<usize>,
+}
+
+impl Job {
+    /// Name of the cell's file, without the ending.
+    pub fn file_stem(&self) -> String {
+        let load = match self.load {
+            LoadKind::Field => "field",
+            LoadKind::Surrogate => "reduced",
+            LoadKind::Behavioural => "behavioural",
+        };
+        let snr = self.snr_db.map_or("clean".into(), |db| format!("{db}dB"));
+        let epochs = self.epochs.map_or(String::new(), |n| format!("-{n}epochs"));
+        let (khz, name) = (self.f_sw_hz * 1e-3, self.contender.name());
+        format!("{load}-{khz}kHz-{snr}-{name}-seed{}{epochs}", self.seed)
+    }
+}
+
+/// One entry of a loss curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LossAt {
+    /// Step or epoch.
+    pub step: usize,
+    /// Physics term, eq. (4).
+    pub l_f: f64,
+    /// Data terms, eqs. (5) and (6).
+    pub l_i: f64,
+}
+
+/// Errors in percent.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Errors {
+    /// Mean relative error of R.
+    pub r_pct: f64,
+    /// Of L.
+    pub l_pct: f64,
+}
+
+impl From<Mre> for Errors {
+    fn from(mre: Mre) -> Self {
+        Self {
+            r_pct: mre.r_pct,
+            l_pct: mre.l_pct,
+        }
+    }
+}
+
+/// What a cell gave.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// What was run.
+    pub job: Job,
+    /// Errors over the last mains half-cycle.
+    pub whole: Errors,
+    /// Over its middle 80 %.
+    pub middle: Errors,
+    /// On the field model, over the whole half-cycle against the describing function: what a sinusoidal
+    /// current would see.
+    #[serde(default)]
+    pub describing: Option<Errors>,
+    /// Order of the impedance law that the network was given or has found.
+    #[serde(default)]
+    pub impedance_order: Option<f64>,
+    /// NMSE of v and i against the waveforms without noise in percent, where it reconstructs them.
+    pub nmse_pct: Option<(f64, f64)>,
+    /// P/I_rms² against the waveform's own, mean weighted with I², in percent; PINN only.
+    pub power_r_pct: Option<f64>,
+    /// The same against R of the describing function, on the field model.
+    #[serde(default)]
+    pub power_describing_pct: Option<f64>,
+    /// Wall-clock time in seconds.
+    pub elapsed_s: f64,
+    /// Steps or epochs; 0 of estimators that do not iterate.
+    pub steps: usize,
+    /// Why it stopped.
+    pub stopped: String,
+    /// (time in seconds, R in ohm, L in henry) of the estimate.
+    pub track: Vec<(f64, f64, f64)>,
+    /// The same of the truth.
+    pub truth: Vec<(f64, f64, f64)>,
+    /// What the noise of single samples contributes to the data terms, normalised as they are; `None`
+    /// without noise.
+    #[serde(default)]
+    pub noise_in_samples: Option<f64>,
+    /// Loss curve.
+    pub losses: Vec<LossAt>,
+}
+
+/// Why the study ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum PaperStudyError {
+    /// The simulator refused.
+    #[error(transparent)]
+    Simulation(#[from] InverterError),
+    /// An estimator refused.
+    #[error("{cell}: {source}")]
+    Identify {
+        /// Which cell.
+        cell: String,
+        /// Why.
+        source: IdentifyError,
+    },
+    /// The network refused.
+    #[error("{cell}: {source}")]
+    Pinn {
+        /// Which cell.
+        cell: String,
+        /// Why.
+        source: PinnError,
+    },
+    /// An estimate has no time in common with the truth.
+    #[error("{0}: no estimate within the last mains half-cycle")]
+    Nothing(String),
+    /// A file of the study cannot be read or written.
+    #[error("{path}: {why}; remove it, or choose another --out")]
+    File {
+        /// Which.
+        path: String,
+        /// Why.
+        why: String,
+    },
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+}
+
+/// An operating point: what is simulated once.
+struct Point {
+    trial: Trial,
+    describing: Option<Vec<PeriodTruth>>,
+}
+
+impl Point {
+    fn simulate(job: &Job) -> Result<Self, InverterError> {
+        let trial = Trial::simulate(job.load, job.f_sw_hz)?;
+        let describing = match job.load {
+            LoadKind::Field => Some(trial.describing()?),
+            LoadKind::Behavioural | LoadKind::Surrogate => None,
+        };
+        Ok(Self { trial, describing })
+    }
+}
+
+/// Runs the jobs in order; a cell whose file lies in `folder` is read instead. `progress` hears the
+/// number of finished cells and what the network says meanwhile.
+///
+/// # Errors
+/// [`PaperStudyError`].
+pub fn study(
+    jobs: &[Job],
+    folder: &Path,
+    progress: &mut dyn FnMut(usize, &str),
+) -> Result<Vec<Cell>, PaperStudyError> {
+    let mut cells = Vec::with_capacity(jobs.len());
+    let mut simulated: Option<(LoadKind, f64, Point)> = None;
+    for job in jobs {
+        let stem = job.file_stem();
+        let path = folder.join(format!("{stem}.json"));
+        let done = cells.len();
+        progress(done, &stem);
+        if let Some(cell) = kept(&path)? {
+            cells.push(cell);
+            continue;
+        }
+        let point = match simulated.take() {
+            Some((load, f, point)) if (load, f) == (job.load, job.f_sw_hz) => point,
+            _ => Point::simulate(job)?,
+        };
+        let checkpoint = folder.join(format!("{stem}.bpk"));
+        let cell = cell::run(job, &point, &checkpoint, &mut |text| {
+            progress(done, &format!("{stem}: {text}"));
+        })?;
+        write(
+            &path,
+            &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
+        )?;
+        // The cell's own file tells all from here on.
+        if checkpoint.exists() {
+            fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
+        }
+        cells.push(cell);
+        simulated = Some((job.load, job.f_sw_hz, point));
+    }
+    Ok(cells)
+}
+
+/// Writes report.md, cells.json and the figures into `folder`; returns the report's path.
+///
+/// # Errors
+/// [`PaperStudyError`].
+pub fn publish(cells: &[Cell], folder: &Path) -> Result<PathBuf, PaperStudyError> {
+    let json = folder.join("cells.json");
+    let text = serde_json::to_vec_pretty(cells).map_err(|e| broken(&json, &e))?;
+    write(&json, &text)?;
+    let figures = figure::all(cells, folder)?;
+    let path = folder.join("report.md");
+    write(&path, report::markdown(cells, &figures).as_bytes())?;
+    Ok(path)
+}
+
+fn kept(path: &Path) -> Result<Option<Cell>, PaperStudyError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let bytes = fs::read(path).map_err(|e| broken(path, &e))?;
+    let cell = serde_json::from_slice(&bytes).map_err(|e| broken(path, &e))?;
+    Ok(Some(cell))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), PaperStudyError> {
+    fs::write(path, bytes).map_err(|e| broken(path, &e))
+}
+
+fn broken(path: &Path, why: &dyn std::fmt::Display) -> PaperStudyError {
+    PaperStudyError::File {
+        path: path.display().to_string(),
+        why: why.to_string(),
+    }
+}

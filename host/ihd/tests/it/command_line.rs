@@ -1,0 +1,272 @@
+//! `ihd` as a user calls it: help, exit codes, the trainer in process and over TCP.
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::process::{Child, ChildStdout, Command, Output, Stdio};
+
+use serde_json::Value;
+
+fn ihd() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
+    command.env_remove("RUST_BACKTRACE");
+    command
+}
+
+/// Runs a command line; gives its exit code, stdout and stderr.
+fn run(args: &str) -> (i32, String, String) {
+    let Output {
+        status,
+        stdout,
+        stderr,
+    } = ihd().args(args.split(' ')).output().expect("ihd runs");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+    let stderr = text(stderr);
+    assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+    (status.code().expect("an exit code"), text(stdout), stderr)
+}
+
+/// Runs what must fail; checks the exit code and what stderr holds.
+fn refused(args: &str, code: i32, words: &[&str]) {
+    let (got, stdout, stderr) = run(args);
+    assert_eq!(got, code, "{args}: {stderr}");
+    assert!(stdout.is_empty(), "{args}: {stdout}");
+    // A cause that the message quotes is not told again.
+    assert!(stderr.matches("os error").count() <= 1, "{args}: {stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "{args}: {word:?} not in {stderr}");
+    }
+}
+
+/// A training run's report.
+fn trained(args: &str) -> Value {
+    let (code, stdout, stderr) = run(&format!("trainer --no-store --json {args}"));
+    assert_eq!(code, 0, "{stderr}");
+    serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{e}: {stdout}"))
+}
+
+fn number(value: &Value, pointer: &str) -> f64 {
+    let found = value.pointer(pointer).and_then(Value::as_f64);
+    found.unwrap_or_else(|| panic!("no number at {pointer} in {value:#}"))
+}
+
+#[test]
+fn every_subcommand_shows_examples() {
+    let (code, help, _) = run("--help");
+    assert_eq!(code, 0);
+    let commands: Vec<&str> = help
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        // Deeper lines go on with the description of the one before.
+        .filter(|line| !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    assert!(commands.contains(&"trainer"), "{help}");
+    for name in commands {
+        let (code, help, _) = run(&format!("{name} --help"));
+        assert_eq!(code, 0);
+        let (_, examples) = help.split_once("Examples:").expect("an Examples section");
+        assert!(examples.contains(&format!("ihd {name}")), "{name}: {help}");
+    }
+}
+
+#[test]
+fn wrong_usage_exits_with_2_and_names_what_there_is() {
+    let kinds = ["no device", "sim", "tcp:HOST:PORT", "usb", "serial:PATH"];
+    refused("trainer --device bluetooth", 2, &kinds);
+    refused("trainer --device tcp:localhost", 2, &["port is missing"]);
+    refused("trainer --backend torch", 2, &["flex, ndarray"]);
+    refused("trainer --pot copper", 2, &["aluminium"]);
+    refused("hobb", 2, &["hob"]);
+}
+
+#[test]
+fn values_out_of_range_are_refused_by_name() {
+    refused("trainer --no-store --power 0", 1, &["--power"]);
+    refused(
+        "trainer --no-store --mains 16.7",
+        1,
+        &["--mains", "45 and 65"],
+    );
+    refused(
+        "trainer --no-store --config /nowhere.toml",
+        1,
+        &["/nowhere.toml"],
+    );
+    refused("trainer --no-store --power 9999", 1, &["9999", "2500"]);
+    refused("hob --speed 0", 1, &["--speed"]);
+}
+
+#[test]
+fn a_device_that_is_not_there_exits_with_3() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    refused(
+        &format!("hob --listen {address}"),
+        3,
+        &[&address, "another process has the port"],
+    );
+    drop(listener);
+    let hint = format!("ihd hob --listen {address}");
+    refused(
+        &format!("trainer --device tcp:{address}"),
+        3,
+        &["cannot connect", &hint],
+    );
+}
+
+#[test]
+fn a_fault_exits_with_4_and_its_number() {
+    refused("trainer --no-store --pot none", 4, &["fault 1 ", "no pot"]);
+    refused("trainer --no-store --pot aluminium", 4, &["fault 2 "]);
+}
+
+#[test]
+fn the_trainer_identifies_and_teaches() {
+    let report = trained("--power 1500,1000");
+    assert!(number(&report, "/lookup_version") >= 1.0);
+    assert_eq!(number(&report, "/fault"), 0.0);
+    assert_eq!(report["state"], "heating");
+    for (k, asked_w) in [1_500.0, 1_000.0].into_iter().enumerate() {
+        let of = |name: &str| number(&report, &format!("/points/{k}/{name}"));
+        assert!(
+            (of("delivered_w") / asked_w - 1.0).abs() <= 0.03,
+            "{report:#}"
+        );
+        assert!(of("pinn_errors/r_whole_pct") <= 1.0, "{report:#}");
+        assert!(of("pinn_errors/l_whole_pct") <= 1.0, "{report:#}");
+        assert!(of("ekf_errors/r_middle_pct") <= 1.0, "{report:#}");
+        assert!(of("ekf_errors/l_middle_pct") <= 0.5, "{report:#}");
+    }
+}
+
+/// A capture of truth (a) (design notes, section 6) stands for the heating; nothing of the simulated
+/// hob's own load may be compared with it.
+#[test]
+fn the_trainer_teaches_from_a_capture() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("a.mcap");
+    let made = format!(
+        "simulate --load behavioural --fsw 50k --out {}",
+        file.display()
+    );
+    assert_eq!(run(&made).0, 0);
+    let report = trained(&format!("--replay {}", file.display()));
+    assert_eq!(
+        report["points"].as_array().map(Vec::len),
+        Some(2),
+        "{report:#}"
+    );
+    let i_a = number(&report, "/points/1/i_crest_a");
+    let r_ohm = (2.2 + 3.5 / (1.0 + i_a / 15.0)) * (50.0f64 / 45.0).sqrt();
+    let error = number(&report, "/points/1/pinn/r_ohm") / r_ohm - 1.0;
+    assert!(error.abs() <= 0.01, "{report:#}");
+    assert!(report["points"][1]["truth"].is_null(), "{report:#}");
+    assert_eq!(number(&report, "/lookup_version"), 2.0);
+    assert_eq!(report["state"], "idle");
+    refused(
+        &format!("trainer --replay {} --power 900", file.display()),
+        2,
+        &["--power"],
+    );
+}
+
+#[test]
+fn both_backends_find_the_same() {
+    let [flex, ndarray] =
+        ["flex", "ndarray"].map(|name| trained(&format!("--power 1500,900 --backend {name}")));
+    for k in 0..2 {
+        for name in [
+            "f_sw_hz",
+            "window_seq",
+            "i_crest_a",
+            "pinn/r_ohm",
+            "pinn/l_h",
+        ] {
+            let at = format!("/points/{k}/{name}");
+            let (a, b) = (number(&flex, &at), number(&ndarray, &at));
+            assert!((a / b - 1.0).abs() <= 1e-6, "{at}: {a} {b}");
+        }
+    }
+}
+
+#[test]
+fn a_store_keeps_every_session_in_a_folder_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = dir.path().join("new/store");
+    for folder in ["run-001", "run-002"] {
+        let (code, stdout, stderr) =
+            run(&format!("trainer --power 1500 --store {}", store.display()));
+        assert_eq!(code, 0, "{stderr}");
+        assert!(stdout.contains("version 1 active"), "{stdout}");
+        assert!(stdout.contains(folder), "{stdout}");
+        for name in [
+            "session.mcap",
+            "lookup-v1.bin",
+            "lookup-v1.json",
+            "identified.svg",
+        ] {
+            let size = std::fs::metadata(store.join(folder).join(name))
+                .unwrap()
+                .len();
+            assert!(size > 500, "{folder}/{name}: {size} bytes");
+        }
+    }
+}
+
+/// A simulated hob in a process of its own; ends with the test.
+struct HobProcess {
+    child: Child,
+    /// What it says; with nobody to read it, it would end at the next line.
+    stdout: BufReader<ChildStdout>,
+}
+
+impl HobProcess {
+    /// The hob and its address.
+    fn start() -> (Self, String) {
+        let mut command = ihd();
+        command
+            .args(["hob", "--listen", "127.0.0.1:0"])
+            .stdout(Stdio::piped());
+        let mut child = command.spawn().expect("ihd hob runs");
+        let stdout = child.stdout.take().expect("piped");
+        let mut hob = Self {
+            child,
+            stdout: BufReader::new(stdout),
+        };
+        let mut line = String::new();
+        hob.stdout.read_line(&mut line).expect("UTF-8");
+        let (_, rest) = line
+            .split_once("tcp:")
+            .unwrap_or_else(|| panic!("{line:?}"));
+        let (address, _) = rest.split_once(';').unwrap_or_else(|| panic!("{line:?}"));
+        (hob, address.to_owned())
+    }
+}
+
+impl Drop for HobProcess {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn the_trainer_works_over_tcp() {
+    let (_hob, address) = HobProcess::start();
+    let report = trained(&format!("--device tcp:{address} --power 1500"));
+    assert_eq!(number(&report, "/lookup_version"), 1.0);
+    assert_eq!(
+        report["device"].as_str().map(|d| d.contains(&address)),
+        Some(true)
+    );
+    // Nobody tells the truth over a link.
+    assert!(report["points"][0]["truth"].is_null(), "{report:#}");
+    assert!(report["points"][0]["pinn_errors"].is_null(), "{report:#}");
+    assert!((number(&report, "/points/0/pinn/l_h") / 19e-6 - 1.0).abs() < 0.1);
+    // What was taught outlives the link.
+    let again = trained(&format!("--device tcp:{address} --power 1000"));
+    assert_eq!(number(&again, "/lookup_version"), 2.0);
+}

@@ -1,0 +1,237 @@
+//! `ihd convert` as a user calls it, and files that are no captures.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+fn fixture(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/formats");
+    path.join(name).display().to_string()
+}
+
+/// Runs `ihd convert`; gives exit code, stdout and stderr.
+fn convert(args: &[&str]) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
+    let output = command
+        .arg("convert")
+        .args(args)
+        .output()
+        .expect("ihd runs");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+    let stderr = text(output.stderr);
+    assert!(!stderr.contains("panicked"), "{args:?}: {stderr}");
+    (
+        output.status.code().expect("a code"),
+        text(output.stdout),
+        stderr,
+    )
+}
+
+fn converted(args: &[&str]) -> Value {
+    let (code, stdout, stderr) = convert(&[args, &["--json"]].concat());
+    assert_eq!(code, 0, "{args:?}: {stderr}");
+    serde_json::from_str(&stdout).expect("JSON")
+}
+
+fn refused(args: &[&str], words: &[&str]) {
+    let (code, stdout, stderr) = convert(args);
+    assert!(code == 1 || code == 2, "{args:?}: {code} {stdout}");
+    for word in words {
+        assert!(stderr.contains(word), "{args:?}: {word:?} not in {stderr}");
+    }
+}
+
+fn samples(path: &Path) -> ihd_signal::Capture {
+    ihd_capture::open(path, &ihd_capture::OpenOptions::default()).expect("readable")
+}
+
+#[test]
+fn every_format_that_is_written_is_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = folder.path().join("a.mcap");
+    let told = converted(&[
+        &fixture("tek_wfm3le_v.wfm"),
+        &fixture("tek_wfm3le_i.wfm"),
+        "--out",
+        first.to_str().unwrap(),
+    ]);
+    assert_eq!(told["samples"], 300);
+    assert_eq!(told["format"], "Tektronix WFM 3");
+    assert!((told["rate_hz"].as_f64().unwrap() / 2e6 - 1.0).abs() < 1e-9);
+    let whole = samples(&first);
+    for ending in ["csv", "npz", "mcap"] {
+        let next = folder.path().join(format!("b.{ending}"));
+        converted(&[first.to_str().unwrap(), "-o", next.to_str().unwrap()]);
+        let back = samples(&next);
+        assert_eq!((&back.v_v, &back.i_a), (&whole.v_v, &whole.i_a), "{ending}");
+        for k in [0, 150, 299] {
+            let (t, wanted) = (back.time.at(k).unwrap(), whole.time.at(k).unwrap());
+            assert!((t - wanted).abs() < 1e-9, "{ending}: {t:e} and {wanted:e}");
+        }
+    }
+}
+
+#[test]
+fn flags_reach_the_capture() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.mcap");
+    let told = converted(&[
+        &fixture("picoscope.csv"),
+        "--columns=1,3,2",
+        "--units",
+        "mA,V",
+        "--invert=v,i",
+        "--probe=2,1",
+        "--rate",
+        "1M",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert_eq!(told["rate_hz"], 1e6);
+    let (v, i) = (&told["v_V"], &told["i_A"]);
+    // The current of ±30 A, in mA, doubled; the voltage of ±150 V and its third harmonic.
+    assert!((v[1].as_f64().unwrap() - 60.0).abs() < 0.5, "{v}");
+    assert!((i[1].as_f64().unwrap() - 135.0).abs() < 10.0, "{i}");
+}
+
+#[test]
+fn columns_go_by_their_headings_with_the_unit_or_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("a.csv");
+    let mut text = String::from("t_s,coil_V,bus_V,coil_A\n");
+    for k in 0..1_000 {
+        text.push_str(&format!("{}e-6,{},325,{}\n", k, k % 100, k % 10));
+    }
+    std::fs::write(&table, text).unwrap();
+    let out = folder.path().join("a.mcap");
+    for columns in ["t_s,coil_V,coil_A", "t,coil,coil_A"] {
+        let told = converted(&[
+            table.to_str().unwrap(),
+            "--columns",
+            columns,
+            "--out",
+            out.to_str().unwrap(),
+        ]);
+        assert_eq!(told["v_V"][1].as_f64().unwrap(), 99.0, "{columns}");
+        assert_eq!(told["i_A"][1].as_f64().unwrap(), 9.0, "{columns}");
+    }
+}
+
+#[test]
+fn wrong_usage_is_told_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name).display().to_string();
+    let good = fixture("siglent.csv");
+    refused(&[&good, "--out", &out("a.xlsx")], &["a.xlsx", ".parquet"]);
+    refused(&[&good, "--out", &good], &["another name"]);
+    refused(&[&good, "--out", &out("a.npz"), "--rate", "0"], &["--rate"]);
+    refused(
+        &[&good, "--out", &out("a.npz"), "--units", "V,Hz"],
+        &["mV,A"],
+    );
+    refused(
+        &[&good, "--out", &out("a.npz"), "--channels", "1"],
+        &["2 numbers or names"],
+    );
+    refused(
+        &[&good, "--out", &out("a.npz"), "--channels", "1,9"],
+        &["no channel 9", "CH2"],
+    );
+    refused(
+        &[&good, "--out", &out("no/folder/a.csv")],
+        &["no/folder/a.csv"],
+    );
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    if !cfg!(feature = "parquet") {
+        refused(
+            &[&good, "--out", &out("a.parquet")],
+            &["--features parquet"],
+        );
+    }
+}
+
+/// What is no capture, and what stderr says of it.
+#[test]
+fn what_is_no_capture_is_refused_by_name_and_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let out = at("out.npz").display().to_string();
+    let written = |name: &str, bytes: &[u8]| -> PathBuf {
+        fs::write(at(name), bytes).unwrap();
+        at(name)
+    };
+    let check = |path: &Path, words: &[&str]| {
+        let name = path.display().to_string();
+        let words = [words, &[name.as_str()]].concat();
+        refused(&[&name, "--out", &out], &words);
+    };
+    check(folder.path(), &["a directory"]);
+    check(&at("absent.csv"), &["No such file"]);
+    let pipe = at("pipe");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    check(&pipe, &["a pipe"]);
+    check(Path::new("/dev/zero"), &["a device"]);
+    let row = "0.000,1,2\n0.001,3,4\n";
+    check(
+        &written("nan.csv", b"t,v,i\n0,1,2\n1,nan,2\n2,1,2\n"),
+        &["line 3", "`nan`"],
+    );
+    check(
+        &written("inf.csv", "t,v,i\n0,∞,2\n1,2,2\n".as_bytes()),
+        &["line 2", "range"],
+    );
+    check(
+        &written("back.csv", format!("t,v,i\n{row}{row}").as_bytes()),
+        &["line 4", "does not ascend"],
+    );
+    check(
+        &written("short.csv", b"t,v,i\n0,1,2\n1,1\n"),
+        &["line 3", "2 fields"],
+    );
+    check(
+        &written("long.csv", &[b'1'; 3 << 20]),
+        &["more than 1048576 bytes"],
+    );
+    check(
+        &written("words.csv", b"no numbers\nat all\n"),
+        &["line", "no row of numbers"],
+    );
+    check(&written("utf16.csv", b"\xFF\xFEt\0,\0"), &["UTF-8"]);
+    check(&written("a.mat", b"MATLAB 7.3 MAT-file"), &["-v7"]);
+    check(
+        &written("a.png", b"\x89PNG\r\n\x1a\n\0\0\0"),
+        &["binary", "Tektronix WFM"],
+    );
+    // The byte order's mark alone exchanged: all lengths are then wrong.
+    let mut swapped = fs::read(fixture("tek_wfm3le_v.wfm")).unwrap();
+    swapped[..2].copy_from_slice(&[0xF0, 0xF0]);
+    check(&written("swapped.wfm", &swapped), &["byte "]);
+}
+
+#[test]
+fn thousands_of_channels_are_no_trouble() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("many.csv");
+    let channels = 5000;
+    let heading: Vec<_> = (0..channels).map(|k| format!("CH{k}")).collect();
+    let mut text = format!("time_s,{}\n", heading.join(","));
+    for k in 0..20 {
+        let row: Vec<_> = (0..channels).map(|c| format!("{}.{k}", c)).collect();
+        text += &format!("{}e-6,{}\n", k, row.join(","));
+    }
+    fs::write(&path, text).unwrap();
+    let path = path.to_str().unwrap();
+    let out = folder.path().join("a.npz").display().to_string();
+    refused(&[path, "--out", &out], &["--channels V,I", "and 4988 more"]);
+    let told = converted(&[path, "--channels", "CH4999,CH7", "--out", &out]);
+    assert_eq!(told["samples"], 20);
+    assert_eq!(told["v_V"][0], 4999.0);
+}

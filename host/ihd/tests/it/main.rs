@@ -1,0 +1,12 @@
+//! The `ihd` command as a user calls it, and the accuracy that its studies promise.
+
+#[cfg(feature = "pinn")]
+mod command_line;
+mod convert;
+mod identify;
+mod identify_accuracy;
+mod inspect;
+mod record_replay;
+mod simulate;
+#[cfg(feature = "pinn")]
+mod study_paper;

@@ -1,0 +1,183 @@
+//! `ihd record` and `ihd replay` as a user calls them.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use assert_cmd::cargo::cargo_bin;
+use ihd_capture::mcap;
+use ihd_capture::mcap::SessionReader;
+use serde_json::Value;
+
+fn ihd(args: &str, dir: &Path) -> Command {
+    let mut command = Command::new(cargo_bin("ihd"));
+    command
+        .current_dir(dir)
+        .env_remove("RUST_BACKTRACE")
+        .args(args.split(' '));
+    command
+}
+
+fn run(args: &str, dir: &Path) -> Output {
+    ihd(args, dir).output().expect("ihd runs")
+}
+
+fn json(output: &Output) -> Value {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
+    serde_json::from_slice(&output.stdout).expect("JSON on stdout")
+}
+
+/// A process that ends with the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A simulated hob behind a port, and its address.
+fn hob(dir: &Path) -> (Process, String) {
+    let mut command = ihd("hob --listen 127.0.0.1:0", dir);
+    let mut child = command
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("ihd hob runs");
+    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+    let line = lines.next().expect("a line").expect("UTF-8");
+    // With nobody to read, the hob would end at its next line.
+    std::thread::spawn(move || lines.for_each(drop));
+    let address = line
+        .split("tcp:")
+        .nth(1)
+        .and_then(|rest| rest.split(';').next());
+    let address = address.unwrap_or_else(|| panic!("{line:?}")).to_owned();
+    (Process(child), address)
+}
+
+/// Waits until a file is larger than `bytes`.
+fn await_size(path: &Path, bytes: u64) {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while std::fs::metadata(path).map_or(0, |m| m.len()) < bytes {
+        assert!(Instant::now() < deadline, "{} stays small", path.display());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Events of a recorded session, and whether it ends without its end mark.
+fn events(path: &Path) -> (usize, bool) {
+    let mut session = SessionReader::open(path).expect("a session");
+    let mut events = 0;
+    while session.next_event().expect("readable").is_some() {
+        events += 1;
+    }
+    assert!(session.file_damage().is_none());
+    (events, session.is_cut())
+}
+
+#[test]
+fn a_recording_replays_identically() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "record --power 1500 --duration 1.5s --out hob.mcap --json";
+    let report = json(&run(args, dir.path()));
+    assert_eq!(report["ended_by"], "duration");
+    let number = |pointer: &str| report.pointer(pointer).and_then(Value::as_f64).unwrap();
+    assert!((number("/seconds") - 1.5).abs() < 0.2, "{report:#}");
+    // 150 half-cycles, each with its telemetry; 400 kB/s carry a window each 14.
+    assert!(
+        (120.0..200.0).contains(&number("/link/telemetry")),
+        "{report:#}"
+    );
+    assert!(number("/link/windows") >= 3.0, "{report:#}");
+    assert_eq!(number("/link/frames_bad"), 0.0);
+    let path = dir.path().join("hob.mcap");
+    let (seen, cut) = events(&path);
+    assert!(!cut && seen as f64 >= number("/link/telemetry"));
+    // The same again gives the same bytes: time is the simulation's.
+    json(&run(&args.replace("hob.mcap", "again.mcap"), dir.path()));
+    let bytes = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+    assert!(bytes("hob.mcap") == bytes("again.mcap"));
+
+    let outcome = json(&run("replay hob.mcap --json", dir.path()));
+    assert_eq!(outcome["differences"], 0);
+    assert!(outcome["estimates"].as_u64() > Some(400), "{outcome:#}");
+    let text = run("replay hob.mcap", dir.path());
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(
+        text.contains("identical, bit for bit") && text.contains("locked off"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_killed_recorder_leaves_a_readable_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_hob, address) = hob(dir.path());
+    let args = format!("record --device tcp:{address} --power 1500 --out killed.mcap");
+    let recorder = ihd(&args, dir.path()).stdout(Stdio::null()).spawn();
+    let mut recorder = Process(recorder.expect("ihd record runs"));
+    let path = dir.path().join("killed.mcap");
+    await_size(&path, 300_000);
+    // SIGKILL: it cannot be caught.
+    recorder.0.kill().unwrap();
+    recorder.0.wait().unwrap();
+    let (seen, cut) = events(&path);
+    assert!(cut, "it did not end in order");
+    assert!(seen > 50, "{seen}");
+    assert!(mcap::read(&path).unwrap().len() > 8_000);
+    // And a recording is never overwritten.
+    let again = run(&args, dir.path());
+    assert_eq!(again.status.code(), Some(1));
+    let stderr = String::from_utf8_lossy(&again.stderr).into_owned();
+    assert!(stderr.contains("killed.mcap exists already"), "{stderr}");
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_recorder_ends_the_file_in_order() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_hob, address) = hob(dir.path());
+    let args = format!("record --device tcp:{address} --out ended.mcap --json");
+    let recorder = ihd(&args, dir.path()).stdout(Stdio::piped()).spawn();
+    let recorder = recorder.expect("ihd record runs");
+    let path = dir.path().join("ended.mcap");
+    await_size(&path, 15_000);
+    let pid = recorder.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &pid]).status();
+    assert!(sent.expect("kill runs").success());
+    let output = recorder.wait_with_output().unwrap();
+    let report = json(&output);
+    assert_eq!(report["ended_by"], "interrupt");
+    let (seen, cut) = events(&path);
+    assert!(!cut && seen > 10, "{seen}");
+}
+
+#[test]
+fn limits_are_checked_and_a_size_ends_a_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    for (args, word) in [
+        ("record --out a.mcap --duration 0", "--duration"),
+        ("record --out a.mcap --max-size=-1", "--max-size"),
+        ("record --out a.mcap --power 9000", "2500"),
+        ("record", "--out"),
+        ("replay missing.mcap", "missing.mcap"),
+        ("replay missing.mcap --speed 0", "--speed"),
+    ] {
+        let output = run(args, dir.path());
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && stderr.contains(word),
+            "{args}: {stderr}"
+        );
+        assert!(!stderr.contains("panicked"), "{stderr}");
+    }
+    let args = "record --power 1500 --max-size 200k --out small.mcap --json";
+    let report = json(&run(args, dir.path()));
+    assert_eq!(report["ended_by"], "size");
+    let bytes = report["bytes"].as_u64().unwrap();
+    assert!((200_000..800_000).contains(&bytes), "{bytes}");
+}

@@ -1,0 +1,113 @@
+//! `ihd simulate` as a user calls it.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use ihd_capture::mcap;
+use ihd_sim::recording::file::SETTINGS_KEY;
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::settings::Settings;
+
+fn simulate(dir: &Path, args: &[&str]) -> std::process::Output {
+    let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");
+    command
+        .current_dir(dir)
+        .env_remove("RUST_BACKTRACE")
+        .arg("simulate")
+        .args(args);
+    command.output().expect("ihd runs")
+}
+
+#[test]
+fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "--fsw 45k --mains 60 --pot ferritic-18 --snr 30 --rate 50M --seed 1 --duration 1ms";
+    for name in ["a", "b"] {
+        let out = format!("{name}.mcap");
+        let mut all: Vec<_> = args.split(' ').collect();
+        all.extend(["--out", &out, "--plot", "a.svg"]);
+        let result = simulate(dir.path(), &all);
+        let stdout = String::from_utf8_lossy(&result.stdout);
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        assert!(stdout.contains("resonance"), "{stdout}");
+    }
+    let read = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+    assert_eq!(read("a.mcap"), read("b.mcap"));
+    let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
+    assert_eq!(stored.v_v.len(), 50_000);
+    let settings: Settings = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
+    assert_eq!(settings.mains_hz, 60.0);
+    assert_eq!(settings.pot.diameter_m, 0.18);
+    assert!(String::from_utf8(read("a.svg")).unwrap().contains("<svg"));
+}
+
+/// Not physics: these digits were printed on the first machine (x86-64, AVX-512), and every other
+/// machine has to print them too. A change of the model changes them on purpose.
+#[test]
+fn the_digits_are_the_same_on_every_machine() {
+    let settings = Settings {
+        duration_s: 0.5e-3,
+        ..Settings::default()
+    };
+    let truth = record(&settings, |_| ()).unwrap().truth;
+    let last = truth.last().unwrap();
+    let digits = format!("{:e} {:e} {:e}", last.r_ohm[0], last.l_h[0], last.i_a);
+    assert_eq!(
+        digits,
+        "3.828462037315351e0 2.818447302034816e-5 5.1774804146457845e0"
+    );
+}
+
+#[test]
+fn the_clipped_range_shows_as_saturated_codes() {
+    let dir = tempfile::tempdir().unwrap();
+    let args =
+        "--load behavioural --start 5ms --duration 1ms --bits 8 --gain 4,4 --spikes 1k -o a.mcap";
+    let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
+    assert!(
+        result.status.success(),
+        "{}",
+        String::from_utf8_lossy(&result.stderr)
+    );
+    let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
+    let top = stored
+        .i_a
+        .iter()
+        .filter(|i| **i >= 80.0 * 127.0 / 128.0)
+        .count();
+    assert!(top > 1000, "{top}");
+    assert!(stored.i_a.iter().all(|i| i.abs() <= 80.0));
+}
+
+#[test]
+fn bad_input_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    for (args, word) in [
+        ("--rate 1M", "rate_hz"),
+        ("--fsw NaN", "--fsw"),
+        ("--fsw 5k", "f_sw_hz"),
+        ("--pot wood-18", "unknown pot"),
+        ("--offset 500mm", "offset_m"),
+        ("--lift=-1mm", "lift_m"),
+        ("--temperature NaN", "temperature_c"),
+        ("--bits 20", "bits"),
+        ("--step 1us", "dt_s"),
+        ("--preset paper-55", "paper-60"),
+        ("--at 3ms:pot=x", "unknown pot"),
+        ("--at 30ms:off", "event time_s"),
+        ("--bus-capacitance=-1", "bus_capacitance_f"),
+        ("--dead-time 5us", "dead_s"),
+        ("--snr NaN", "snr_db"),
+        ("--duration 0", "duration_s"),
+    ] {
+        let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
+        let stderr = String::from_utf8_lossy(&result.stderr);
+        assert!(!result.status.success(), "{args} was accepted");
+        assert!(stderr.contains(word), "{args}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+    }
+}

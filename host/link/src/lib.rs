@@ -1,0 +1,34 @@
+//! The link to a controller: the same frames over a simulated hob, TCP, USB and serial.
+//!
+//! ```text
+//!  Client ── commands ──► Transport ──► device
+//!    ▲ answers, events      │ bytes ──► FrameSink (a recording)
+//!    └── Incoming ◄─────────┘
+//!        deframer, decoding, window assembler, counters
+//! ```
+//!
+//! [`incoming::Incoming`] turns bytes into answers and events; a live client and a recording read
+//! back (the crate `ihd-capture`) share it, so that both see the same windows and count the same damage.
+
+pub mod assembler;
+pub mod client;
+pub mod counters;
+pub mod device_spec;
+pub mod error;
+pub mod incoming;
+pub mod protocol_doc;
+pub mod replay;
+pub mod serial;
+mod tap;
+pub mod tcp;
+pub mod transport;
+pub mod usb;
+pub mod window;
+
+pub use client::Client;
+pub use counters::Counters;
+pub use device_spec::DeviceSpec;
+pub use error::LinkError;
+pub use incoming::Event;
+pub use transport::{FrameSink, Transport};
+pub use window::{Window, WindowDefect};

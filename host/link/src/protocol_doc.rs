@@ -1,0 +1,151 @@
+//! docs/protocol.md, written from the message table itself so that it cannot fall behind.
+
+use std::fmt::Write;
+
+use ihd_shared::lookup::blob::LEN;
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
+use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRACK};
+use ihd_shared::wire::frame::{MAX_BODY, MAX_ENCODED, MAX_PAYLOAD};
+use ihd_shared::wire::messages::{ENUMS, MESSAGES, SCHEMA_HASH};
+use ihd_shared::wire::schema::Entry;
+use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
+
+/// The whole document, as Markdown.
+pub fn markdown() -> String {
+    let mut doc = introduction();
+    doc.push_str("\n## Messages\n\n| id | name | direction |\n|---|---|---|\n");
+    for m in MESSAGES {
+        line(
+            &mut doc,
+            &format!(
+                "| {:#04x} | [{}](#{}) | {} |",
+                m.id.unwrap_or_default(),
+                m.name,
+                m.name.to_lowercase(),
+                m.direction
+            ),
+        );
+    }
+    for m in MESSAGES {
+        message(&mut doc, m);
+    }
+    doc.push_str("\n## Enumerations\n\nOne byte each, the number.\n");
+    for e in ENUMS {
+        section(&mut doc, e.name, e.doc);
+        table(&mut doc, "number", e);
+    }
+    doc
+}
+
+fn introduction() -> String {
+    format!(
+        "\
+# Protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}
+
+Generated from the message table in `shared/src/wire/messages.rs`; do not edit. After a change of
+the table: `UPDATE_DOCS=1 cargo test -p ihd-tests protocol_doc`.
+
+Schema hash `{SCHEMA_HASH:016x}`.
+
+## Frames
+
+    00  COBS( id u8 · seq u16 LE · payload · crc32 LE )  00
+
+The same bytes in process, over TCP, over USB and in files. The payload is the message in
+[postcard](https://postcard.jamesmunns.com/wire-format) (integers as varints, signed ones zigzag), at
+most {MAX_PAYLOAD} bytes; a frame is at most {MAX_BODY} bytes before stuffing and {MAX_ENCODED} on
+the wire. The CRC is CRC-32/ISO-HDLC (zlib's) over id, seq and payload. `seq` counts the frames that
+one end sends, so that the other sees what got lost. A receiver splits at zeros, drops runs that are
+no frame, counts them, and is in step again at the next zero.
+
+| type | on the wire |
+|---|---|
+| `u8`, enumeration | one byte |
+| `bool` | one byte, 0 or 1 |
+| `u16`, `u32`, `u64` | varint |
+| `i16` | zigzag varint |
+| `MicroOhm`, `PicoHenry` | `i32` in that unit, zigzag varint |
+| `Raw`, `String<N>` | length as varint, then the bytes; a string is UTF-8 of at most N bytes |
+
+## Handshake
+
+The host sends `Hello`, the device answers with its own, and both check: the magic word, opposite
+roles, the same major version, and the same schema hash where the minor version agrees. A device that
+does not fit answers `Reply` to `Hello` with `NotPaired`, and so to every later command; the host ends
+with the reason. A hello makes the device silent: it forgets what was queued, and streams nothing until
+`Stream` asks for it.
+
+## Evolution
+
+A new message raises the minor version. Any change of a message, an appended field included, raises
+the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every message's bytes.
+
+## Windows
+
+A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrackChunk`s,
+`WindowEnd`, in this order, other messages in between. At most {MAX_PAIRS} pairs and {MAX_TRACK} track
+entries, {CHUNK_BYTES} bytes a chunk.
+
+    pair         v i16 LE · i i16 LE        ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
+    track entry  R i32 LE · L i32 LE        µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
+
+Chunks follow each other without gap or overlap. `WindowEnd` carries the CRC-32 of all pair bytes, then
+all track bytes. A window's number counts before a buffer is claimed: a gap is a window that was
+dropped.
+
+## Lookup
+
+    \"IHDL\" · format u8 · version u32 · R cells u16 · L cells u16 · observed bits · crc32
+
+Little-endian, {LEN} bytes. {FREQUENCIES} frequencies × {CURRENTS} currents, cell index =
+frequency · {CURRENTS} + current; R in 16 ohm / 65536, L in 64 µH / 65536. Bit `cell % 8` of observed
+byte `cell / 8` is set where the cell rests on observations. The CRC-32 covers all before it. A device
+takes a lookup whose version is above its own and whose cells are plausible, at the next half-cycle
+boundary.
+"
+    )
+}
+
+fn message(doc: &mut String, m: &Entry) {
+    section(doc, m.name, m.doc);
+    line(
+        doc,
+        &format!("Id {:#04x}, {}.", m.id.unwrap_or_default(), m.direction),
+    );
+    if !m.items.is_empty() {
+        doc.push('\n');
+        table(doc, "type", m);
+    }
+}
+
+fn section(doc: &mut String, name: &str, text: &str) {
+    line(doc, &format!("\n### {name}\n\n{}\n", prose(text)));
+}
+
+fn table(doc: &mut String, kind: &str, entry: &Entry) {
+    line(doc, &format!("| name | {kind} | meaning |\n|---|---|---|"));
+    for item in entry.items {
+        let kind: String = item.kind.split_whitespace().collect();
+        let kind = kind.replace("<'a>", "");
+        line(
+            doc,
+            &format!("| `{}` | `{kind}` | {} |", item.name, prose(item.doc)),
+        );
+    }
+}
+
+/// A docstring as prose: rustdoc's links become plain code.
+fn prose(text: &str) -> String {
+    text.trim()
+        .replace("[`", "`")
+        .replace("`]", "`")
+        .replace("crate::", "")
+        .replace("super::", "")
+        .replace('|', "\\|")
+}
+
+fn line(doc: &mut String, text: &str) {
+    // Writing to a string cannot fail.
+    let _ = writeln!(doc, "{text}");
+}

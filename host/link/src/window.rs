@@ -1,0 +1,190 @@
+//! A window as the host uses it, and what can be wrong with one.
+
+use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, f_adc_hz};
+use ihd_shared::window::TrackEntry;
+use ihd_signal::Segment;
+
+/// Most saturated pairs of a usable window, as a fraction of its pairs: 0.1 %.
+///
+/// A clipped pair is wrong by an unknown amount, at worst about the amplitude itself, so a fraction
+/// s of them shifts the fundamental by up to 2·s: 0.2 %, below the 0.5-1 % that R and L are
+/// wanted to. Single spikes pass, a clipped crest (several percent of the pairs) does not.
+pub const MAX_SATURATED_FRACTION: f64 = 1e-3;
+
+/// One mains half-cycle of samples and the device's own estimates through it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Window {
+    /// Counts every window that was due.
+    pub seq: u32,
+    /// Half-cycle since the device's boot.
+    pub half_cycle: u32,
+    /// Switching frequency throughout, in hertz.
+    pub f_sw_hz: u32,
+    /// Duration of the half-cycle, in nanoseconds.
+    pub half_cycle_ns: u32,
+    /// Time of the first pair after the mains zero crossing, in nanoseconds.
+    pub first_pair_ns: i32,
+    /// Sample pairs, equally spaced by [`Window::dt_s`].
+    pub pairs: Vec<Pair>,
+    /// Time of the first track entry after the mains zero crossing, in nanoseconds.
+    pub first_track_ns: i32,
+    /// The device's R and L, one entry per block of samples.
+    pub track: Vec<TrackEntry>,
+    /// Pairs at the end of the ADC's range.
+    pub saturated: u16,
+    /// Version of the lookup that was active.
+    pub lookup_version: u32,
+}
+
+impl Window {
+    /// Mains frequency, in hertz.
+    pub fn f_mains_hz(&self) -> f64 {
+        0.5e9 / f64::from(self.half_cycle_ns)
+    }
+
+    /// The pairs as what an estimator takes; time counts from the mains zero crossing.
+    pub fn segment(&self) -> Segment {
+        Segment {
+            f_sw_hz: f64::from(self.f_sw_hz),
+            mains_hz: self.f_mains_hz(),
+            zero_crossing_s: 0.0,
+            t0_s: f64::from(self.first_pair_ns) * 1e-9,
+            dt_s: self.dt_s(),
+            v_v: self.v_volt(),
+            i_a: self.i_ampere(),
+        }
+    }
+
+    /// Time between two pairs, in seconds.
+    pub fn dt_s(&self) -> f64 {
+        f_adc_hz(self.f_sw_hz).recip()
+    }
+
+    /// Coil voltage, in volt.
+    pub fn v_volt(&self) -> Vec<f64> {
+        let volt = |p: &Pair| f64::from(p.v) * VOLT_PER_CODE;
+        self.pairs.iter().map(volt).collect()
+    }
+
+    /// Coil current, in ampere.
+    pub fn i_ampere(&self) -> Vec<f64> {
+        let ampere = |p: &Pair| f64::from(p.i) * AMPERE_PER_CODE;
+        self.pairs.iter().map(ampere).collect()
+    }
+
+    /// Time of pair `k` after the mains zero crossing, in seconds.
+    pub fn pair_time_s(&self, k: usize) -> f64 {
+        f64::from(self.first_pair_ns) * 1e-9 + k as f64 * self.dt_s()
+    }
+
+    /// Time of track entry `k` after the mains zero crossing, in seconds.
+    pub fn track_time_s(&self, k: usize) -> f64 {
+        f64::from(self.first_track_ns) * 1e-9
+            + k as f64 * f64::from(ADC_LOCK_Q) / f64::from(self.f_sw_hz)
+    }
+}
+
+/// Why a window was rejected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WindowDefect {
+    /// A chunk or an end came, and no start before it.
+    #[error("its start is missing")]
+    NoStart,
+    /// The same window began twice.
+    #[error("its start came twice")]
+    RepeatedStart,
+    /// Another window began, or the stream ended, before the window's end.
+    #[error("its end is missing")]
+    NoEnd,
+    /// The start declares more than a window may hold.
+    #[error("it declares {pairs} pairs and {track} track entries, more than fit a window")]
+    TooLarge {
+        /// Pairs declared.
+        pairs: u16,
+        /// Track entries declared.
+        track: u16,
+    },
+    /// The start declares no pairs, or a frequency or duration of zero.
+    #[error("it declares no pairs, no frequency or no duration")]
+    Empty,
+    /// Pairs or track entries are missing before `offset`.
+    #[error("a chunk is missing before {of} {offset}")]
+    MissingChunk {
+        /// What the chunk would have held.
+        of: Part,
+        /// Where the next chunk, or the end, stands.
+        offset: u16,
+    },
+    /// A chunk covers what an earlier one has already brought.
+    #[error("a chunk came twice, or overlaps another, at {of} {offset}")]
+    RepeatedChunk {
+        /// What the chunk holds.
+        of: Part,
+        /// Its offset.
+        offset: u16,
+    },
+    /// A chunk reaches beyond what the start declared.
+    #[error("a chunk at {of} {offset} reaches beyond the declared size")]
+    ChunkBeyondEnd {
+        /// What the chunk holds.
+        of: Part,
+        /// Its offset.
+        offset: u16,
+    },
+    /// A chunk is empty or not a whole number of entries.
+    #[error("a chunk of {bytes} bytes is not a whole number of {of} entries")]
+    RaggedChunk {
+        /// What the chunk holds.
+        of: Part,
+        /// Its length.
+        bytes: usize,
+    },
+    /// The CRC-32 over the whole window does not match.
+    #[error("its CRC-32 does not match")]
+    Crc,
+    /// Too many pairs at the end of the ADC's range.
+    #[error("{pairs} of its {of} pairs are at the end of the ADC's range")]
+    Saturated {
+        /// Saturated pairs.
+        pairs: u16,
+        /// All pairs.
+        of: u16,
+    },
+}
+
+impl WindowDefect {
+    /// The kind of defect in two words, the key of [`super::Counters::windows_rejected`].
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::NoStart => "no start",
+            Self::RepeatedStart => "repeated start",
+            Self::NoEnd => "no end",
+            Self::TooLarge { .. } => "too large",
+            Self::Empty => "empty",
+            Self::MissingChunk { .. } => "missing chunk",
+            Self::RepeatedChunk { .. } => "repeated chunk",
+            Self::ChunkBeyondEnd { .. } => "chunk beyond end",
+            Self::RaggedChunk { .. } => "ragged chunk",
+            Self::Crc => "crc",
+            Self::Saturated { .. } => "saturated",
+        }
+    }
+}
+
+/// The two parts of a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Sample pairs.
+    Pair,
+    /// Track entries.
+    Track,
+}
+
+impl std::fmt::Display for Part {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Pair => "pair",
+            Self::Track => "track",
+        })
+    }
+}

@@ -1,0 +1,95 @@
+//! A capture: coil voltage and current over time, from whatever recorded them.
+
+use std::collections::BTreeMap;
+
+use crate::truth::PeriodTruth;
+
+/// Where the samples lie in time.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TimeBase {
+    /// Evenly spaced.
+    Even {
+        /// Time of the first sample in seconds.
+        t0_s: f64,
+        /// Time from one sample to the next in seconds.
+        dt_s: f64,
+    },
+    /// One time a sample in seconds, ascending.
+    Stamps(Vec<f64>),
+}
+
+impl TimeBase {
+    /// Time of sample `k` in seconds; `None` beyond the last stamp.
+    pub fn at(&self, k: usize) -> Option<f64> {
+        match self {
+            Self::Even { t0_s, dt_s } => Some(t0_s + k as f64 * dt_s),
+            Self::Stamps(t_s) => t_s.get(k).copied(),
+        }
+    }
+}
+
+/// From `t_s` on the hob switches at `f_sw_hz`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrequencyStep {
+    /// When, in seconds.
+    pub t_s: f64,
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+}
+
+impl FrequencyStep {
+    /// The steps that the truth shows, one at least where there is any.
+    pub fn of_truth(truth: &[PeriodTruth]) -> Vec<Self> {
+        let mut steps: Vec<Self> = Vec::new();
+        for t in truth {
+            if steps.last().is_none_or(|last| last.f_sw_hz != t.f_sw_hz) {
+                steps.push(Self {
+                    t_s: t.t_s - 0.5 / t.f_sw_hz,
+                    f_sw_hz: t.f_sw_hz,
+                });
+            }
+        }
+        steps
+    }
+}
+
+/// Coil voltage and current, sampled together.
+///
+/// Samples are f32: 24 bits, more than any scope gives, at half the memory of f64.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    /// Where it comes from, for messages: a path, or what simulated it.
+    pub name: String,
+    /// When the samples were taken. `v_v` and `i_a` have one length, and so have stamps.
+    pub time: TimeBase,
+    /// Coil voltage in volt.
+    pub v_v: Vec<f32>,
+    /// Coil current in ampere, positive where positive voltage feeds power into the load.
+    pub i_a: Vec<f32>,
+    /// Largest magnitude the voltage channel can show, in volt, where known: beyond it clips.
+    pub v_full_scale_v: Option<f64>,
+    /// Likewise of the current channel, in ampere.
+    pub i_full_scale_a: Option<f64>,
+    /// Switching frequencies in order of time; empty where the capture does not tell.
+    pub f_sw: Vec<FrequencyStep>,
+    /// Mains frequency in hertz where the capture tells.
+    pub mains_hz: Option<f64>,
+    /// Time of one mains zero crossing in seconds where the capture tells.
+    pub zero_crossing_s: Option<f64>,
+    /// Truth, one entry a switching period in order of time; empty where there is none.
+    pub truth: Vec<PeriodTruth>,
+    /// Anything else, as text.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Capture {
+    /// Samples of each channel.
+    pub fn len(&self) -> usize {
+        self.v_v.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.v_v.is_empty()
+    }
+}

@@ -1,0 +1,20 @@
+//! What everything on the host speaks of: captures, the stretches that estimators take, loads and
+//! their truth; and what is done to samples before anybody estimates.
+//!
+//! ```text
+//! Capture ─► Segment ─► estimator ─► R(t), L(t)  against  Truth
+//!            Correlator, WhiteNoise   AdcGrid, quantise: the same samples as a board sees them
+//! ```
+
+pub mod capture;
+pub mod correlation;
+pub mod load;
+pub mod noise;
+pub mod quantise;
+pub mod resample;
+pub mod segment;
+pub mod truth;
+
+pub use capture::{Capture, FrequencyStep, TimeBase};
+pub use load::Load;
+pub use segment::{Segment, SegmentError};

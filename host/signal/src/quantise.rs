@@ -1,0 +1,23 @@
+//! Codes of an analogue-to-digital converter.
+
+/// Rounds to the nearest code of a converter of 8 to 16 bits; saturates. What is not a number reads
+/// as the lower rail, so that it is counted as saturated.
+pub fn code(codes: f64, bits: u32) -> i16 {
+    let half_range = f64::from(1u32 << (bits - 1));
+    if codes.is_nan() {
+        return -half_range as i16;
+    }
+    libm::round(codes).clamp(-half_range, half_range - 1.0) as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::code;
+
+    #[test]
+    fn codes_round_saturate_and_take_no_number_for_the_lower_rail() {
+        assert_eq!((code(1.4, 12), code(-1.6, 12)), (1, -2));
+        assert_eq!((code(1e9, 16), code(-1e9, 8)), (32767, -128));
+        assert_eq!(code(f64::NAN, 12), -2048);
+    }
+}

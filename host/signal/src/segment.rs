@@ -1,0 +1,253 @@
+//! What every estimator takes: a stretch of evenly sampled coil voltage and current.
+
+/// Fewest switching periods that an estimator can work on.
+pub const MIN_PERIODS: f64 = 10.0;
+
+/// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
+const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
+
+/// Latest time, either way, at which samples are still told apart, in seconds.
+const LATEST_S: f64 = 1e6;
+
+/// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Segment {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Mains frequency in hertz.
+    pub mains_hz: f64,
+    /// Time of one mains zero crossing in seconds, on the capture's clock; it may lie outside.
+    pub zero_crossing_s: f64,
+    /// Time of the first sample in seconds, on the capture's clock.
+    pub t0_s: f64,
+    /// Time from one sample to the next in seconds.
+    pub dt_s: f64,
+    /// Coil voltage in volt.
+    pub v_v: Vec<f64>,
+    /// Coil current in ampere, at the same instants.
+    pub i_a: Vec<f64>,
+}
+
+impl Segment {
+    /// Samples of each channel.
+    pub fn len(&self) -> usize {
+        self.v_v.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.v_v.is_empty()
+    }
+
+    /// Time of sample `k` in seconds, on the capture's clock.
+    pub fn t_s(&self, k: usize) -> f64 {
+        self.t0_s + k as f64 * self.dt_s
+    }
+
+    /// Samples of one switching period, seldom a whole number.
+    pub fn samples_per_period(&self) -> f64 {
+        1.0 / (self.f_sw_hz * self.dt_s)
+    }
+
+    /// Duration of a mains half-cycle in seconds.
+    pub fn half_cycle_s(&self) -> f64 {
+        0.5 / self.mains_hz
+    }
+
+    /// Time after the last mains zero crossing in seconds, 0 to [`Segment::half_cycle_s`].
+    pub fn since_crossing_s(&self, t_s: f64) -> f64 {
+        (t_s - self.zero_crossing_s).rem_euclid(self.half_cycle_s())
+    }
+
+    /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of
+    /// samples `from` up to `to` begins. Its middle tells: its first sample may lie just before.
+    pub fn crossing_of_s(&self, (from, to): (usize, usize)) -> f64 {
+        let middle_s = 0.5 * (self.t_s(from) + self.t_s(to - 1));
+        middle_s - self.since_crossing_s(middle_s)
+    }
+
+    /// Ranges of samples between mains zero crossings, the ends of the segment included.
+    pub fn half_cycles(&self) -> Vec<(usize, usize)> {
+        let half_s = self.half_cycle_s();
+        let first = ((self.t0_s - self.zero_crossing_s) / half_s).floor() + 1.0;
+        let mut bounds = vec![0];
+        let mut crossing_s = self.zero_crossing_s + first * half_s;
+        // A crossing within half a sample of either end cuts nothing off.
+        while crossing_s < self.t_s(self.len()) - 0.5 * self.dt_s {
+            let at = ((crossing_s - self.t0_s) / self.dt_s).round() as usize;
+            if at > 0 {
+                bounds.push(at);
+            }
+            crossing_s += half_s;
+        }
+        bounds.push(self.len());
+        bounds.windows(2).map(|w| (w[0], w[1])).collect()
+    }
+
+    /// Checks what all estimators rely on.
+    ///
+    /// # Errors
+    /// [`SegmentError`]: channels of different length, a number that is not finite, times or
+    /// frequencies that are not positive, too few samples a period, too few periods, a silent
+    /// channel.
+    pub fn check(&self) -> Result<(), SegmentError> {
+        if self.v_v.len() != self.i_a.len() {
+            return Err(SegmentError::Lengths {
+                v: self.v_v.len(),
+                i: self.i_a.len(),
+            });
+        }
+        for (what, value) in [
+            ("switching frequency in Hz", self.f_sw_hz),
+            ("mains frequency in Hz", self.mains_hz),
+            ("sampling interval in s", self.dt_s),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(SegmentError::NotPositive { what, value });
+            }
+        }
+        for (what, value) in [
+            ("time of the first sample in s", self.t0_s),
+            ("time of the mains zero crossing in s", self.zero_crossing_s),
+        ] {
+            if value.is_nan() || value.abs() > LATEST_S {
+                let allowed = "within ±1e6 s: count time from the capture's start";
+                return Err(SegmentError::OutOfRange {
+                    what,
+                    value,
+                    allowed,
+                });
+            }
+        }
+        if self.mains_hz * MIN_PERIODS > self.f_sw_hz {
+            return Err(SegmentError::OutOfRange {
+                what: "mains frequency in Hz",
+                value: self.mains_hz,
+                allowed: "at most a tenth of the switching frequency",
+            });
+        }
+        let per_period = self.samples_per_period();
+        if per_period.is_nan() || per_period <= MIN_SAMPLES_PER_PERIOD {
+            return Err(SegmentError::SamplingTooSlow {
+                rate_hz: 1.0 / self.dt_s,
+                f_sw_hz: self.f_sw_hz,
+            });
+        }
+        let periods = self.len() as f64 / per_period;
+        if periods < MIN_PERIODS {
+            return Err(SegmentError::TooShort {
+                periods,
+                needed: MIN_PERIODS,
+            });
+        }
+        check_channel("voltage", &self.v_v)?;
+        check_channel("current", &self.i_a)
+    }
+
+    /// The same stretch with other samples.
+    pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
+        Self {
+            f_sw_hz: self.f_sw_hz,
+            mains_hz: self.mains_hz,
+            zero_crossing_s: self.zero_crossing_s,
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+            v_v,
+            i_a,
+        }
+    }
+
+    /// The samples from index `from` up to `to`, bounded by what there is.
+    pub fn part(&self, from: usize, to: usize) -> Self {
+        let to = to.min(self.len());
+        let from = from.min(to);
+        Self {
+            t0_s: self.t_s(from),
+            ..self.with_samples(self.v_v[from..to].to_vec(), self.i_a[from..to].to_vec())
+        }
+    }
+}
+
+/// Why no estimator can work on a segment.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SegmentError {
+    /// Voltage and current do not come in pairs.
+    #[error("{v} voltage samples but {i} current samples: pass both channels of one capture")]
+    Lengths {
+        /// Samples of the voltage.
+        v: usize,
+        /// Samples of the current.
+        i: usize,
+    },
+    /// A time or frequency that cannot be.
+    #[error("the {what} is {value}, but must be a finite number above zero")]
+    NotPositive {
+        /// Which.
+        what: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// A quantity that no capture of a hob has.
+    #[error("the {what} is {value}, but must be {allowed}")]
+    OutOfRange {
+        /// Which.
+        what: &'static str,
+        /// The value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A sample is not a number, or beyond any.
+    #[error("{channel} sample {index} is {value}: cut it out or repair the capture")]
+    NotFinite {
+        /// `voltage` or `current`.
+        channel: &'static str,
+        /// Index in the segment.
+        index: usize,
+        /// What stands there.
+        value: f64,
+    },
+    /// A channel without signal.
+    #[error("the {channel} is zero throughout: is the inverter running and the probe on?")]
+    Silent {
+        /// `voltage` or `current`.
+        channel: &'static str,
+    },
+    /// Fewer than two samples a switching period.
+    #[error(
+        "sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {f_sw_hz:.0} Hz: \
+         sample at more than twice of it"
+    )]
+    SamplingTooSlow {
+        /// Sampling rate in hertz.
+        rate_hz: f64,
+        /// Switching frequency in hertz.
+        f_sw_hz: f64,
+    },
+    /// Too few switching periods.
+    #[error("{periods:.1} switching periods, but {needed:.0} are needed: take a longer capture")]
+    TooShort {
+        /// Periods there are.
+        periods: f64,
+        /// Periods needed.
+        needed: f64,
+    },
+}
+
+/// Largest magnitude of a sample, in volt or ampere, whose powers are still finite numbers.
+const LARGEST: f64 = 1e30;
+
+fn check_channel(channel: &'static str, x: &[f64]) -> Result<(), SegmentError> {
+    if let Some(index) = x.iter().position(|x| x.is_nan() || x.abs() > LARGEST) {
+        return Err(SegmentError::NotFinite {
+            channel,
+            index,
+            value: x[index],
+        });
+    }
+    if x.iter().all(|x| x.abs() < 1.0 / LARGEST) {
+        return Err(SegmentError::Silent { channel });
+    }
+    Ok(())
+}

@@ -1,0 +1,131 @@
+//! The two ADC channels: anti-alias filter, noise, 12-bit codes, saturation.
+
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use ihd_signal::quantise::code;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::low_pass::LowPass;
+
+/// Resolution of the board's converters.
+const BITS: u32 = 12;
+
+const _: () = assert!(CODE_HALF_RANGE == 1 << (BITS - 1));
+
+/// White noise of the two channels, standard deviations.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Noise {
+    /// Of the voltage, in volt.
+    pub v_v: f64,
+    /// Of the current, in ampere.
+    pub i_a: f64,
+}
+
+impl Noise {
+    /// Noise of a signal-to-noise ratio in decibel over signals of the given rms values, by the
+    /// paper's definition σ² = P_signal / 10^(SNR/10).
+    pub fn from_snr_db(snr_db: f64, v_rms_v: f64, i_rms_a: f64) -> Self {
+        let ratio = libm::pow(10.0, -snr_db / 20.0);
+        Self {
+            v_v: v_rms_v * ratio,
+            i_a: i_rms_a * ratio,
+        }
+    }
+}
+
+/// The sampler: deterministic for a seed.
+#[derive(Clone, Debug)]
+pub struct Adc {
+    noise: Noise,
+    rng: ChaCha8Rng,
+    filters: [LowPass; 2],
+}
+
+impl Adc {
+    /// An ADC with a noise and a seed.
+    pub fn new(noise: Noise, seed: u64) -> Self {
+        Self {
+            noise,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            filters: [LowPass::settled(0.0, 0.0); 2],
+        }
+    }
+
+    /// The same with a first-order anti-alias filter of a corner in hertz on both channels, at rest.
+    pub fn with_filter(self, corner_hz: f64) -> Self {
+        Self {
+            filters: [LowPass::settled(corner_hz, 0.0); 2],
+            ..self
+        }
+    }
+
+    /// The coil's voltage in volt and current in ampere at an instant, `dt_s` after the last one.
+    pub fn advance(&mut self, v_v: f64, i_a: f64, dt_s: f64) {
+        self.filters[0].advance(v_v, dt_s);
+        self.filters[1].advance(i_a, dt_s);
+    }
+
+    /// Converts what stands behind the filters now.
+    pub fn sample(&mut self) -> Pair {
+        self.convert(self.filters[0].output(), self.filters[1].output())
+    }
+
+    /// Converts one pair of voltage in volt and current in ampere.
+    fn convert(&mut self, v_v: f64, i_a: f64) -> Pair {
+        let mut noisy = |value: f64, sigma: f64| {
+            if sigma > 0.0 {
+                let normal: f64 = StandardNormal.sample(&mut self.rng);
+                value + sigma * normal
+            } else {
+                value
+            }
+        };
+        Pair {
+            v: code(noisy(v_v, self.noise.v_v) / VOLT_PER_CODE, BITS),
+            i: code(noisy(i_a, self.noise.i_a) / AMPERE_PER_CODE, BITS),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_shared::sampling::{CODE_MAX, CODE_MIN};
+
+    use super::*;
+
+    #[test]
+    fn codes_round_and_saturate() {
+        let mut adc = Adc::new(Noise::default(), 0);
+        assert_eq!(
+            adc.convert(400.0, -80.0),
+            Pair {
+                v: CODE_MAX,
+                i: CODE_MIN
+            }
+        );
+        assert_eq!(adc.convert(1.4 * VOLT_PER_CODE, 0.0), Pair { v: 1, i: 0 });
+        assert!(adc.convert(f64::NAN, 0.0).is_saturated());
+        assert!(adc.convert(0.0, f64::INFINITY).is_saturated());
+    }
+
+    #[test]
+    fn noise_has_the_stated_ratio_and_repeats_with_its_seed() {
+        let noise = Noise::from_snr_db(30.0, 178.0, 20.0);
+        assert!((noise.v_v / 178.0 - 0.031_622_8).abs() < 1e-6);
+        let run = |seed| {
+            let mut adc = Adc::new(noise, seed);
+            (0..20_000)
+                .map(|_| adc.convert(0.0, 0.0))
+                .collect::<Vec<_>>()
+        };
+        let pairs = run(1);
+        let rms = |channel: fn(&Pair) -> f64| {
+            (pairs.iter().map(|p| channel(p).powi(2)).sum::<f64>() / pairs.len() as f64).sqrt()
+        };
+        assert!((rms(|p| f64::from(p.v) * VOLT_PER_CODE) / noise.v_v - 1.0).abs() < 0.02);
+        assert!((rms(|p| f64::from(p.i) * AMPERE_PER_CODE) / noise.i_a - 1.0).abs() < 0.02);
+        assert_eq!(pairs, run(1));
+        assert_ne!(pairs, run(2));
+    }
+}

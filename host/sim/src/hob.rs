@@ -1,0 +1,211 @@
+//! The simulated hob: the plant with the firmware lib as its controller, stepped block by block.
+//!
+//! Nothing here decides anything: it hands blocks to [`RealTime`], bytes to [`Housekeeping`], and
+//! the drive back to the plant, as the board's interrupt and tasks do.
+
+use std::collections::VecDeque;
+
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::realtime::{Block, RealTime};
+use ihd_shared::hob::F_SW_MAX_HZ;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::frame::MAX_ENCODED;
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
+use ihd_signal::truth::Truth;
+
+use super::adc::{Adc, Noise};
+use super::behavioural::PotKind;
+use super::mains::Mains;
+use super::plant::{LoadPoint, Plant};
+use super::recording::settings::LoadKind;
+
+/// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
+const TRUTHS_KEPT: usize = 256;
+
+/// ADC samples per point of the kept truth: 9 µs at 45 kHz.
+const TRUTH_EVERY: usize = 8;
+
+/// What is simulated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HobConfig {
+    /// Mains frequency in hertz.
+    pub mains_hz: f64,
+    /// What stands on the coil at the start.
+    pub pot: PotKind,
+    /// How the load is modelled.
+    pub load: LoadKind,
+    /// Whether the pot warms up, so that R and L drift over minutes.
+    pub warming: bool,
+    /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
+    /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
+    /// 0.6 % of R (measured on tests/fixtures/half_cycle, which have none).
+    pub anti_alias_hz: f64,
+    /// Noise of the ADC channels.
+    pub noise: Noise,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// What the link carries, in bytes per second of simulated time. USB full speed with
+    /// single-buffered bulk endpoints manages a few hundred kilobytes.
+    pub link_bytes_per_s: f64,
+}
+
+impl Default for HobConfig {
+    fn default() -> Self {
+        Self {
+            mains_hz: 50.0,
+            pot: PotKind::Ferromagnetic,
+            load: LoadKind::Behavioural,
+            warming: false,
+            anti_alias_hz: 500e3,
+            // Half an LSB: what a good 12-bit converter has left.
+            noise: Noise {
+                v_v: 0.1,
+                i_a: 0.02,
+            },
+            seed: 1,
+            link_bytes_per_s: 400e3,
+        }
+    }
+}
+
+/// The hob.
+pub struct SimHob {
+    plant: Plant,
+    realtime: Box<RealTime>,
+    housekeeping: Housekeeping,
+    inbound: VecDeque<u8>,
+    outbound: VecDeque<u8>,
+    link_bytes_per_s: f64,
+    link_credit: f64,
+    truth: Truth,
+    truths: VecDeque<Truth>,
+}
+
+impl SimHob {
+    /// A hob that has just been switched on, at a mains zero crossing.
+    pub fn new(config: &HobConfig) -> Self {
+        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+        let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
+        // Simulated boots are told apart by their seed.
+        let boot_id = config.seed as u32;
+        let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
+        let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
+        let mains = Mains::new(config.mains_hz);
+        let mut plant = Plant::with_load(mains, config.pot, config.load, adc);
+        if config.warming {
+            plant.enable_warming();
+        }
+        Self {
+            plant,
+            realtime: Box::new(RealTime::new(r, l)),
+            housekeeping: Housekeeping::new(hello),
+            inbound: VecDeque::new(),
+            outbound: VecDeque::new(),
+            link_bytes_per_s: config.link_bytes_per_s,
+            link_credit: 0.0,
+            truth: Truth::default(),
+            truths: VecDeque::new(),
+        }
+    }
+
+    /// Simulates one block of 61 samples.
+    pub fn step(&mut self) {
+        let start_s = self.plant.t_s();
+        let half_s = self.plant.mains().half_cycle_s();
+        let bus_dv = (self.plant.mains().bus_v(start_s) * 10.0) as u16;
+        let mut zero_crossing = None;
+        let (truth, truths) = (&mut self.truth, &mut self.truths);
+        let mut k = 0u8;
+        let pairs = self.plant.block(|point: &LoadPoint| {
+            let half_cycle = (point.t_s / half_s) as u32;
+            if half_cycle != truth.half_cycle {
+                zero_crossing = Some(k);
+                let next = Truth {
+                    half_cycle,
+                    ..Truth::default()
+                };
+                truths.push_back(std::mem::replace(truth, next));
+                if truths.len() > TRUTHS_KEPT {
+                    truths.pop_front();
+                }
+            }
+            if usize::from(k).is_multiple_of(TRUTH_EVERY) {
+                truth.t_s.push(point.t_s - f64::from(half_cycle) * half_s);
+                truth.r_ohm.push(point.r_ohm);
+                truth.l_h.push(point.l_h);
+                truth.i_a.push(point.i_a);
+            }
+            k += 1;
+        });
+        let block = Block {
+            pairs: &pairs,
+            zero_crossing,
+            bus_dv,
+            lost: 0,
+        };
+        let drive = self.realtime.on_block(&block);
+        self.plant.set_drive(drive);
+        if drive.on && self.truth.f_sw_hz == 0.0 {
+            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
+        }
+        self.run_link(self.plant.t_s() - start_s);
+        self.housekeeping.poll(&mut *self.realtime);
+    }
+
+    fn run_link(&mut self, elapsed_s: f64) {
+        let bytes = self.inbound.make_contiguous();
+        let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
+        self.inbound.drain(..taken);
+        // An idle link saves nothing up but one frame.
+        self.link_credit =
+            (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
+        let mut frame = [0; MAX_ENCODED];
+        while self.link_credit > 0.0 {
+            let n = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            if n == 0 {
+                break;
+            }
+            self.link_credit -= n as f64;
+            self.outbound.extend(&frame[..n]);
+        }
+    }
+
+    /// Bytes from the host.
+    pub fn send(&mut self, bytes: &[u8]) {
+        self.inbound.extend(bytes);
+    }
+
+    /// Bytes for the host; returns how many.
+    pub fn receive(&mut self, buf: &mut [u8]) -> usize {
+        let n = buf.len().min(self.outbound.len());
+        for (slot, byte) in buf.iter_mut().zip(self.outbound.drain(..n)) {
+            *slot = byte;
+        }
+        n
+    }
+
+    /// Bytes that wait for the host.
+    pub fn waiting(&self) -> usize {
+        self.outbound.len()
+    }
+
+    /// Simulated time in seconds.
+    pub fn t_s(&self) -> f64 {
+        self.plant.t_s()
+    }
+
+    /// Puts another pot on the coil, or takes it away.
+    pub fn set_pot(&mut self, pot: PotKind) {
+        self.plant.set_pot(pot);
+    }
+
+    /// The truth of a half-cycle that is over and not too long ago.
+    pub fn truth(&self, half_cycle: u32) -> Option<&Truth> {
+        self.truths.iter().find(|t| t.half_cycle == half_cycle)
+    }
+
+    /// The firmware's lower half, for tests that look inside.
+    pub fn housekeeping(&self) -> &Housekeeping {
+        &self.housekeeping
+    }
+}

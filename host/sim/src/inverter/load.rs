@@ -1,0 +1,289 @@
+//! The load as the circuit sees it: a law for R and L, or the field model.
+
+use super::InverterError;
+use super::envelope::Envelope;
+use crate::behavioural;
+use crate::field::{FieldLoad, FieldModel};
+use crate::pot::Metal;
+use crate::surrogate::SurrogateLoad;
+
+/// Rings of the time-domain field model.
+pub const RINGS: usize = crate::field::model::RINGS;
+
+/// Steps for which a law's R and L are held: 0.3 µs at 20 ns, in which the envelope of the mains
+/// moves by 1e-4 at most.
+const LAW_STEPS: u32 = 16;
+
+/// Flux linkage over one step: change = `change0_wb` + `l_h` · i(new), and the resistance beside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FluxStep {
+    /// Part of the change that does not depend on the new current, in weber.
+    pub change0_wb: f64,
+    /// Part that does, in henry.
+    pub l_h: f64,
+    /// Series resistance in ohm.
+    pub r_ohm: f64,
+}
+
+/// R and L as functions of the current's amplitude, at one switching frequency.
+#[derive(Clone, Debug)]
+pub enum Law {
+    /// Closed formulas.
+    Behavioural(behavioural::Load),
+    /// A table fitted to the field model.
+    Surrogate(Box<SurrogateLoad>),
+}
+
+impl Law {
+    /// R in ohm, L in henry at an amplitude in ampere.
+    pub fn r_l(&self, i_a: f64) -> (f64, f64) {
+        match self {
+            Self::Behavioural(load) => load.r_l(i_a),
+            Self::Surrogate(load) => load.r_l(i_a),
+        }
+    }
+}
+
+/// What heat does to R and L of a law: the skin effect's R and X of the load both grow with the
+/// root of its resistivity. The winding stays as it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Warmth {
+    growth: f64,
+    winding_r_ohm: f64,
+    omega_per_s: f64,
+}
+
+impl Default for Warmth {
+    fn default() -> Self {
+        Self {
+            growth: 0.0,
+            winding_r_ohm: 0.0,
+            omega_per_s: 1.0,
+        }
+    }
+}
+
+impl Warmth {
+    /// At a temperature in °C, for a law that includes `winding_r_ohm` and a frequency in hertz.
+    pub fn new(metal: Metal, temperature_c: f64, winding_r_ohm: f64, f_sw_hz: f64) -> Self {
+        Self {
+            growth: metal.resistivity_factor(temperature_c).sqrt() - 1.0,
+            winding_r_ohm,
+            omega_per_s: std::f64::consts::TAU * f_sw_hz,
+        }
+    }
+
+    fn bend(&self, (r_ohm, l_h): (f64, f64)) -> (f64, f64) {
+        let more_ohm = self.growth * (r_ohm - self.winding_r_ohm);
+        (r_ohm + more_ohm, l_h + more_ohm / self.omega_per_s)
+    }
+}
+
+/// A load in operation.
+#[derive(Clone, Debug)]
+pub enum LoadState {
+    /// v = R i + L di/dt with R and L from a law of the envelope.
+    Law {
+        /// The law.
+        law: Law,
+        /// The envelope it follows.
+        envelope: Envelope,
+        /// R in ohm and L in henry, as last asked for.
+        held: (f64, f64),
+        /// Steps until the law is asked again.
+        hold: u32,
+        /// How the load's temperature bends the law.
+        warmth: Warmth,
+    },
+    /// The field model; several for a pot off centre.
+    Field {
+        /// Weight and state of each sector.
+        sectors: Vec<(f64, FieldLoad<RINGS>)>,
+        /// Winding resistance in ohm.
+        winding_r_ohm: f64,
+        /// Flux linkage now, in weber; `None` before the first step.
+        lambda_wb: Option<f64>,
+    },
+}
+
+impl LoadState {
+    /// A law at rest; `steps` integration steps a period.
+    pub fn law(law: Law, steps: usize) -> Self {
+        Self::following(law, Envelope::new(steps))
+    }
+
+    fn following(law: Law, envelope: Envelope) -> Self {
+        Self::Law {
+            law,
+            envelope,
+            held: (0.0, 0.0),
+            hold: 0,
+            warmth: Warmth::default(),
+        }
+    }
+
+    /// Unmagnetised field models with their weights; the winding is the first one's. A current that
+    /// already flows goes on flowing: the pot is put on within one step.
+    pub fn field(models: &[(f64, FieldModel)], dt_s: f64) -> Result<Self, InverterError> {
+        let mut sectors = Vec::with_capacity(models.len());
+        for (weight, model) in models {
+            sectors.push((*weight, FieldLoad::new(model, dt_s)?));
+        }
+        let winding_r_ohm = models.first().map_or(0.0, |(_, m)| m.winding_r_ohm);
+        Ok(Self::Field {
+            sectors,
+            winding_r_ohm,
+            lambda_wb: None,
+        })
+    }
+
+    /// Another law under the same envelope, in a period of `steps` steps.
+    pub fn with_law(&self, law: Law, steps: usize) -> Self {
+        match self {
+            Self::Law { envelope, .. } => Self::following(law, envelope.resized(steps)),
+            Self::Field { .. } => Self::law(law, steps),
+        }
+    }
+
+    /// Sets the load's temperature in °C. The field model takes the hot material, a law is bent.
+    pub fn set_temperature(
+        &mut self,
+        metal: Metal,
+        temperature_c: f64,
+        winding_r_ohm: f64,
+        f_sw_hz: f64,
+    ) -> Result<(), InverterError> {
+        match self {
+            Self::Law { warmth, .. } => {
+                *warmth = Warmth::new(metal, temperature_c, winding_r_ohm, f_sw_hz);
+            }
+            Self::Field { sectors, .. } => {
+                for (_, load) in sectors {
+                    load.set_material(&metal.at(temperature_c))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether this is the field model.
+    pub fn is_field(&self) -> bool {
+        matches!(self, Self::Field { .. })
+    }
+
+    /// R in ohm, L in henry and the amplitude in ampere that give them; `None` for the field model,
+    /// which has no such numbers.
+    pub fn law_point(&self) -> Option<(f64, f64, f64)> {
+        let Self::Law {
+            law,
+            envelope,
+            warmth,
+            ..
+        } = self
+        else {
+            return None;
+        };
+        let i_a = envelope.amplitude_a();
+        let (r_ohm, l_h) = warmth.bend(law.r_l(i_a));
+        Some((r_ohm, l_h, i_a))
+    }
+
+    /// Changes the time step of the field model and keeps its state; `false` for a law, which has
+    /// none but knows its frequency.
+    pub fn set_dt(&mut self, dt_s: f64) -> Result<bool, InverterError> {
+        let Self::Field { sectors, .. } = self else {
+            return Ok(false);
+        };
+        for (_, load) in sectors {
+            load.set_dt(dt_s)?;
+        }
+        Ok(true)
+    }
+
+    /// Before a step: what the circuit needs, with `i_a` the current now.
+    pub fn predict(&mut self, i_a: f64) -> FluxStep {
+        match self {
+            Self::Law {
+                law,
+                envelope,
+                held,
+                hold,
+                warmth,
+            } => {
+                if *hold == 0 {
+                    (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
+                }
+                *hold -= 1;
+                let (r_ohm, l_h) = *held;
+                FluxStep {
+                    change0_wb: -l_h * i_a,
+                    l_h,
+                    r_ohm,
+                }
+            }
+            Self::Field {
+                sectors,
+                winding_r_ohm,
+                lambda_wb,
+            } => {
+                let (mut lambda0, mut l_h) = (0.0, 0.0);
+                for (weight, load) in sectors {
+                    let line = load.predict();
+                    lambda0 += *weight * line.lambda0_wb;
+                    l_h += *weight * line.l_h;
+                }
+                let now = *lambda_wb.get_or_insert(lambda0 + l_h * i_a);
+                FluxStep {
+                    change0_wb: lambda0 - now,
+                    l_h,
+                    r_ohm: *winding_r_ohm,
+                }
+            }
+        }
+    }
+
+    /// After the step whose prediction was `step`: the new current at boundary `n` of the period.
+    pub fn commit(&mut self, step: &FluxStep, n: usize, i_a: f64) {
+        match self {
+            Self::Law { envelope, .. } => envelope.push(n, i_a),
+            Self::Field {
+                sectors, lambda_wb, ..
+            } => {
+                *lambda_wb = lambda_wb.map(|now| now + step.change0_wb + step.l_h * i_a);
+                sectors.iter_mut().for_each(|(_, load)| load.commit(i_a));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::harmonic;
+    use crate::pot::Pot;
+    use crate::surrogate::SurrogatePot;
+
+    #[test]
+    fn the_bent_law_follows_the_hot_field_model() {
+        // The law leaves out that saturation falls with temperature, that only a linear load's X
+        // equals its R, and that a steel that carries more flux leaves less in the gap.
+        for metal in [Metal::Ferritic, Metal::Stainless, Metal::Aluminium] {
+            let model = |temperature_c| {
+                let pot = Pot {
+                    temperature_c,
+                    ..Pot::new(metal, 0.21)
+                };
+                let settings = pot.field_settings(0.1).unwrap().remove(0).1;
+                FieldModel::new(&settings).unwrap()
+            };
+            let cold = SurrogatePot::new(&[(1.0, model(20.0))]).unwrap().at(45e3);
+            for i_a in [1.0, 30.0] {
+                let hot = harmonic::impedance(&model(150.0), 45e3, i_a).unwrap();
+                let (r, l) = Warmth::new(metal, 150.0, 0.1, 45e3).bend(cold.r_l(i_a));
+                println!("{metal:?} {i_a} A: R {r} {}, L {l} {}", hot.r_ohm, hot.l_h);
+                assert!((r / hot.r_ohm - 1.0).abs() < 0.05, "{metal:?} {i_a} A");
+                assert!((l / hot.l_h - 1.0).abs() < 0.03, "{metal:?} {i_a} A");
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! The simulated hob: loads with known truth, the power stage, the sensing chain, and the
+//! firmware lib itself as its controller.
+//!
+//! ```text
+//! mains ─► half-bridge ─► C_r, load ─► ADC ─► firmware ─► link
+//!              ▲            (truth)              │
+//!              └───────────── drive ◄────────────┘
+//! ```
+
+pub mod adc;
+pub mod behavioural;
+pub mod circuit;
+pub mod field;
+pub mod hob;
+pub mod inverter;
+mod load_library;
+pub mod low_pass;
+pub mod mains;
+pub mod plant;
+pub mod pot;
+pub mod recording;
+pub mod server;
+pub mod surrogate;
+pub mod thermal_model;
+pub mod transport;
+pub mod trial;

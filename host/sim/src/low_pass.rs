@@ -1,0 +1,72 @@
+//! A first-order low pass: the anti-alias filter before an ADC channel.
+
+use std::f64::consts::TAU;
+
+/// One channel's filter. Both channels of a board have the same one, so R and L, which are ratios
+/// of voltage to current, pass through it unchanged.
+#[derive(Clone, Copy, Debug)]
+pub struct LowPass {
+    corner_hz: f64,
+    input: f64,
+    output: f64,
+}
+
+impl LowPass {
+    /// A filter that has settled at a value; a corner of 0 Hz lets everything pass.
+    pub fn settled(corner_hz: f64, value: f64) -> Self {
+        Self {
+            corner_hz,
+            input: value,
+            output: value,
+        }
+    }
+
+    /// The next input, `dt_s` seconds later; returns the output. Trapezoidal: stable for any step.
+    pub fn advance(&mut self, input: f64, dt_s: f64) -> f64 {
+        self.output = if self.corner_hz == 0.0 {
+            input
+        } else {
+            let g = 0.5 * TAU * self.corner_hz * dt_s;
+            ((1.0 - g) * self.output + g * (self.input + input)) / (1.0 + g)
+        };
+        self.input = input;
+        self.output
+    }
+
+    /// The output now.
+    pub fn output(&self) -> f64 {
+        self.output
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_the_corner_the_gain_is_minus_three_decibel_and_the_lag_45_degrees() {
+        let (corner_hz, steps) = (100e3, 1000);
+        let dt_s = 1.0 / (corner_hz * f64::from(steps));
+        let mut pole = LowPass::settled(corner_hz, 0.0);
+        let mut sum = (0.0, 0.0);
+        for n in 0..20 * steps {
+            let angle = TAU * f64::from(n) / f64::from(steps);
+            let y = pole.advance(angle.sin(), dt_s);
+            if n >= 19 * steps {
+                sum.0 += y * angle.sin() * 2.0 / f64::from(steps);
+                sum.1 += y * angle.cos() * 2.0 / f64::from(steps);
+            }
+        }
+        assert!(
+            (sum.0 - 0.5).abs() < 1e-3 && (sum.1 + 0.5).abs() < 1e-3,
+            "{sum:?}"
+        );
+    }
+
+    #[test]
+    fn without_a_corner_everything_passes() {
+        let mut pole = LowPass::settled(0.0, 3.0);
+        assert_eq!(pole.advance(7.0, 1e-9), 7.0);
+        assert_eq!(pole.output(), 7.0);
+    }
+}

@@ -1,0 +1,88 @@
+//! Pots made ready for a load model.
+
+use super::settings::LoadKind;
+use crate::behavioural;
+use crate::behavioural::PotKind;
+use crate::field::FieldModel;
+use crate::field::gap::GapOperator;
+use crate::field::geometry::Geometry;
+use crate::inverter::InverterError;
+use crate::inverter::load::{Law, LoadState};
+use crate::pot::{Metal, Pot};
+use crate::surrogate::SurrogatePot;
+
+/// A pot made ready for one kind of load model, at any frequency.
+#[derive(Clone, Debug)]
+pub enum PreparedLoad {
+    /// Field models with their weights.
+    Field(Vec<(f64, FieldModel)>),
+    /// Table.
+    Surrogate(Box<SurrogatePot>),
+    /// Formulas.
+    Behavioural(PotKind),
+}
+
+impl PreparedLoad {
+    /// Solves what has to be solved once for a pot: some 10 ms for the field, 100 ms for the table.
+    pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
+        if kind == LoadKind::Behavioural {
+            return Ok(Self::Behavioural(behavioural_kind(pot)));
+        }
+        Ok(match field_models(pot, winding_r_ohm)? {
+            // Nothing nonlinear is left without a pot.
+            models if kind == LoadKind::Field && !models.is_empty() => Self::Field(models),
+            _ => Self::Surrogate(Box::new(surrogate_pot(pot, winding_r_ohm)?)),
+        })
+    }
+
+    /// The load at rest for a switching frequency, or carrying on from `before`.
+    pub fn start(
+        &self,
+        f_sw_hz: f64,
+        steps: usize,
+        before: Option<&LoadState>,
+    ) -> Result<LoadState, InverterError> {
+        let law = match self {
+            Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
+            Self::Surrogate(pot) => Law::Surrogate(Box::new(pot.at(f_sw_hz))),
+            Self::Behavioural(kind) => Law::Behavioural(behavioural::Load::new(*kind, f_sw_hz)),
+        };
+        Ok(match before {
+            Some(state) => state.with_law(law, steps),
+            None => LoadState::law(law, steps),
+        })
+    }
+}
+
+/// Field models of a pot with their weights; empty without a pot.
+pub fn field_models(
+    pot: &Pot,
+    winding_r_ohm: f64,
+) -> Result<Vec<(f64, FieldModel)>, InverterError> {
+    let mut models = Vec::new();
+    for (weight, settings) in pot.field_settings(winding_r_ohm)? {
+        models.push((weight, FieldModel::new(&settings)?));
+    }
+    Ok(models)
+}
+
+/// Table of a pot; the coil over its ferrite alone is a constant.
+pub fn surrogate_pot(pot: &Pot, winding_r_ohm: f64) -> Result<SurrogatePot, InverterError> {
+    let models = field_models(pot, winding_r_ohm)?;
+    if models.is_empty() {
+        let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
+        return Ok(SurrogatePot::constant(winding_r_ohm, l_h));
+    }
+    Ok(SurrogatePot::new(&models)?)
+}
+
+/// The formulas know five loads; sizes go to the nearer of the two ferromagnetic ones.
+fn behavioural_kind(pot: &Pot) -> PotKind {
+    match pot.metal {
+        None => PotKind::None,
+        Some(Metal::Stainless) => PotKind::Stainless,
+        Some(Metal::Aluminium) => PotKind::Aluminium,
+        Some(Metal::Ferritic) if pot.diameter_m < 0.15 => PotKind::Small,
+        Some(Metal::Ferritic) => PotKind::Ferromagnetic,
+    }
+}

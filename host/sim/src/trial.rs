@@ -1,0 +1,87 @@
+//! Captures with truth for studies and tests: simulated once per operating point, noise added per
+//! seed, as the paper does (section V.A).
+
+use ihd_signal::Segment;
+use ihd_signal::truth::PeriodTruth;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::adc::Noise;
+use crate::inverter::InverterError;
+use crate::recording::prepared::field_models;
+use crate::recording::run::record;
+use crate::recording::settings::{LoadKind, Settings};
+use crate::surrogate::exact;
+
+/// A capture without noise, and what the simulation knows about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    /// Samples before noise and quantising.
+    pub clean: Segment,
+    /// Truth, one entry a switching period.
+    pub truth: Vec<PeriodTruth>,
+}
+
+impl Trial {
+    /// Simulates one mains cycle (20 ms at 50 Hz) of the paper's operating point, 50 MS/s.
+    ///
+    /// # Errors
+    /// [`InverterError`] for a frequency outside 20 to 100 kHz.
+    pub fn simulate(load: LoadKind, f_sw_hz: f64) -> Result<Self, InverterError> {
+        Self::record(&Settings {
+            load,
+            f_sw_hz,
+            ..Settings::default()
+        })
+    }
+
+    /// Simulates a recording with a fixed sampling rate.
+    ///
+    /// # Errors
+    /// [`InverterError`] for settings that cannot be.
+    pub fn record(settings: &Settings) -> Result<Self, InverterError> {
+        let recording = record(settings, |_| ())?;
+        Ok(Self {
+            clean: recording.clean_segment(),
+            truth: recording.truth,
+        })
+    }
+
+    /// The truth with R and L of the fundamental from the describing function at each period's
+    /// current: what a sinusoidal current of that amplitude would see.
+    ///
+    /// # Errors
+    /// [`InverterError`] when the field model has no solution.
+    pub fn describing(&self) -> Result<Vec<PeriodTruth>, InverterError> {
+        let settings = Settings::default();
+        let models = field_models(&settings.pot, settings.winding_r_ohm)?;
+        let mut found = self.truth.clone();
+        for period in &mut found {
+            let z = exact(&models, period.f_sw_hz, period.i_a)?;
+            (period.r_ohm[0], period.l_h[0]) = (z.r_ohm, z.l_h);
+        }
+        Ok(found)
+    }
+
+    /// The capture with white noise of an SNR in decibel on both channels,
+    /// σ² = P_signal/10^(SNR/10) over the whole capture; without `snr_db` as it is.
+    pub fn noisy(&self, snr_db: Option<f64>, seed: u64) -> Segment {
+        let Some(snr_db) = snr_db else {
+            return self.clean.clone();
+        };
+        let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
+        let noise = Noise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut add = |x: &[f64], sigma: f64| {
+            let noisy = |x: &f64| {
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                x + sigma * normal
+            };
+            x.iter().map(noisy).collect()
+        };
+        let v_v = add(&self.clean.v_v, noise.v_v);
+        let i_a = add(&self.clean.i_a, noise.i_a);
+        self.clean.with_samples(v_v, i_a)
+    }
+}

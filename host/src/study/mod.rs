@@ -1,6 +1,0 @@
-//! Studies: many captures with truth, many estimators, one table.
-
-pub mod estimators;
-#[cfg(feature = "pinn")]
-pub mod paper;
-pub mod trial;

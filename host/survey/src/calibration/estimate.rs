@@ -1,0 +1,304 @@
+//! The calibration that a capture of a reference gives.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use ihd_signal::Capture;
+use nalgebra::Complex;
+
+use super::{Calibration, Reference};
+use crate::impedance::{Wiring, of_order};
+use crate::track::{ORDERS, Track, track};
+use crate::{Finding, Severity, Survey, SurveyError};
+
+/// Why a capture gives no calibration.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrateError {
+    /// Nothing to work on.
+    #[error(transparent)]
+    Survey(#[from] SurveyError),
+    /// Something would make it wrong.
+    #[error("{name}: {finding}")]
+    Unfit {
+        /// The capture.
+        name: String,
+        /// What is wrong.
+        finding: Finding,
+    },
+    /// R and skew cannot be told apart.
+    #[error(
+        "{name}: only {khz:.2} kHz is seen, where R of the empty coil and a skew look alike: give its R \
+         (no-pot,r=0.1), or capture several switching frequencies"
+    )]
+    OneFrequency {
+        /// The capture.
+        name: String,
+        /// The frequency in kilohertz.
+        khz: f64,
+    },
+    /// The capture cannot come from the reference.
+    #[error("{name}: {what}: is this the reference, and are the probe ratios right?")]
+    NotTheReference {
+        /// The capture.
+        name: String,
+        /// Why.
+        what: String,
+    },
+}
+
+/// A measured impedance at one frequency.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    omega: f64,
+    z: Complex<f64>,
+    /// Standard deviation of its phase in radian, and of ln |z|: white noise gives both the same.
+    sigma: f64,
+    /// Whether it is the fundamental.
+    first: bool,
+}
+
+/// Phase noise above which a harmonic is left out, in radian.
+const NOISIEST: f64 = 0.02;
+
+/// Angle of the impedance's phase from 0 or 90° below which one of R and L does not give it.
+const STEEP: f64 = 0.15;
+
+/// Finds the calibration of the channels from a capture of `reference`.
+///
+/// # Errors
+/// [`CalibrateError`]: a capture without switching, clipped or wrongly connected; too little seen to
+/// tell skew from the load; a load that cannot be the reference.
+pub fn estimate(
+    capture: &Capture,
+    survey: &Survey,
+    reference: Reference,
+) -> Result<Calibration, CalibrateError> {
+    // A negative R is what a skew looks like here; everything else of this severity is wrong.
+    let unfit = |f: &&Finding| {
+        f.severity() == Severity::Error && !matches!(f, Finding::NegativeResistance { .. })
+    };
+    if let Some(finding) = survey.findings.iter().find(unfit) {
+        return Err(CalibrateError::Unfit {
+            name: survey.name.clone(),
+            finding: finding.clone(),
+        });
+    }
+    let points = points(capture, survey);
+    let mut assumed = vec!["no direct current in the coil (offsets)".to_owned()];
+    let found = match reference {
+        Reference::NoPot { r_ohm, l_h } => no_pot(survey, &points, r_ohm, l_h, &mut assumed)?,
+        Reference::Load { r_ohm, l_h } => load(survey, &points, r_ohm, l_h, &mut assumed)?,
+    };
+    Ok(Calibration {
+        skew_s: found.skew.0,
+        skew_sigma_s: found.skew.1,
+        gain_ratio: found.gain.0,
+        gain_ratio_sigma: found.gain.1,
+        v_offset_v: survey.voltage.mean,
+        i_offset_a: survey.current.mean,
+        reference: reference.to_string(),
+        assumed,
+        capture: survey.name.clone(),
+    })
+}
+
+/// Skew in seconds and gain ratio, each with its standard deviation.
+struct Found {
+    skew: (f64, f64),
+    gain: (f64, f64),
+}
+
+/// Impedances of every span at every harmonic that stands out of the noise.
+fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
+    let noise = [survey.voltage.noise, survey.current.noise].map(|n| n.unwrap_or(0.0));
+    let mut out = Vec::new();
+    for span in &survey.spans {
+        let run = span.run();
+        let track = track(capture, &run, span.f_sw_hz);
+        for (order, h) in ORDERS.into_iter().enumerate() {
+            let Some(z) = of_order(&track, order, Wiring::default()) else {
+                continue;
+            };
+            let omega = TAU * span.f_sw_hz * f64::from(h);
+            let sigma = phase_sigma(&track, order, noise);
+            if order == 0 || sigma < NOISIEST {
+                out.push(Point {
+                    omega,
+                    z: Complex::new(z.r_ohm, omega * z.l_h),
+                    sigma: sigma.max(1e-9),
+                    first: order == 0,
+                });
+            }
+        }
+    }
+    out
+}
+
+/// Standard deviation of an impedance's phase: of a sine of amplitude A in N samples of noise σ the
+/// phase has the variance σ²/(N A²/2) (Cramér-Rao bound); both channels add.
+fn phase_sigma(track: &Track, order: usize, noise: [f64; 2]) -> f64 {
+    let hop = (track.frame / 2) as f64;
+    let energy = |x: Option<&Vec<Complex<f64>>>| -> f64 {
+        x.map_or(0.0, |x| {
+            0.5 * hop * x.iter().map(|x| x.norm_sqr()).sum::<f64>()
+        })
+    };
+    let channels = [track.v_v.get(order), track.i_a.get(order)];
+    let variance: f64 = channels
+        .into_iter()
+        .zip(noise)
+        .map(|(x, sigma)| sigma * sigma / energy(x))
+        .sum();
+    variance.sqrt()
+}
+
+/// Exponents of R ∝ f^p that a winding may have, from direct current to a full skin effect.
+const SKIN: [f64; 2] = [0.0, 0.5];
+
+/// From the empty coil: phase = 90° − (R/L)(ω/ω₁)^p/ω − ω·skew.
+fn no_pot(
+    survey: &Survey,
+    points: &[Point],
+    r_ohm: Option<f64>,
+    l_h: Option<f64>,
+    assumed: &mut Vec<String>,
+) -> Result<Found, CalibrateError> {
+    let least = points.iter().map(|p| p.omega).fold(f64::INFINITY, f64::min);
+    let most = points.iter().map(|p| p.omega).fold(0.0, f64::max);
+    let firsts = || points.iter().filter(|p| p.first);
+    if r_ohm.is_none() && most < 1.25 * least {
+        return Err(CalibrateError::OneFrequency {
+            name: survey.name.clone(),
+            khz: least / TAU * 1e-3,
+        });
+    }
+    if let Some(p) = firsts().find(|p| p.z.im.atan2(p.z.re) < 1.2) {
+        let (r, x) = (p.z.re, p.z.im);
+        return Err(CalibrateError::NotTheReference {
+            name: survey.name.clone(),
+            what: format!("R of {r:.2} ohm beside {x:.2} ohm of reactance is no empty coil"),
+        });
+    }
+    let gain = match l_h {
+        Some(l_h) => weighted(firsts().map(|p| (p.z.norm() / (p.omega * l_h), p.sigma))),
+        None => {
+            assumed.push("right gains".to_owned());
+            (1.0, 0.0)
+        }
+    };
+    let l_own_h = weighted(firsts().map(|p| (p.z.norm() / p.omega, p.sigma))).0 / gain.0;
+    assumed.push("constant L of the empty coil".to_owned());
+    assumed.push("R of the empty coil growing as f^0 to f^0.5".to_owned());
+    let fits = SKIN.map(|p| {
+        // What is missing to 90° of each point, in radian: a·ρ + ω·skew, a = (ω/ω₁)^p/ω.
+        let rows = points.iter().map(|point| {
+            let a = (point.omega / least).powf(p) / point.omega;
+            let missing = FRAC_PI_2 - point.z.im.atan2(point.z.re);
+            (a, point.omega, missing, point.sigma)
+        });
+        match r_ohm {
+            Some(r_ohm) => weighted(rows.map(|(a, omega, missing, sigma)| {
+                ((missing - a * r_ohm / l_own_h) / omega, sigma / omega)
+            })),
+            None => two_parameters(rows),
+        }
+    });
+    let [(a, sigma_a), (b, sigma_b)] = fits;
+    let systematic = 0.5 * (a - b).abs();
+    Ok(Found {
+        skew: (0.5 * (a + b), sigma_a.max(sigma_b).hypot(systematic)),
+        gain,
+    })
+}
+
+/// Weighted least squares of y = a ρ + b s; s and its standard deviation.
+fn two_parameters(rows: impl Iterator<Item = (f64, f64, f64, f64)>) -> (f64, f64) {
+    let (mut aa, mut ab, mut bb, mut ay, mut by) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (a, b, y, sigma) in rows {
+        let w = 1.0 / (sigma * sigma);
+        aa += w * a * a;
+        ab += w * a * b;
+        bb += w * b * b;
+        ay += w * a * y;
+        by += w * b * y;
+    }
+    let determinant = aa * bb - ab * ab;
+    ((aa * by - ab * ay) / determinant, (aa / determinant).sqrt())
+}
+
+/// Weighted mean and its standard deviation.
+fn weighted(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
+    let (sum, weight) = values.fold((0.0, 0.0), |(s, w), (x, sigma)| {
+        let own = 1.0 / (sigma * sigma);
+        (s + own * x, w + own)
+    });
+    (sum / weight, 1.0 / weight.sqrt())
+}
+
+/// From a load whose R, L or both are known, by the fundamental alone.
+fn load(
+    survey: &Survey,
+    points: &[Point],
+    r_ohm: Option<f64>,
+    l_h: Option<f64>,
+    assumed: &mut Vec<String>,
+) -> Result<Found, CalibrateError> {
+    let wrong = |what: String| CalibrateError::NotTheReference {
+        name: survey.name.clone(),
+        what,
+    };
+    let mut skews = Vec::new();
+    let mut gains = Vec::new();
+    for p in points.iter().filter(|p| p.first) {
+        let measured = p.z.im.atan2(p.z.re);
+        let magnitude = p.z.norm();
+        // Phase of the reference, and how much that depends on |z|: dθ/d ln|z|.
+        let (theta, steep) = match (r_ohm, l_h) {
+            (Some(r), Some(l)) => {
+                let z = Complex::new(r, p.omega * l);
+                gains.push((magnitude / z.norm(), p.sigma * magnitude / z.norm()));
+                (z.arg(), 0.0)
+            }
+            (Some(r), None) => {
+                let theta = (r / magnitude).clamp(-1.0, 1.0).acos();
+                (theta, 1.0 / theta.tan())
+            }
+            (None, l) => {
+                let theta = (p.omega * l.unwrap_or(0.0) / magnitude)
+                    .clamp(-1.0, 1.0)
+                    .asin();
+                (theta, theta.tan())
+            }
+        };
+        let undetermined = match (r_ohm, l_h) {
+            (Some(_), None) => theta < STEEP,
+            (None, _) => FRAC_PI_2 - theta < STEEP,
+            _ => false,
+        };
+        if undetermined {
+            return Err(wrong(format!(
+                "|Z| of {magnitude:.3} ohm at {:.2} kHz does not give the phase: give R and L",
+                p.omega / TAU * 1e-3
+            )));
+        }
+        let sigma = p.sigma * 1f64.hypot(steep) / p.omega;
+        skews.push(((theta - measured) / p.omega, sigma));
+    }
+    if r_ohm.is_none() || l_h.is_none() {
+        assumed.push("right gains".to_owned());
+    }
+    assumed.push("R and L of the reference independent of frequency and current".to_owned());
+    let gain = if gains.is_empty() {
+        (1.0, 0.0)
+    } else {
+        weighted(gains.into_iter())
+    };
+    let skew = weighted(skews.into_iter());
+    if skew.0.is_nan() || skew.0.abs() > super::LARGEST_SKEW_S {
+        return Err(wrong(format!(
+            "it would take a skew of {:.1} µs",
+            skew.0 * 1e6
+        )));
+    }
+    Ok(Found { skew, gain })
+}

@@ -1,0 +1,175 @@
+//! Skew, gain and offset of the two channels: found from a reference, kept in a file, applied to
+//! captures.
+//!
+//! What a capture of a known load tells, and what it does not:
+//! - **skew** (how much later the current is sampled) turns the impedance by −ω·skew. It is separable
+//!   from the load's own phase when that is known, or when several frequencies are seen: the phase
+//!   of R/(ωL) falls with frequency, that of a skew grows.
+//! - **gain** shows as the ratio of both channels' gains alone, and only against a known |Z|.
+//!   The current's is taken for right, so the voltage is corrected.
+//! - **offsets** are the channels' means: the resonance capacitor carries no direct current, and a
+//!   coil without direct current has no mean voltage.
+
+mod delay;
+mod estimate;
+mod reference;
+
+use std::path::{Path, PathBuf};
+
+pub use estimate::{CalibrateError, estimate};
+use ihd_signal::Capture;
+pub use reference::Reference;
+use serde::{Deserialize, Serialize};
+
+use crate::time::runs;
+
+/// Corrections of a measuring chain, and how well they are known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// How much later the current is sampled than the voltage, in seconds.
+    pub skew_s: f64,
+    /// Its standard deviation in seconds: noise, and what is not known of the reference.
+    pub skew_sigma_s: f64,
+    /// Gain of the voltage channel over that of the current channel; 1 is right.
+    pub gain_ratio: f64,
+    /// Its standard deviation; 0 where the ratio is assumed.
+    pub gain_ratio_sigma: f64,
+    /// Offset of the voltage channel in volt.
+    pub v_offset_v: f64,
+    /// Offset of the current channel in ampere.
+    pub i_offset_a: f64,
+    /// What it was measured against.
+    pub reference: String,
+    /// What was taken for granted.
+    pub assumed: Vec<String>,
+    /// The capture it comes from.
+    pub capture: String,
+}
+
+/// Why a calibration file could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationFileError {
+    /// The file system refused.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It does not hold a calibration.
+    #[error("{path} is no calibration: {what}; write one with `ihd calibrate`")]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+}
+
+/// Largest skew in seconds that is believed; the simulator's limit.
+const LARGEST_SKEW_S: f64 = 10e-6;
+
+impl Calibration {
+    /// Reads a file: JSON if it is named so, else TOML.
+    ///
+    /// # Errors
+    /// [`CalibrationFileError`] with the path, and what is wrong with its content.
+    pub fn read(path: &Path) -> Result<Self, CalibrationFileError> {
+        let text = std::fs::read_to_string(path).map_err(|source| CalibrationFileError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
+        let content = |what: String| CalibrationFileError::Content {
+            path: path.to_owned(),
+            what,
+        };
+        let read: Self = if is_json(path) {
+            serde_json::from_str(&text).map_err(|e| content(e.to_string()))?
+        } else {
+            toml::from_str(&text).map_err(|e| content(e.message().to_owned()))?
+        };
+        read.check().map_err(content)?;
+        Ok(read)
+    }
+
+    /// Writes a file: JSON if it is named so, else TOML.
+    ///
+    /// # Errors
+    /// [`CalibrationFileError::Io`] when the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), CalibrationFileError> {
+        let content = |what: String| CalibrationFileError::Content {
+            path: path.to_owned(),
+            what,
+        };
+        let text = if is_json(path) {
+            serde_json::to_string_pretty(self).map_err(|e| content(e.to_string()))?
+        } else {
+            toml::to_string(self).map_err(|e| content(e.to_string()))?
+        };
+        std::fs::write(path, text).map_err(|source| CalibrationFileError::Io {
+            path: path.to_owned(),
+            source,
+        })
+    }
+
+    fn check(&self) -> Result<(), String> {
+        for (name, value, least, most) in [
+            ("skew_s", self.skew_s, -LARGEST_SKEW_S, LARGEST_SKEW_S),
+            ("skew_sigma_s", self.skew_sigma_s, 0.0, LARGEST_SKEW_S),
+            ("gain_ratio", self.gain_ratio, 0.01, 100.0),
+            ("gain_ratio_sigma", self.gain_ratio_sigma, 0.0, 100.0),
+            ("v_offset_v", self.v_offset_v, -1e5, 1e5),
+            ("i_offset_a", self.i_offset_a, -1e5, 1e5),
+        ] {
+            if !(least..=most).contains(&value) {
+                return Err(format!(
+                    "{name} is {value}, but must lie between {least} and {most}"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes offsets, gain and skew out of a capture: what it then holds was measured at the times of
+    /// the voltage's samples.
+    ///
+    /// The current is interpolated within each stretch without gaps; its first and last
+    /// samples repeat beyond the ends.
+    pub fn apply(&self, capture: &mut Capture) {
+        let v_gain = 1.0 / self.gain_ratio;
+        for v in &mut capture.v_v {
+            *v = ((f64::from(*v) - self.v_offset_v) * v_gain) as f32;
+        }
+        for i in &mut capture.i_a {
+            *i = (f64::from(*i) - self.i_offset_a) as f32;
+        }
+        let rail = |full: f64, offset: f64, gain: f64| (full - offset.abs()).max(0.0) * gain;
+        capture.v_full_scale_v = capture
+            .v_full_scale_v
+            .map(|full| rail(full, self.v_offset_v, v_gain));
+        capture.i_full_scale_a = capture
+            .i_full_scale_a
+            .map(|full| rail(full, self.i_offset_a, 1.0));
+        for run in runs(capture, &mut Vec::new()) {
+            if let Some(i) = capture.i_a.get_mut(run.samples.clone()) {
+                delay::delay(i, self.skew_s / run.dt_s);
+            }
+        }
+        let note = format!(
+            "skew {:.3} ns, against {}",
+            self.skew_s * 1e9,
+            self.reference
+        );
+        capture.metadata.insert("calibration".to_owned(), note);
+    }
+}
+
+fn is_json(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("json"))
+}
+
+#[cfg(test)]
+mod tests;

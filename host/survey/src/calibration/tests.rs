@@ -1,0 +1,249 @@
+//! Calibration against the simulator's sensing chain, whose settings are the truth.
+
+use ihd_sim::behavioural::{Load, PotKind};
+use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::sensing::{Rate, Sensing};
+use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+
+use super::*;
+use crate::{Hints, Survey};
+
+/// A chain with errors, at 12.5 MS/s and 12 bits.
+fn chain(snr_db: Option<f64>) -> Sensing {
+    Sensing {
+        rate: Rate::Hz(12.5e6),
+        bits: 12,
+        v_gain: 1.02,
+        i_gain: 0.99,
+        v_offset_v: 4.0,
+        i_offset_a: -0.7,
+        skew_s: 37e-9,
+        snr_db,
+        ..Sensing::default()
+    }
+}
+
+fn settings(pot: Pot, sensing: Sensing, seed: u64) -> Settings {
+    Settings {
+        load: LoadKind::Behavioural,
+        pot,
+        duration_s: 10e-3,
+        sensing,
+        seed,
+        ..Settings::default()
+    }
+}
+
+fn capture(settings: &Settings) -> Capture {
+    record(settings, |_| ()).unwrap().capture("reference")
+}
+
+fn calibrated(capture: &Capture, reference: Reference) -> Result<Calibration, CalibrateError> {
+    let survey = Survey::of(capture, &Hints::default()).unwrap();
+    estimate(capture, &survey, reference)
+}
+
+const EMPTY: Reference = Reference::NoPot {
+    r_ohm: None,
+    l_h: None,
+};
+
+#[test]
+fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
+    let c = capture(&settings(Pot::NONE, chain(Some(50.0)), 1));
+    let found = calibrated(&c, EMPTY).unwrap();
+    let error_s = (found.skew_s - 37e-9).abs();
+    assert!(error_s < 1.5e-9, "{found:?}");
+    assert!(
+        error_s < 2.0 * found.skew_sigma_s && found.skew_sigma_s < 2e-9,
+        "{found:?}"
+    );
+    assert_eq!((found.gain_ratio, found.gain_ratio_sigma), (1.0, 0.0));
+    assert!((found.v_offset_v - 4.0).abs() < 0.2, "{found:?}");
+    assert!((found.i_offset_a + 0.7).abs() < 0.1, "{found:?}");
+
+    // R and L as the simulator has them.
+    let (r_ohm, l_h) = Load::new(PotKind::None, 45e3).r_l(0.0);
+    let known = Reference::NoPot {
+        r_ohm: Some(r_ohm),
+        l_h: Some(l_h),
+    };
+    let found = calibrated(&c, known).unwrap();
+    assert!((found.skew_s - 37e-9).abs() < 0.7e-9, "{found:?}");
+    let ratio = 1.02 / 0.99;
+    assert!((found.gain_ratio / ratio - 1.0).abs() < 1e-3, "{found:?}");
+}
+
+#[test]
+fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
+    // No harmonic but the fundamental: 10 samples a period show the third alone, a little.
+    let mut s = settings(Pot::NONE, chain(Some(60.0)), 2);
+    s.duration_s = 20e-3;
+    s.events = vec![Event {
+        t_s: 10e-3,
+        change: Change::Frequency(75e3),
+    }];
+    let found = calibrated(&capture(&s), EMPTY).unwrap();
+    assert!(
+        (found.skew_s - 37e-9).abs() < 2.0 * found.skew_sigma_s,
+        "{found:?}"
+    );
+    assert!((found.skew_s - 37e-9).abs() < 1.5e-9, "{found:?}");
+}
+
+#[test]
+fn a_known_load_gives_skew_and_gains() {
+    let pot = Pot::new(Metal::Stainless, 0.21);
+    let (r_ohm, l_h) = Load::new(PotKind::Stainless, 45e3).r_l(0.0);
+    let mut s = settings(pot, chain(Some(50.0)), 3);
+    (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
+    let both = Reference::Load {
+        r_ohm: Some(r_ohm),
+        l_h: Some(l_h),
+    };
+    let found = calibrated(&capture(&s), both).unwrap();
+    assert!((found.skew_s - 37e-9).abs() < 0.5e-9, "{found:?}");
+    assert!(
+        (found.gain_ratio / (1.02 / 0.99) - 1.0).abs() < 1e-3,
+        "{found:?}"
+    );
+    // R alone: the gains have to be right.
+    (s.sensing.v_gain, s.sensing.i_gain) = (1.0, 1.0);
+    let r_only = Reference::Load {
+        r_ohm: Some(r_ohm),
+        l_h: None,
+    };
+    let found = calibrated(&capture(&s), r_only).unwrap();
+    assert!((found.skew_s - 37e-9).abs() < 1e-9, "{found:?}");
+}
+
+#[test]
+fn the_deviation_told_is_that_of_many_seeds() {
+    let pot = Pot::new(Metal::Stainless, 0.21);
+    let (r_ohm, l_h) = Load::new(PotKind::Stainless, 45e3).r_l(0.0);
+    let both = Reference::Load {
+        r_ohm: Some(r_ohm),
+        l_h: Some(l_h),
+    };
+    let mut skews = Vec::new();
+    let mut told = 0.0;
+    for seed in 0..16 {
+        let mut s = settings(pot, chain(Some(30.0)), 100 + seed);
+        s.duration_s = 2e-3;
+        s.start_s = 4e-3;
+        (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
+        let found = calibrated(&capture(&s), both).unwrap();
+        skews.push(found.skew_s);
+        told = found.skew_sigma_s;
+    }
+    let n = skews.len() as f64;
+    let mean = skews.iter().sum::<f64>() / n;
+    let shown = (skews.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    // 16 seeds know a deviation to some 18 %.
+    assert!(
+        (0.5..2.0).contains(&(told / shown)),
+        "told {told:e} s, shown {shown:e} s"
+    );
+    assert!((mean - 37e-9).abs() < 1e-9, "{mean:e}");
+}
+
+#[test]
+fn applied_it_takes_the_error_out_of_another_capture() {
+    let pot = Pot::new(Metal::Ferritic, 0.21);
+    // The board's filter: without it aliasing is 0.1 % of the voltage, 4 ns of its phase.
+    for (rate, pole_hz) in [(Rate::Hz(12.5e6), 0.0), (Rate::Locked, 500e3)] {
+        let with = |sensing: Sensing| {
+            let sensing = Sensing {
+                rate,
+                pole_hz,
+                ..sensing
+            };
+            let c = capture(&settings(pot, sensing, 5));
+            let z = Survey::of(&c, &Hints::default()).unwrap().spans[0]
+                .load
+                .unwrap();
+            (c, z)
+        };
+        let (_, truth) = with(Sensing::default());
+        let (mut c, wrong) = with(chain(None));
+        assert!((wrong.r_ohm / truth.r_ohm - 1.0).abs() > 0.02);
+        let (r_ohm, l_h) = Load::new(PotKind::None, 45e3).r_l(0.0);
+        let known = Reference::NoPot {
+            r_ohm: Some(r_ohm),
+            l_h: Some(l_h),
+        };
+        let empty = Sensing {
+            rate,
+            pole_hz,
+            ..chain(None)
+        };
+        let found = calibrated(&capture(&settings(Pot::NONE, empty, 6)), known).unwrap();
+        found.apply(&mut c);
+        let survey = Survey::of(&c, &Hints::default()).unwrap();
+        let right = survey.spans[0].load.unwrap();
+        assert!(
+            (right.r_ohm / truth.r_ohm - 1.0).abs() < 2e-3,
+            "{right:?} {truth:?} {found:?}"
+        );
+        assert!(
+            (right.l_h / truth.l_h - 1.0).abs() < 1e-3,
+            "{right:?} {truth:?}"
+        );
+        assert!(survey.voltage.mean.abs() < 0.1 && survey.current.mean.abs() < 0.1);
+    }
+}
+
+#[test]
+fn files_come_back_and_others_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let c = Calibration {
+        skew_s: 37.25e-9,
+        skew_sigma_s: 1e-10,
+        gain_ratio: 1.0303,
+        gain_ratio_sigma: 1e-4,
+        v_offset_v: 4.0,
+        i_offset_a: -0.7,
+        reference: "no-pot".to_owned(),
+        assumed: vec!["right gains".to_owned()],
+        capture: "empty.csv".to_owned(),
+    };
+    for name in ["a.toml", "a.json", "a"] {
+        let path = dir.path().join(name);
+        c.write(&path).unwrap();
+        assert_eq!(Calibration::read(&path).unwrap(), c);
+        for content in ["", "{}", "skew_s = 1", "\u{0}"] {
+            std::fs::write(&path, content).unwrap();
+            let e = Calibration::read(&path).unwrap_err().to_string();
+            assert!(e.contains(name) && e.contains("ihd calibrate"), "{e}");
+        }
+        for wrong in [f64::NAN, 1.0] {
+            let c = Calibration {
+                skew_s: wrong,
+                ..c.clone()
+            };
+            let _ = c.write(&path);
+            assert!(Calibration::read(&path).is_err());
+        }
+    }
+    assert!(Calibration::read(&dir.path().join("none.toml")).is_err());
+}
+
+#[test]
+fn what_gives_no_calibration_is_refused_with_the_reason() {
+    let pot = Pot::new(Metal::Ferritic, 0.21);
+    let heated = capture(&settings(pot, chain(None), 7));
+    let e = calibrated(&heated, EMPTY).unwrap_err();
+    assert!(matches!(e, CalibrateError::NotTheReference { .. }), "{e}");
+    let small = Reference::Load {
+        r_ohm: None,
+        l_h: Some(80e-6),
+    };
+    let e = calibrated(&heated, small).unwrap_err();
+    assert!(matches!(e, CalibrateError::NotTheReference { .. }), "{e}");
+    let mut swapped = heated.clone();
+    std::mem::swap(&mut swapped.v_v, &mut swapped.i_a);
+    (swapped.v_full_scale_v, swapped.i_full_scale_a) = (None, None);
+    let e = calibrated(&swapped, EMPTY).unwrap_err();
+    assert!(matches!(e, CalibrateError::Unfit { .. }), "{e}");
+}

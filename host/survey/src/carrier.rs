@@ -1,0 +1,278 @@
+//! Where the hob switches, and at which frequency: a short-time spectrum of voltage and current.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use ihd_signal::Capture;
+use nalgebra::Complex;
+
+use super::lines::{HOPS, LARGEST_HZ, LEAST_HZ, Lines};
+use super::time::Run;
+use super::track;
+
+/// Relative width around a given frequency in which it is looked for.
+const HINT_WIDTH: f64 = 0.1;
+
+/// A line must stand this much above the median of the spectrum, in power: noise of a thousand
+/// bins reaches 10.
+const LINE_OVER_MEDIAN: f64 = 30.0;
+
+/// A line weaker than the strongest by this much in power tells nothing about the frequency: 1 % of
+/// amplitude.
+const WEAK: f64 = 1e-4;
+
+/// Share of the current's amplitude nearby above which it is on: well above noise of 30 dB, and low
+/// enough for an edge at a zero crossing.
+const EDGE: f64 = 0.1;
+
+/// Change of frequency that counts as a step, in hertz: an eighth of the spectrum's resolution.
+const STEP_HZ: f64 = 150.0;
+
+/// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides it.
+const OFF_HOPS: usize = 10;
+
+/// A stretch with one switching frequency.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    /// The run it is a part of, cut to it.
+    pub run: Run,
+    /// Switching frequency in hertz, to some 20 Hz.
+    pub f_hz: f64,
+}
+
+/// What a search found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Stretches with a carrier, in order of time.
+    pub pieces: Vec<Piece>,
+    /// Times in seconds between which there is none.
+    pub off_s: Vec<(f64, f64)>,
+}
+
+/// Range of frequencies to search, in hertz, around a frequency that was given.
+pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
+    hint_hz.map_or((LEAST_HZ, LARGEST_HZ), |f| {
+        (f * (1.0 - HINT_WIDTH), f * (1.0 + HINT_WIDTH))
+    })
+}
+
+/// Finds the stretches of a run in which it switches at one frequency, within `band_hz`.
+pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
+    let lines = Lines::of(capture, run, band_hz);
+    let strongest = lines.frames.iter().map(|l| l.power).fold(0.0, f64::max);
+    let valid: Vec<bool> = lines
+        .frames
+        .iter()
+        .map(|l| l.contrast > LINE_OVER_MEDIAN && l.power > WEAK * strongest)
+        .collect();
+    let mut found = Found::default();
+    let mut end = run.samples.start;
+    let ranges = on_ranges(&valid);
+    for on in &ranges {
+        let part = switching(capture, run, &lines, on);
+        if on.off_before {
+            found.off_s.push((run.t_s(end), part.t0_s));
+        }
+        end = part.samples.end;
+        let within = lines.within(&part.samples, &on.frames);
+        steps(capture, &part, &lines, &valid, within, &mut found.pieces);
+    }
+    if ranges.last().is_some_and(|on| on.off_after) {
+        found.off_s.push((run.t_s(end), run.t_s(run.samples.end)));
+    }
+    found
+}
+
+/// A range of frames with a carrier.
+struct On {
+    frames: Range<usize>,
+    off_before: bool,
+    off_after: bool,
+}
+
+/// Frames that belong together: interruptions shorter than [`OFF_HOPS`] are zero crossings, at either
+/// end of the run too.
+fn on_ranges(valid: &[bool]) -> Vec<On> {
+    let mut out: Vec<On> = Vec::new();
+    for k in (0..valid.len()).filter(|&k| valid[k]) {
+        if let Some(on) = out.last_mut().filter(|on| k - on.frames.end < OFF_HOPS) {
+            on.frames.end = k + 1;
+            continue;
+        }
+        if let Some(before) = out.last_mut() {
+            before.off_after = true;
+        }
+        out.push(On {
+            frames: k..k + 1,
+            off_before: k >= OFF_HOPS,
+            off_after: false,
+        });
+    }
+    if let Some(first) = out.first_mut().filter(|on| !on.off_before) {
+        first.frames.start = 0;
+    }
+    if let Some(last) = out.last_mut() {
+        last.off_after = valid.len() - last.frames.end >= OFF_HOPS;
+        if !last.off_after {
+            last.frames.end = valid.len();
+        }
+    }
+    out
+}
+
+/// The part of a run in which it switches: where it goes on or off, the frames' windows reach beyond
+/// the edge, and the current's amplitude tells the place.
+fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
+    let window = lines.length * lines.every;
+    let edge = |frame: usize, rising: bool| {
+        let middle = lines.middle(frame);
+        let zone = run.part(middle.saturating_sub(window)..middle + window);
+        let f_hz = lines.frames[frame].f_hz;
+        let track = track::fundamental(capture, &zone, f_hz);
+        let amplitude: Vec<f64> = track.i_a.iter().map(|i| i.norm()).collect();
+        let least = EDGE * amplitude.iter().copied().fold(0.0, f64::max);
+        let strong = |a: &f64| *a >= least;
+        let at = if rising {
+            amplitude.iter().position(strong)
+        } else {
+            amplitude.iter().rposition(strong)
+        };
+        let at_s = at.map_or(run.t_s(middle), |k| track.t_s[k]);
+        // The amplitude is that of two periods.
+        let guard_s = if rising { 2.0 / f_hz } else { -2.0 / f_hz };
+        run.samples.start + ((at_s + guard_s - run.t0_s) / run.dt_s).max(0.0) as usize
+    };
+    let (first, last) = (on.frames.start, on.frames.end - 1);
+    let start = if on.off_before {
+        edge(first, true)
+    } else {
+        lines.begin(first)
+    };
+    let end = if on.off_after {
+        edge(last, false)
+    } else {
+        lines.end(last)
+    };
+    run.part(start..end)
+}
+
+/// Cuts a range of frames where the frequency steps.
+fn steps(
+    capture: &Capture,
+    run: &Run,
+    lines: &Lines,
+    valid: &[bool],
+    frames: Range<usize>,
+    out: &mut Vec<Piece>,
+) {
+    let cuts = steady(&held(lines, valid, frames.clone()));
+    let end = run.samples.end;
+    let mut from = run.samples.start;
+    for (n, (range, f)) in cuts.iter().enumerate() {
+        let (mut to, mut next) = (end, end);
+        if let Some((after, f_after)) = cuts.get(n + 1) {
+            let zone = lines.middle(frames.start + range.end - 1)
+                ..lines.middle(frames.start + after.start) + 1;
+            let boundary = boundary(capture, &run.part(zone), *f, *f_after);
+            // What settles after the step, and the period that the step cuts, belong to neither.
+            let guard = (2.0 / (f.min(*f_after) * run.dt_s)) as usize;
+            (to, next) = (boundary.saturating_sub(guard), boundary + guard);
+        }
+        out.push(Piece {
+            run: run.part(from..to),
+            f_hz: *f,
+        });
+        from = next;
+    }
+}
+
+/// Frequencies of frames in hertz; weak ones carry that of the last strong one. Empty when none is
+/// strong.
+fn held(lines: &Lines, valid: &[bool], frames: Range<usize>) -> Vec<f64> {
+    let Some(first) = frames.clone().find(|&k| valid[k]) else {
+        return Vec::new();
+    };
+    let mut last = lines.frames[first].f_hz;
+    frames
+        .map(|k| {
+            if valid[k] {
+                last = lines.frames[k].f_hz;
+            }
+            last
+        })
+        .collect()
+}
+
+/// Ranges of frames in which the frequency stays, and its median there.
+fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
+    let half = HOPS / 2;
+    // Frames a whole frame apart share no sample.
+    let steps = |k: usize| {
+        k >= half && k + half < f_hz.len() && (f_hz[k + half] - f_hz[k - half]).abs() > STEP_HZ
+    };
+    let median = |range: Range<usize>| {
+        let mut x = f_hz[range].to_vec();
+        x.sort_by(f64::total_cmp);
+        x[x.len() / 2]
+    };
+    let mut start = 0;
+    let mut out: Vec<(Range<usize>, f64)> = Vec::new();
+    for k in 0..=f_hz.len() {
+        if k == f_hz.len() || steps(k) {
+            if k > start {
+                out.push((start..k, median(start..k)));
+            }
+            start = k + 1;
+        }
+    }
+    // What is shorter than a frame is a transition, and nothing of its own.
+    if out.iter().any(|(range, _)| range.len() >= HOPS) {
+        out.retain(|(range, _)| range.len() >= HOPS);
+    }
+    out
+}
+
+/// Sample at which the frequency changes from `before` to `after`, in hertz: where the current's
+/// phasor begins to turn at the other speed, least squares over its increments.
+fn boundary(capture: &Capture, zone: &Run, before: f64, after: f64) -> usize {
+    let track = track::fundamental(capture, zone, before);
+    let n = track.i_a.len();
+    if n < 3 {
+        return zone.samples.start + zone.samples.len() / 2;
+    }
+    let hop_s = track.t_s[1] - track.t_s[0];
+    let cost = |k: usize, f: f64| {
+        let turn = track.i_a[k + 1] * track.i_a[k].conj();
+        let expected = Complex::from_polar(1.0, TAU * (f - before) * hop_s);
+        turn.norm() * (turn * expected.conj()).arg().powi(2)
+    };
+    let mut sum: f64 = (0..n - 1).map(|k| cost(k, after)).sum();
+    let (mut best, mut least) = (0, sum);
+    for k in 0..n - 1 {
+        sum += cost(k, before) - cost(k, after);
+        if sum < least {
+            (best, least) = (k + 1, sum);
+        }
+    }
+    let t_s = track.t_s[best];
+    zone.samples.start + ((t_s - zone.t0_s) / zone.dt_s).round().max(0.0) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_interruptions_are_zero_crossings_and_long_ones_are_not() {
+        let mut valid = vec![true; 100];
+        valid[..3].fill(false);
+        valid[40..45].fill(false);
+        valid[60..80].fill(false);
+        let on = on_ranges(&valid);
+        let ranges: Vec<_> = on.iter().map(|on| on.frames.clone()).collect();
+        assert_eq!(ranges, [0..60, 80..100]);
+        let off: Vec<_> = on.iter().map(|on| (on.off_before, on.off_after)).collect();
+        assert_eq!(off, [(false, true), (true, false)]);
+        assert!(on_ranges(&[false; 50]).is_empty());
+    }
+}

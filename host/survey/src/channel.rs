@@ -1,0 +1,125 @@
+//! The numbers of one channel, and what is wrong with it.
+
+use ihd_signal::Capture;
+use serde::Serialize;
+
+use super::carrier::Piece;
+use super::clipping::{self, Clipped};
+use super::finding::{Channel, Finding};
+use super::noise;
+use super::track::Track;
+
+/// Offset above which it is told, in percent of the rms value.
+const OFFSET_PCT: f64 = 1.0;
+
+/// SNR below which it is told, in decibel: the paper's noisiest case is 30.
+const NOISY_DB: f64 = 25.0;
+
+/// Share of a channel's power in its fundamental below which it is dead.
+const DEAD: f64 = 1e-2;
+
+/// One channel in numbers, in its unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ChannelSurvey {
+    /// Smallest sample.
+    pub min: f64,
+    /// Largest sample.
+    pub max: f64,
+    /// Mean over the stretches with switching.
+    pub mean: f64,
+    /// Rms value over them, the mean taken off.
+    pub rms: f64,
+    /// Standard deviation of white noise; `None` when the capture is too short to tell.
+    pub noise: Option<f64>,
+    /// Signal-to-noise ratio in decibel (paper, section V).
+    pub snr_db: Option<f64>,
+    /// Samples at an end of the range.
+    pub clipped: usize,
+}
+
+/// One channel's numbers and findings.
+pub(super) fn survey(
+    which: Channel,
+    capture: &Capture,
+    pieces: &[Piece],
+    tracks: &[Track],
+    findings: &mut Vec<Finding>,
+) -> ChannelSurvey {
+    let (x, full_scale) = match which {
+        Channel::Voltage => (&capture.v_v, capture.v_full_scale_v),
+        Channel::Current => (&capture.i_a, capture.i_full_scale_a),
+    };
+    let mut out = ChannelSurvey {
+        min: f64::INFINITY,
+        max: f64::NEG_INFINITY,
+        ..ChannelSurvey::default()
+    };
+    let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
+    for piece in pieces {
+        for x in &x[piece.run.samples.clone()] {
+            let x = f64::from(*x);
+            (out.min, out.max) = (out.min.min(x), out.max.max(x));
+            sum += x;
+            square += x * x;
+        }
+        n += piece.run.samples.len() as f64;
+    }
+    out.mean = sum / n;
+    let variance = (square / n - out.mean * out.mean).max(0.0);
+    out.rms = variance.sqrt();
+    let clipped = clipping::clipped(x, full_scale);
+    out.clipped = clipped.samples;
+    let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
+    out.noise = longest.and_then(|p| {
+        let per_period = 1.0 / (p.f_hz * p.run.dt_s);
+        noise::deviation(&x[p.run.samples.clone()], per_period)
+    });
+    let signal =
+        |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
+    out.snr_db = out.noise.filter(|s| *s > 0.0).map(signal);
+    if is_dead(which, tracks, variance) {
+        findings.push(Finding::Dead { channel: which });
+    } else {
+        tell(which, &out, clipped, findings);
+    }
+    out
+}
+
+/// Whether next to nothing of the channel's variance is its fundamental.
+fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
+    let fundamental: f64 = tracks
+        .iter()
+        .filter_map(|t| match which {
+            Channel::Voltage => t.v_v.first(),
+            Channel::Current => t.i_a.first(),
+        })
+        .map(|x| 0.5 * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
+        .sum();
+    let frames: usize = tracks.iter().map(|t| t.t_s.len()).sum();
+    !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0)
+}
+
+/// Clipping, offset and noise of a channel that is alive.
+fn tell(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Vec<Finding>) {
+    if clipped.samples > 0 {
+        findings.push(Finding::Clipping {
+            channel: which,
+            samples: clipped.samples,
+            level: clipped.level,
+        });
+    }
+    let of_rms_pct = 100.0 * c.mean.abs() / c.rms;
+    if of_rms_pct > OFFSET_PCT {
+        findings.push(Finding::Offset {
+            channel: which,
+            mean: c.mean,
+            of_rms_pct,
+        });
+    }
+    if let Some(snr_db) = c.snr_db.filter(|db| *db < NOISY_DB) {
+        findings.push(Finding::Noisy {
+            channel: which,
+            snr_db,
+        });
+    }
+}

@@ -1,0 +1,139 @@
+//! Samples that rest at an end of the channel's range.
+
+/// Bins over the range of the samples in which they are counted.
+const BINS: f64 = 128.0;
+
+/// Samples among which the smallest step between levels is looked for.
+const FEW: usize = 4096;
+
+/// Samples in the end bin over those in the next one: a sine of constant amplitude has 2.4, one that
+/// swells and ebbs fewer than 1.
+const PILE: f64 = 5.0;
+
+/// Fewest samples at an end that count.
+const LEAST: usize = 16;
+
+/// How close to full scale counts as clipped: a code of 12 bits, since the upper end of a
+/// converter's range is a code short of it.
+const FULL_SCALE: f64 = 1.0 - 1.01 / 2048.0;
+
+/// What is known about a channel's ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Clipped {
+    /// Samples at an end.
+    pub samples: usize,
+    /// Magnitude of the level they rest at, in the channel's unit.
+    pub level: f64,
+}
+
+/// Counts samples at the ends: of the range where it is known, else at levels where they pile up.
+pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
+    let (low, high) = x
+        .iter()
+        .fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), &x| {
+            (a.min(x), b.max(x))
+        });
+    let (low, high) = (f64::from(low), f64::from(high));
+    if low >= high || !(high - low).is_finite() {
+        return Clipped::default();
+    }
+    if let Some(full_scale) = full_scale.filter(|f| f.is_finite() && *f > 0.0) {
+        let rail = full_scale * FULL_SCALE;
+        let samples = x.iter().filter(|x| f64::from(x.abs()) >= rail).count();
+        if samples > 0 {
+            return Clipped {
+                samples,
+                level: full_scale,
+            };
+        }
+    }
+    let width = bin_width(x, high - low);
+    let mut counts = [[0usize; 2]; 2];
+    for x in x {
+        let x = f64::from(*x);
+        for (counts, distance) in counts.iter_mut().zip([high - x, x - low]) {
+            // Half a bin of slack, so that a level lies within its bin.
+            let bin = (distance / width + 0.5) as usize;
+            if let Some(count) = counts.get_mut(bin) {
+                *count += 1;
+            }
+        }
+    }
+    let piled = |[end, next]: [usize; 2]| end >= LEAST && end as f64 > PILE * next as f64;
+    let mut out = Clipped::default();
+    for (counts, level) in counts.into_iter().zip([high, low]) {
+        if piled(counts) {
+            out.samples += counts[0];
+            out.level = out.level.max(level.abs());
+        }
+    }
+    out
+}
+
+/// A bin no narrower than the steps of the samples' levels, and a whole number of them.
+fn bin_width(x: &[f32], range: f64) -> f64 {
+    let stride = (x.len() / FEW).max(1);
+    let mut few: Vec<f64> = x.iter().step_by(stride).map(|x| f64::from(*x)).collect();
+    few.sort_by(f64::total_cmp);
+    let rounding = range * 1e-6;
+    let step = few
+        .windows(2)
+        .map(|w| w[1] - w[0])
+        .filter(|d| *d > rounding)
+        .fold(f64::INFINITY, f64::min);
+    let width = range / BINS;
+    if step.is_finite() {
+        (width / step).ceil().max(1.0) * step
+    } else {
+        width
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+
+    /// A modulated sine of amplitude 1 in codes of `bits`, cut off at `rail`.
+    fn sine(bits: i32, rail: f64, floor: f64) -> Vec<f32> {
+        let codes = 2f64.powi(bits - 1);
+        (0..200_000)
+            .map(|k| {
+                let t = f64::from(k);
+                let envelope = floor + (1.0 - floor) * (TAU * t / 400_000.0).sin().abs();
+                let x = envelope * (TAU * t / 444.4).sin();
+                ((x.clamp(-rail, rail) * codes).round() / codes) as f32
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_pile_at_the_end_is_clipping_and_a_crest_is_none() {
+        for bits in [6, 8, 12, 16] {
+            for floor in [0.0, 1.0] {
+                let clean = clipped(&sine(bits, 2.0, floor), None);
+                assert_eq!(clean.samples, 0, "{bits} {floor}: {clean:?}");
+                let x = sine(bits, 0.8, floor);
+                let flat = clipped(&x, None);
+                let truth = x.iter().filter(|x| x.abs() > 0.799 - 1.0 / 128.0).count();
+                assert!(
+                    flat.samples > 0 && flat.samples.abs_diff(truth) < truth / 5,
+                    "{bits} {floor}: {flat:?} {truth}"
+                );
+                assert!((flat.level - 0.8).abs() < 0.03, "{flat:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_known_range_needs_no_pile() {
+        let mut x = sine(12, 2.0, 0.0);
+        x.iter_mut().for_each(|x| *x *= 0.5);
+        assert_eq!(clipped(&x, Some(1.0)).samples, 0);
+        x[500] = 1.0;
+        x[700] = -1.0;
+        x[900] = 2047.0 / 2048.0;
+        assert_eq!(clipped(&x, Some(1.0)).samples, 3);
+    }
+}

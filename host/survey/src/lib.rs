@@ -1,0 +1,376 @@
+//! What is in a capture: switching frequency, mains, noise, clipping, wiring, aliasing, gaps; and the
+//! stretches that an estimator can work on.
+//!
+//! ```text
+//! Capture ─► time: runs ─► carrier: pieces of one f_sw ─► track: phasors ─► mains, impedance, aliasing
+//!                └────────────► noise, clipping                   └─► Span ─► Segment
+//! ```
+
+pub mod aliasing;
+pub mod calibration;
+pub mod carrier;
+pub mod channel;
+pub mod clipping;
+pub mod error;
+pub mod finding;
+pub mod impedance;
+mod lines;
+pub mod mains;
+pub mod noise;
+mod pieces;
+pub mod spectrum;
+pub mod time;
+pub mod track;
+
+use ihd_signal::segment::Segment;
+use ihd_signal::{Capture, TimeBase};
+use serde::Serialize;
+
+use self::aliasing::Aliasing;
+use self::carrier::Piece;
+pub use self::channel::ChannelSurvey;
+pub use self::error::SurveyError;
+pub use self::finding::{Channel, Finding, Severity};
+use self::impedance::{Impedance, SkewCost, Wiring};
+use self::mains::Mains;
+use self::time::Run;
+use self::track::Track;
+
+/// What a person tells about a capture; it goes before what the capture tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Hints {
+    /// Switching frequency in hertz, to 10 %.
+    pub f_sw_hz: Option<f64>,
+    /// Mains frequency in hertz.
+    pub mains_hz: Option<f64>,
+    /// Time of a mains zero crossing in seconds.
+    pub zero_crossing_s: Option<f64>,
+}
+
+/// A stretch of a capture that an estimator can work on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Span {
+    /// Index of its first sample.
+    pub first: usize,
+    /// Its samples.
+    pub samples: usize,
+    /// Time of the first sample in seconds.
+    pub t0_s: f64,
+    /// Time from one sample to the next in seconds.
+    pub dt_s: f64,
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Mean R and L of the fundamental, weighted by the square of the current; wiring repaired.
+    pub load: Option<Impedance>,
+}
+
+impl Span {
+    /// Its samples' place and times.
+    pub fn run(&self) -> Run {
+        Run {
+            samples: self.first..self.first + self.samples,
+            t0_s: self.t0_s,
+            dt_s: self.dt_s,
+        }
+    }
+
+    /// Time after the last sample in seconds.
+    pub fn end_s(&self) -> f64 {
+        self.t0_s + self.samples as f64 * self.dt_s
+    }
+}
+
+/// What is in a capture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Survey {
+    /// The capture's name.
+    pub name: String,
+    /// Samples of each channel.
+    pub samples: usize,
+    /// Time of the first sample in seconds.
+    pub start_s: f64,
+    /// From first to last sample in seconds.
+    pub duration_s: f64,
+    /// Sampling rate of the longest stretch in hertz.
+    pub rate_hz: f64,
+    /// Stretches to work on, in order of time.
+    pub spans: Vec<Span>,
+    /// The mains.
+    pub mains: Mains,
+    /// Whole half-cycles within a span: from and to in seconds.
+    pub half_cycles_s: Vec<(f64, f64)>,
+    /// The voltage channel.
+    pub voltage: ChannelSurvey,
+    /// The current channel.
+    pub current: ChannelSurvey,
+    /// How the probes are connected.
+    pub wiring: Wiring,
+    /// What a skew between the channels would cost.
+    pub skew: Vec<SkewCost>,
+    /// What aliasing may cost; `None` where no harmonic falls on the fundamental.
+    pub aliasing: Option<Aliasing>,
+    /// What is wrong or noteworthy, worst first.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
+}
+
+/// Samples a period below which it is told: filters in the time domain degrade (design notes,
+/// section 5: 1 MS/s, 14 to 22 samples).
+const COARSE: f64 = 12.0;
+
+impl Survey {
+    /// Surveys a capture.
+    ///
+    /// # Errors
+    /// [`SurveyError`] when there is nothing to work on: channels of different length, too few
+    /// samples, no switching frequency.
+    pub fn of(capture: &Capture, hints: &Hints) -> Result<Self, SurveyError> {
+        check(capture)?;
+        let mut findings = Vec::new();
+        let runs = time::runs(capture, &mut findings);
+        let (pieces, tracks) = pieces::find(capture, hints, &runs, &mut findings)?;
+        pieces::frequency_findings(capture, hints, &pieces, &mut findings);
+        let strongest = strongest(&tracks);
+        let wiring = tracks
+            .get(strongest)
+            .map(impedance::wiring)
+            .unwrap_or_default();
+        let voltage = channel::survey(Channel::Voltage, capture, &pieces, &tracks, &mut findings);
+        let current = channel::survey(Channel::Current, capture, &pieces, &tracks, &mut findings);
+        let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
+        let (wiring, loads) = if alive {
+            wiring_findings(&tracks, strongest, wiring, &mut findings);
+            let load = |t: &Track| impedance::of_order(t, 0, wiring);
+            (wiring, tracks.iter().map(load).collect())
+        } else {
+            (Wiring::default(), vec![None; tracks.len()])
+        };
+        let start_s = capture.time.at(0).unwrap_or(0.0);
+        let mains = mains::find(
+            &envelopes(&tracks, wiring),
+            hints.mains_hz.or(capture.mains_hz),
+            hints.zero_crossing_s.or(capture.zero_crossing_s),
+            start_s,
+            &mut findings,
+        );
+        let spans: Vec<Span> = (pieces.iter().zip(&loads)).map(span).collect();
+        let aliasing = (alive && !wiring.swapped)
+            .then(|| expected_aliasing(&pieces, &tracks, &loads, strongest, &mut findings))
+            .flatten();
+        let skew = if alive {
+            impedance::skew_costs(&tracks, wiring)
+        } else {
+            Vec::new()
+        };
+        findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
+        let longest = runs.iter().max_by_key(|r| r.samples.len());
+        Ok(Self {
+            name: capture.name.clone(),
+            samples: capture.len(),
+            start_s,
+            duration_s: capture.time.at(capture.len() - 1).unwrap_or(start_s) - start_s,
+            rate_hz: longest.map_or(0.0, |r| 1.0 / r.dt_s),
+            half_cycles_s: half_cycles(&mains, &spans),
+            spans,
+            mains,
+            voltage,
+            current,
+            wiring,
+            skew,
+            aliasing,
+            findings,
+        })
+    }
+
+    /// The worst finding's severity; `None` without findings.
+    pub fn worst(&self) -> Option<Severity> {
+        self.findings.first().map(Finding::severity)
+    }
+
+    /// What an uncalibrated skew would mean for this capture, in a sentence; `None` where R and L could
+    /// not be measured.
+    pub fn skew_note(&self) -> Option<String> {
+        let list = |value: fn(&SkewCost) -> f64| {
+            let words: Vec<_> = self
+                .skew
+                .iter()
+                .map(|c| format!("{:.1}", value(c)))
+                .collect();
+            words.join("/")
+        };
+        (!self.skew.is_empty()).then(|| {
+            format!(
+                "{} ns between the channels would be {} % of R, {} % of L",
+                self.skew
+                    .iter()
+                    .map(|c| format!("{:.0}", c.skew_s * 1e9))
+                    .collect::<Vec<_>>()
+                    .join("/"),
+                list(|c| c.r_pct),
+                list(|c| c.l_pct)
+            )
+        })
+    }
+
+    /// The stretches, copied out of the capture surveyed.
+    pub fn segments(&self, capture: &Capture) -> Vec<Segment> {
+        self.spans
+            .iter()
+            .map(|s| self.segment(capture, s))
+            .collect()
+    }
+
+    /// One stretch, copied out of the capture surveyed.
+    pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
+        let range = span.first..span.first + span.samples;
+        let copied = |x: &[f32]| {
+            let part = x.get(range.clone()).unwrap_or(&[]);
+            part.iter().map(|x| f64::from(*x)).collect()
+        };
+        Segment {
+            f_sw_hz: span.f_sw_hz,
+            mains_hz: self.mains.hz,
+            zero_crossing_s: self.mains.zero_crossing_s,
+            t0_s: span.t0_s,
+            dt_s: span.dt_s,
+            v_v: copied(&capture.v_v),
+            i_a: copied(&capture.i_a),
+        }
+    }
+}
+
+fn check(capture: &Capture) -> Result<(), SurveyError> {
+    let stamps = match &capture.time {
+        TimeBase::Even { .. } => capture.v_v.len(),
+        TimeBase::Stamps(t_s) => t_s.len(),
+    };
+    let name = || capture.name.clone();
+    if capture.v_v.len() != capture.i_a.len() || capture.v_v.len() != stamps {
+        return Err(SurveyError::Lengths {
+            name: name(),
+            v: capture.v_v.len(),
+            i: capture.i_a.len(),
+            stamps,
+        });
+    }
+    match capture.time {
+        TimeBase::Even { t0_s, dt_s } if !(dt_s > 0.0 && dt_s.is_finite() && t0_s.is_finite()) => {
+            Err(SurveyError::TimeStep { name: name(), dt_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Index of the track with the largest current.
+fn strongest(tracks: &[Track]) -> usize {
+    let energy = |t: &Track| -> f64 {
+        t.i_a
+            .first()
+            .map_or(0.0, |i| i.iter().map(|i| i.norm_sqr()).sum())
+    };
+    let by_energy = |a: &usize, b: &usize| energy(&tracks[*a]).total_cmp(&energy(&tracks[*b]));
+    (0..tracks.len()).max_by(by_energy).unwrap_or(0)
+}
+
+/// What the impedance of the strongest track tells of the wiring.
+fn wiring_findings(
+    tracks: &[Track],
+    strongest: usize,
+    wiring: Wiring,
+    findings: &mut Vec<Finding>,
+) {
+    if wiring.swapped {
+        findings.push(Finding::Swapped);
+    }
+    let Some(track) = tracks.get(strongest) else {
+        return;
+    };
+    let unturned = Wiring {
+        inverted: false,
+        ..wiring
+    };
+    let Some(z) = impedance::of_order(track, 0, unturned) else {
+        return;
+    };
+    if wiring.inverted {
+        findings.push(Finding::Inverted { r_ohm: z.r_ohm });
+    } else if z.r_ohm < 0.0 {
+        let omega = std::f64::consts::TAU * track.f_sw_hz;
+        findings.push(Finding::NegativeResistance {
+            r_ohm: z.r_ohm,
+            skew_s: (z.r_ohm / (omega * z.l_h)).atan() / omega,
+        });
+    }
+}
+
+/// Amplitudes of the voltage's fundamental, stretch by stretch.
+fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
+    tracks
+        .iter()
+        .filter_map(|t| {
+            let v = if wiring.swapped {
+                t.i_a.first()
+            } else {
+                t.v_v.first()
+            };
+            Some(mains::Envelope {
+                t_s: t.t_s.clone(),
+                level: v?.iter().map(|v| v.norm()).collect(),
+            })
+        })
+        .collect()
+}
+
+/// What aliasing may cost the strongest stretch, and how finely it is sampled.
+fn expected_aliasing(
+    pieces: &[Piece],
+    tracks: &[Track],
+    loads: &[Option<Impedance>],
+    strongest: usize,
+    findings: &mut Vec<Finding>,
+) -> Option<Aliasing> {
+    let (piece, track) = (pieces.get(strongest)?, tracks.get(strongest)?);
+    let samples_per_period = 1.0 / (piece.f_hz * piece.run.dt_s);
+    if samples_per_period < COARSE {
+        findings.push(Finding::CoarselySampled { samples_per_period });
+    }
+    let aliasing = aliasing::expected(track, piece.run.dt_s, (*loads.get(strongest)?)?)?;
+    if aliasing.r_pct > ALIASING_PCT {
+        findings.push(Finding::Aliasing {
+            samples_per_period,
+            order: aliasing.order,
+            r_pct: aliasing.r_pct,
+            l_pct: aliasing.l_pct,
+        });
+    }
+    Some(aliasing)
+}
+
+/// Error of R by aliasing above which it is told, in percent.
+const ALIASING_PCT: f64 = 0.1;
+
+fn span((piece, load): (&Piece, &Option<Impedance>)) -> Span {
+    Span {
+        first: piece.run.samples.start,
+        samples: piece.run.samples.len(),
+        t0_s: piece.run.t0_s,
+        dt_s: piece.run.dt_s,
+        f_sw_hz: piece.f_hz,
+        load: *load,
+    }
+}
+
+/// Half-cycles that lie within one span; at either end a fiftieth is forgiven, where there is no
+/// current to speak of.
+fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
+    let mut out = Vec::new();
+    for span in spans {
+        let slack_s = 0.02 * 0.5 / mains.hz;
+        let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
+        out.extend(crossings.windows(2).map(|w| (w[0], w[1])));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests;

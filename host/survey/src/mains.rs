@@ -1,0 +1,389 @@
+//! Mains frequency and zero crossings from the envelope of the coil's voltage.
+//!
+//! The bus follows |sin|, or stops above zero where a capacitor holds it, and the load makes the
+//! coil's voltage a law of the bus: E(t) = c0 + c1 s + c2 s² with s = |sin 2πf(t − t0)|, the
+//! coefficients a stretch's own, f and t0 common. Less than a few half-cycles cannot tell a constant
+//! from a lower frequency: there the law is c1 s + c2 s² + c3 s³.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
+
+use super::finding::Finding;
+
+/// Where the mains' numbers come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// Given, or told by the capture.
+    Told,
+    /// From the envelope.
+    Measured,
+    /// Neither: a guess.
+    Assumed,
+}
+
+/// The mains behind a capture.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Mains {
+    /// Frequency in hertz.
+    pub hz: f64,
+    /// Where it comes from.
+    pub hz_source: Source,
+    /// Time of one zero crossing in seconds: the first of the capture unless told otherwise.
+    pub zero_crossing_s: f64,
+    /// Where it comes from.
+    pub zero_crossing_source: Source,
+    /// (Largest − smallest)/largest of the voltage's amplitude.
+    pub modulation: f64,
+}
+
+impl Mains {
+    /// Zero crossings from `from_s` to `to_s`, in seconds; the first million.
+    pub fn crossings_s(&self, from_s: f64, to_s: f64) -> Vec<f64> {
+        let half_s = 0.5 / self.hz;
+        let first = ((from_s - self.zero_crossing_s) / half_s).ceil();
+        let count = ((to_s - self.zero_crossing_s) / half_s - first).floor() + 1.0;
+        (0..(count.max(0.0) as usize).min(MOST_CROSSINGS))
+            .map(|k| self.zero_crossing_s + (first + k as f64) * half_s)
+            .collect()
+    }
+}
+
+/// Most zero crossings that are listed: three hours.
+const MOST_CROSSINGS: usize = 1_000_000;
+
+/// The envelope of one stretch: times in seconds and amplitudes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Envelope {
+    /// Times in seconds.
+    pub t_s: Vec<f64>,
+    /// Amplitudes, any unit.
+    pub level: Vec<f64>,
+}
+
+/// Frequencies that are looked for, in hertz.
+pub const RANGE_HZ: (f64, f64) = (45.0, 65.0);
+
+/// Nominal frequencies, in hertz: all that a short capture is asked to tell apart.
+const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
+
+/// Half-cycles of 50 Hz from which on the frequency is measured freely.
+const FREE_HALF_CYCLES: f64 = 1.5;
+
+/// Half-cycles of 50 Hz below which nothing is found.
+const LEAST_HALF_CYCLES: f64 = 0.4;
+
+/// Depth of modulation below which the bus is taken as constant.
+const LEAST_MODULATION: f64 = 0.3;
+
+/// Share of the envelope's variance that the model must explain.
+const LEAST_EXPLAINED: f64 = 0.8;
+
+/// Frequency difference that is told, in hertz: more than any grid's.
+const DIFFERS_HZ: f64 = 1.0;
+
+/// Time between the envelope's points that are used, in seconds.
+const SPACING_S: f64 = 0.15e-3;
+
+/// First look at the envelope, in seconds; it doubles from there.
+const FIRST_LOOK_S: f64 = 60e-3;
+
+/// Frequency and a zero crossing: what was told, else what the envelope shows, else a guess that is
+/// noted.
+pub fn find(
+    envelopes: &[Envelope],
+    told_hz: Option<f64>,
+    told_crossing_s: Option<f64>,
+    start_s: f64,
+    findings: &mut Vec<Finding>,
+) -> Mains {
+    let envelopes: Vec<Envelope> = envelopes.iter().map(thinned).collect();
+    let (span_s, modulation) = extent(&envelopes);
+    let half_cycles = span_s * 2.0 * NOMINAL_HZ[0];
+    let told_hz = told_hz.filter(|f| f.is_finite() && *f > 0.0);
+    let told_crossing_s = told_crossing_s.filter(|t| t.is_finite());
+    let seen = half_cycles >= LEAST_HALF_CYCLES && modulation >= LEAST_MODULATION;
+    let free = half_cycles >= FREE_HALF_CYCLES;
+    let measured = seen.then(|| fit(&envelopes, told_hz, free)).flatten();
+    if let (Some(told_hz), true) = (told_hz, free && seen) {
+        let own = fit(&envelopes, None, true);
+        if let Some(own) = own.filter(|own| (own.hz - told_hz).abs() > DIFFERS_HZ) {
+            findings.push(Finding::MainsDiffers {
+                told_hz,
+                measured_hz: own.hz,
+            });
+        }
+    }
+    let hz = told_hz.or(measured.map(|m| m.hz)).unwrap_or(NOMINAL_HZ[0]);
+    let crossing_s = told_crossing_s.or(measured.map(|m| m.t0_s));
+    let source = |told: bool| match (told, measured) {
+        (true, _) => Source::Told,
+        (false, Some(_)) => Source::Measured,
+        (false, None) => Source::Assumed,
+    };
+    let mut mains = Mains {
+        hz,
+        hz_source: source(told_hz.is_some()),
+        zero_crossing_s: crossing_s.unwrap_or(start_s),
+        zero_crossing_source: source(told_crossing_s.is_some()),
+        modulation,
+    };
+    if told_crossing_s.is_none() && measured.is_some() {
+        let first = mains
+            .crossings_s(start_s, start_s + 0.5 / hz)
+            .first()
+            .copied();
+        mains.zero_crossing_s = first.unwrap_or(mains.zero_crossing_s);
+    }
+    if mains.hz_source == Source::Assumed || mains.zero_crossing_source == Source::Assumed {
+        findings.push(Finding::MainsUnknown {
+            assumed_hz: hz,
+            half_cycles,
+            modulation,
+        });
+    }
+    mains
+}
+
+/// Means over [`SPACING_S`].
+fn thinned(envelope: &Envelope) -> Envelope {
+    let n = envelope.t_s.len().min(envelope.level.len());
+    let every = match (envelope.t_s.first(), envelope.t_s.get(1)) {
+        (Some(a), Some(b)) => ((SPACING_S / (b - a)) as usize).max(1),
+        _ => 1,
+    };
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+    Envelope {
+        t_s: envelope.t_s[..n].chunks(every).map(mean).collect(),
+        level: envelope.level[..n].chunks(every).map(mean).collect(),
+    }
+}
+
+/// Time from first to last point in seconds, and depth of modulation.
+fn extent(envelopes: &[Envelope]) -> (f64, f64) {
+    let all = || envelopes.iter().flat_map(|e| &e.t_s);
+    let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
+        (a.min(t), b.max(t))
+    });
+    // The deepest stretch counts: another one may be short.
+    let depth = envelopes.iter().map(|e| {
+        let (low, high) = e
+            .level
+            .iter()
+            .fold((f64::INFINITY, 0.0f64), |(a, b), &x| (a.min(x), b.max(x)));
+        if high > 0.0 { (high - low) / high } else { 0.0 }
+    });
+    ((to - from).max(0.0), depth.fold(0.0, f64::max))
+}
+
+/// A fit of the envelope.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    hz: f64,
+    /// Zero crossing near the middle of what was fitted, in seconds.
+    t0_s: f64,
+    /// Sum of squared residuals over that about the stretches' means.
+    unexplained: f64,
+}
+
+/// Grid over the beginning, then a search that doubles its view; `free`: any frequency in range.
+fn fit(envelopes: &[Envelope], told_hz: Option<f64>, free: bool) -> Option<Fit> {
+    let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
+    let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
+    let mut look_s = FIRST_LOOK_S.min(end_s - start_s);
+    let candidates: Vec<f64> = match (told_hz, free) {
+        (Some(f), _) => vec![f],
+        (None, false) => NOMINAL_HZ.to_vec(),
+        (None, true) => {
+            let n = ((RANGE_HZ.1 - RANGE_HZ.0) * look_s * 8.0).ceil() as usize;
+            let step = (RANGE_HZ.1 - RANGE_HZ.0) / n as f64;
+            (0..=n).map(|k| RANGE_HZ.0 + step * k as f64).collect()
+        }
+    };
+    let law = if free { Law::Held } else { Law::ThroughZero };
+    let free = free && told_hz.is_none();
+    let middle_s = start_s + 0.5 * look_s;
+    let mut best: Option<Fit> = None;
+    for hz in candidates {
+        for k in 0..24 {
+            let t0_s = middle_s + 0.5 / hz * f64::from(k) / 24.0;
+            let unexplained = residual(envelopes, start_s + look_s, hz, t0_s, law);
+            if best.is_none_or(|b| unexplained < b.unexplained) {
+                best = Some(Fit {
+                    hz,
+                    t0_s,
+                    unexplained,
+                });
+            }
+        }
+    }
+    let mut best = best?;
+    loop {
+        best = refined(envelopes, start_s..start_s + look_s, best, free, law);
+        if start_s + look_s >= end_s {
+            break;
+        }
+        look_s = (2.0 * look_s).min(end_s - start_s);
+    }
+    (best.unexplained < 1.0 - LEAST_EXPLAINED).then_some(best)
+}
+
+/// Pattern search in frequency and crossing over a view in seconds.
+fn refined(envelopes: &[Envelope], view: Range<f64>, from: Fit, free: bool, law: Law) -> Fit {
+    let half_s = 0.5 / from.hz;
+    let (look_s, end_s) = (view.end - view.start, view.end);
+    // The crossing nearest to the middle: there it does not depend on the frequency.
+    let middle_s = view.start + 0.5 * look_s;
+    let t0_s = from.t0_s + ((middle_s - from.t0_s) / half_s).round() * half_s;
+    let mut best = Fit {
+        t0_s,
+        unexplained: residual(envelopes, end_s, from.hz, t0_s, law),
+        ..from
+    };
+    let mut step = (if free { 0.1 / look_s } else { 0.0 }, half_s / 24.0);
+    // Down to a microsecond of the crossing.
+    while step.1 > 1e-6 {
+        let mut moved = false;
+        for (df, dt) in [(step.0, 0.0), (-step.0, 0.0), (0.0, step.1), (0.0, -step.1)] {
+            let (hz, t0_s) = (best.hz + df, best.t0_s + dt);
+            if df == 0.0 && dt == 0.0 || !(RANGE_HZ.0..=RANGE_HZ.1).contains(&hz) && free {
+                continue;
+            }
+            let unexplained = residual(envelopes, end_s, hz, t0_s, law);
+            if unexplained < best.unexplained {
+                best = Fit {
+                    hz,
+                    t0_s,
+                    unexplained,
+                };
+                moved = true;
+            }
+        }
+        if !moved {
+            step = (0.5 * step.0, 0.5 * step.1);
+        }
+    }
+    best
+}
+
+/// How the amplitude follows the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Law {
+    /// c0 + c1 s + c2 s².
+    Held,
+    /// c1 s + c2 s² + c3 s³.
+    ThroughZero,
+}
+
+/// Share of the envelopes' variance that the model leaves, points after `end_s` aside.
+fn residual(envelopes: &[Envelope], end_s: f64, hz: f64, t0_s: f64, law: Law) -> f64 {
+    let (mut left, mut all) = (0.0, 0.0);
+    for envelope in envelopes {
+        let n = envelope.t_s.partition_point(|t| *t <= end_s);
+        if n < 6 {
+            continue;
+        }
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut square, mut sum) = (0.0, 0.0);
+        for (t, e) in envelope.t_s[..n].iter().zip(&envelope.level) {
+            // |sin| repeats with the half-cycle: the angle is kept small.
+            let angle = PI * ((t - t0_s) * 2.0 * hz).rem_euclid(1.0);
+            let s = libm::sin(angle);
+            let row = match law {
+                Law::Held => Vector3::new(1.0, s, s * s),
+                Law::ThroughZero => Vector3::new(s, s * s, s * s * s),
+            };
+            normal += row * row.transpose();
+            right += row * *e;
+            square += e * e;
+            sum += e;
+        }
+        let variance = square - sum * sum / n as f64;
+        all += variance;
+        let explained = normal.cholesky().map(|c| c.solve(&right).dot(&right));
+        left += explained.map_or(variance, |x| (square - x).max(0.0));
+    }
+    if all > 0.0 { left / all } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+
+    /// A rectified envelope that a load bends and a capacitor may hold up.
+    fn envelope(hz: f64, t0_s: f64, from_s: f64, to_s: f64, floor: f64) -> Envelope {
+        let n = ((to_s - from_s) / 50e-6) as usize;
+        let t_s: Vec<f64> = (0..n).map(|k| from_s + 50e-6 * k as f64).collect();
+        let level = |t: &f64| {
+            let s = (TAU * hz * (t - t0_s)).sin().abs();
+            (s * 200.0 / (1.0 + 0.3 * s)).max(floor)
+        };
+        Envelope {
+            level: t_s.iter().map(level).collect(),
+            t_s,
+        }
+    }
+
+    fn found(e: &[Envelope]) -> (Mains, Vec<Finding>) {
+        let mut findings = Vec::new();
+        (find(e, None, None, e[0].t_s[0], &mut findings), findings)
+    }
+
+    #[test]
+    fn frequency_and_crossing_of_clean_and_held_envelopes() {
+        for hz in [47.3, 50.0, 59.9, 62.0] {
+            for (length_s, floor) in [(20e-3, 0.0), (100e-3, 0.0), (1.0, 0.0), (40e-3, 30.0)] {
+                let (m, findings) = found(&[envelope(hz, 1.234e-3, 0.0, length_s, floor)]);
+                assert!(findings.is_empty(), "{findings:?}");
+                assert!((m.hz - hz).abs() < 0.3, "{hz} {length_s}: {m:?}");
+                assert!(
+                    (m.zero_crossing_s - 1.234e-3).abs() < 0.1e-3,
+                    "{hz} {length_s}: {m:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn one_half_cycle_tells_50_from_60() {
+        for (hz, half_s) in [(50.0, 10e-3), (60.0, 8.333e-3)] {
+            let (m, _) = found(&[envelope(hz, 0.0, 0.0, half_s, 0.0)]);
+            assert_eq!(m.hz, hz);
+            let off_s = m.zero_crossing_s.min(0.5 / hz - m.zero_crossing_s);
+            assert!(off_s.abs() < 0.1e-3, "{m:?}");
+        }
+    }
+
+    #[test]
+    fn stretches_of_different_level_share_their_mains() {
+        let mut second = envelope(50.0, 2e-3, 15e-3, 40e-3, 0.0);
+        second.level.iter_mut().for_each(|x| *x *= 0.3);
+        let (m, _) = found(&[envelope(50.0, 2e-3, 0.0, 15e-3, 0.0), second]);
+        assert!((m.hz - 50.0).abs() < 0.3 && (m.zero_crossing_s - 2e-3).abs() < 0.1e-3);
+    }
+
+    #[test]
+    fn a_constant_bus_and_a_short_capture_are_noted() {
+        let mut flat = envelope(50.0, 0.0, 0.0, 30e-3, 0.0);
+        flat.level.fill(10.0);
+        for e in [flat, envelope(50.0, 0.0, 4e-3, 6e-3, 0.0)] {
+            let (m, findings) = found(&[e]);
+            assert_eq!(m.hz_source, Source::Assumed);
+            assert!(matches!(findings[..], [Finding::MainsUnknown { .. }]));
+        }
+    }
+
+    #[test]
+    fn what_is_told_is_used_and_checked() {
+        let e = [envelope(50.0, 0.0, 0.0, 40e-3, 0.0)];
+        let mut findings = Vec::new();
+        let m = find(&e, Some(60.0), Some(1e-3), 0.0, &mut findings);
+        assert_eq!((m.hz, m.zero_crossing_s), (60.0, 1e-3));
+        assert!(matches!(findings[..], [Finding::MainsDiffers { .. }]));
+    }
+}

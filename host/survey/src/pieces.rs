@@ -1,0 +1,164 @@
+//! A capture in stretches of one switching frequency.
+
+use ihd_signal::Capture;
+use ihd_signal::segment::MIN_PERIODS;
+
+use super::Hints;
+use super::carrier::{self, Piece};
+use super::error::SurveyError;
+use super::finding::Finding;
+use super::lines::LARGEST_HZ;
+use super::time::Run;
+use super::track::{self, Track};
+
+/// Relative difference of frequencies that is told.
+const DIFFERS: f64 = 5e-3;
+
+/// Left-out pieces below this length in all are not worth a word, in seconds.
+const SCRAPS_S: f64 = 0.5e-3;
+
+/// Frequency difference between neighbouring spans that is a step, in hertz.
+const STEP_HZ: f64 = 50.0;
+
+/// Stretches of one switching frequency, the frequency refined, with their phasors.
+pub(super) fn find(
+    capture: &Capture,
+    hints: &Hints,
+    runs: &[Run],
+    findings: &mut Vec<Finding>,
+) -> Result<(Vec<Piece>, Vec<Track>), SurveyError> {
+    let band = carrier::band(hints.f_sw_hz);
+    let longest = runs
+        .iter()
+        .max_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
+    let needed_s = MIN_PERIODS / hints.f_sw_hz.unwrap_or(LARGEST_HZ);
+    let Some(longest) = longest.filter(|r| r.duration_s() >= needed_s) else {
+        return Err(SurveyError::TooShort {
+            name: capture.name.clone(),
+            samples: longest.map_or(0, |r| r.samples.len()),
+            ms: longest.map_or(0.0, Run::duration_s) * 1e3,
+            needed: needed_s * 1e3,
+        });
+    };
+    if 2.0 * band.0 * longest.dt_s >= 1.0 {
+        return Err(SurveyError::TooSlow {
+            name: capture.name.clone(),
+            rate_hz: 1.0 / longest.dt_s,
+            least_hz: band.0,
+        });
+    }
+    let (mut pieces, mut tracks) = (Vec::new(), Vec::new());
+    let mut scraps = (0, 0.0);
+    let shows = |run: &Run| 2.0 * band.0 * run.dt_s < 1.0;
+    for run in told_parts(capture, runs).into_iter().filter(shows) {
+        let found = carrier::find(capture, &run, band);
+        for (from_s, to_s) in found.off_s {
+            findings.push(Finding::CarrierAbsent { from_s, to_s });
+        }
+        for piece in found.pieces {
+            if piece.run.duration_s() * piece.f_hz < MIN_PERIODS {
+                scraps = (scraps.0 + 1, scraps.1 + piece.run.duration_s());
+                continue;
+            }
+            let (piece, track) = refined(capture, piece);
+            pieces.push(piece);
+            tracks.push(track);
+        }
+    }
+    if scraps.1 > SCRAPS_S {
+        findings.push(Finding::PieceTooShort {
+            pieces: scraps.0,
+            total_s: scraps.1,
+        });
+    }
+    if pieces.is_empty() {
+        return Err(no_carrier(capture, hints, longest, band));
+    }
+    Ok((pieces, tracks))
+}
+
+/// Runs cut where the capture tells of another switching frequency.
+fn told_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
+    let mut out = Vec::new();
+    for run in runs {
+        let mut start = run.samples.start;
+        for step in capture.f_sw.iter().skip(1) {
+            let at = (step.t_s - run.t0_s) / run.dt_s;
+            // The period that the step cuts belongs to neither side.
+            let guard = (1.0 / (step.f_sw_hz * run.dt_s)).clamp(0.0, run.samples.len() as f64);
+            if at > guard && at + guard < run.samples.len() as f64 {
+                let (at, guard) = (run.samples.start + at as usize, guard as usize);
+                out.push(run.part(start..at.saturating_sub(guard)));
+                start = at + guard;
+            }
+        }
+        out.push(run.part(start..run.samples.end));
+    }
+    out.retain(|run| run.samples.len() > 1);
+    out
+}
+
+/// Why no stretch was found.
+fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
+    let name = capture.name.clone();
+    if let Some(told_hz) = hints.f_sw_hz {
+        let elsewhere = carrier::find(capture, run, carrier::band(None));
+        if let Some(piece) = elsewhere.pieces.first() {
+            return SurveyError::NotAtHint {
+                name,
+                told_khz: told_hz * 1e-3,
+                found_khz: piece.f_hz * 1e-3,
+            };
+        }
+    }
+    SurveyError::NoCarrier {
+        name,
+        from_khz: band.0 * 1e-3,
+        to_khz: band.1 * 1e-3,
+        what: "voltage and current",
+    }
+}
+
+/// The frequency from the slope of the phase, and the phasors at it.
+fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
+    // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
+    let f_hz = piece.f_hz.round();
+    let rough = track::track(capture, &piece.run, f_hz);
+    let f_hz = f_hz + rough.frequency_error_hz();
+    let track = track::track(capture, &piece.run, f_hz);
+    (Piece { f_hz, ..piece }, track)
+}
+
+/// Steps of the frequency, and where it is not what was told.
+pub(super) fn frequency_findings(
+    capture: &Capture,
+    hints: &Hints,
+    pieces: &[Piece],
+    findings: &mut Vec<Finding>,
+) {
+    for pair in pieces.windows(2) {
+        let [a, b] = pair else { continue };
+        if (a.f_hz - b.f_hz).abs() > STEP_HZ {
+            findings.push(Finding::FrequencyStep {
+                t_s: 0.5 * (a.run.t_s(a.run.samples.end) + b.run.t0_s),
+                from_hz: a.f_hz,
+                to_hz: b.f_hz,
+            });
+        }
+    }
+    let told = |t_s: f64| {
+        let steps = &capture.f_sw;
+        let before = steps.partition_point(|s| s.t_s <= t_s).max(1);
+        hints.f_sw_hz.or(steps.get(before - 1).map(|s| s.f_sw_hz))
+    };
+    let differs = pieces.iter().find_map(|p| {
+        let told_hz = told(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
+        ((p.f_hz / told_hz - 1.0).abs() > DIFFERS).then_some((told_hz, p.f_hz))
+    });
+    if let Some((told_hz, measured_hz)) = differs {
+        findings.push(Finding::FrequencyDiffers {
+            told_hz,
+            measured_hz,
+        });
+    }
+}

@@ -1,0 +1,352 @@
+//! The survey against captures of the simulator, whose settings are the truth.
+
+mod bad_input;
+
+use ihd_sim::inverter::harmonic_analyser::HarmonicAnalyser;
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::sensing::Rate;
+use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+
+use super::*;
+
+fn settings(f_sw_hz: f64, duration_s: f64) -> Settings {
+    Settings {
+        load: LoadKind::Behavioural,
+        f_sw_hz,
+        duration_s,
+        ..Settings::default()
+    }
+}
+
+/// A capture that tells nothing but its samples.
+fn capture(settings: &Settings) -> Capture {
+    let recording = record(settings, |_| ()).unwrap();
+    Capture {
+        f_sw: Vec::new(),
+        mains_hz: None,
+        zero_crossing_s: None,
+        truth: Vec::new(),
+        ..recording.capture("simulated")
+    }
+}
+
+fn survey(capture: &Capture) -> Survey {
+    Survey::of(capture, &Hints::default()).unwrap()
+}
+
+/// How far a time is from the nearest zero crossing of a mains whose crossing is at `-start_s`.
+fn off_crossing_s(t_s: f64, settings: &Settings) -> f64 {
+    let half_s = 0.5 / settings.mains_hz;
+    let phase = (t_s + settings.start_s).rem_euclid(half_s);
+    phase.min(half_s - phase)
+}
+
+#[test]
+fn a_clean_capture_has_no_findings_and_its_own_numbers() {
+    let s = settings(45e3, 20e-3);
+    let got = survey(&capture(&s));
+    assert_eq!(got.findings, []);
+    assert_eq!(got.spans.len(), 1);
+    assert!((got.spans[0].f_sw_hz - 45e3).abs() < 0.5, "{:?}", got.spans);
+    assert_eq!(got.spans[0].samples, got.samples);
+    assert!((got.mains.hz - 50.0).abs() < 0.2, "{:?}", got.mains);
+    assert!(off_crossing_s(got.mains.zero_crossing_s, &s) < 0.1e-3);
+    assert_eq!(got.half_cycles_s.len(), 2, "{:?}", got.half_cycles_s);
+    // 16 bits of 80 A: step 2.4 mA, noise step/√12 = 0.7 mA; the current has 20 A rms.
+    let snr_db = got.current.snr_db.unwrap();
+    assert!((80.0..95.0).contains(&snr_db), "{snr_db}");
+    let (voltage, current) = (got.voltage, got.current);
+    assert!((100.0..250.0).contains(&voltage.rms) && (10.0..40.0).contains(&current.rms));
+}
+
+#[test]
+fn rates_frequencies_mains_and_noise() {
+    let rates = [
+        Rate::Locked,
+        Rate::Hz(1e6),
+        Rate::Hz(2.5e6),
+        Rate::Hz(12.5e6),
+    ];
+    let mut seed = 10;
+    for (rate, f_sw_hz) in rates.into_iter().zip([45e3, 50.3e3, 61.7e3, 70e3]) {
+        for (mains_hz, snr_db) in [(50.0, 30.0), (60.0, 30.0), (49.8, 50.0)] {
+            seed += 1;
+            let mut s = settings(f_sw_hz, 25e-3);
+            (s.mains_hz, s.seed, s.start_s) = (mains_hz, seed, 4e-3);
+            s.sensing.rate = rate;
+            s.sensing.allow_aliasing = true;
+            s.sensing.snr_db = Some(snr_db);
+            let got = survey(&capture(&s));
+            let case = format!("{rate:?} {f_sw_hz} {mains_hz} {snr_db}");
+            assert_eq!(got.spans.len(), 1, "{case} {:?}", got.spans);
+            let f = got.spans[0].f_sw_hz;
+            assert!((f - f_sw_hz).abs() < 1.0, "{case}: {f}");
+            assert!(
+                (got.mains.hz - mains_hz).abs() < 0.5,
+                "{case}: {:?}",
+                got.mains
+            );
+            let off_s = off_crossing_s(got.mains.zero_crossing_s, &s);
+            assert!(off_s < 0.15e-3, "{case}: {off_s}");
+            for channel in [got.voltage, got.current] {
+                // At 50 dB the harmonics beyond half of 1 MS/s weigh too.
+                let tolerance_db = if snr_db > 40.0 { 2.5 } else { 1.0 };
+                let error_db = channel.snr_db.unwrap() - snr_db;
+                assert!(error_db.abs() < tolerance_db, "{case}: {channel:?}");
+            }
+            assert!(
+                got.worst() != Some(Severity::Error),
+                "{case}: {:?}",
+                got.findings
+            );
+        }
+    }
+}
+
+#[test]
+fn a_part_of_a_half_cycle_gives_its_frequency_and_says_what_it_lacks() {
+    for start_s in [1e-3, 3e-3, 6e-3] {
+        let mut s = settings(45e3, 2.5e-3);
+        s.start_s = start_s;
+        s.sensing.rate = Rate::Hz(12.5e6);
+        let got = survey(&capture(&s));
+        // 20 Hz turn the phase by a twentieth of a circle, and are 0.04 % of L.
+        assert!(
+            (got.spans[0].f_sw_hz - 45e3).abs() < 20.0,
+            "{:?}",
+            got.spans
+        );
+        let unknown = |f: &Finding| matches!(f, Finding::MainsUnknown { .. });
+        assert!(got.findings.iter().any(unknown), "{:?}", got.findings);
+        let hints = Hints {
+            mains_hz: Some(50.0),
+            zero_crossing_s: Some(-start_s),
+            ..Hints::default()
+        };
+        let told = Survey::of(&capture(&s), &hints).unwrap();
+        assert!(!told.findings.iter().any(unknown), "{:?}", told.findings);
+    }
+}
+
+#[test]
+fn frequency_steps_and_pauses_cut_the_capture_where_they_are() {
+    for rate in [Rate::Hz(2.5e6), Rate::Locked] {
+        let mut s = settings(45e3, 40e-3);
+        s.sensing.rate = rate;
+        s.sensing.allow_aliasing = true;
+        s.sensing.snr_db = Some(30.0);
+        let event = |t_s, change| Event { t_s, change };
+        s.events = vec![
+            event(7e-3, Change::Frequency(46e3)),
+            event(16e-3, Change::Frequency(60e3)),
+            event(24e-3, Change::Off),
+            event(30e-3, Change::On),
+        ];
+        let got = survey(&capture(&s));
+        let spans: Vec<_> = got
+            .spans
+            .iter()
+            .map(|p| (p.t0_s, p.end_s(), p.f_sw_hz))
+            .collect();
+        let truth = [
+            (0.0, 7e-3, 45e3),
+            (7e-3, 16e-3, 46e3),
+            (16e-3, 24e-3, 60e3),
+            (30e-3, 40e-3, 60e3),
+        ];
+        assert_eq!(
+            spans.len(),
+            truth.len(),
+            "{rate:?} {spans:?} {:?}",
+            got.findings
+        );
+        for (got, truth) in spans.iter().zip(truth) {
+            assert!((got.2 - truth.2).abs() < 3.0, "{got:?} {truth:?}");
+            // Nothing of another frequency, and little lost. The change waits for the period's end.
+            let period_s = 1.0 / 45e3;
+            assert!(
+                got.0 > truth.0 && got.0 < truth.0 + 0.8e-3 || truth.0 == 0.0,
+                "{got:?}"
+            );
+            assert!(got.1 < truth.1 + 1.2 * period_s, "{got:?} {truth:?}");
+            assert!(got.1 > truth.1 - 0.8e-3, "{got:?} {truth:?}");
+        }
+        let steps = got
+            .findings
+            .iter()
+            .filter(|f| matches!(f, Finding::FrequencyStep { .. }));
+        assert_eq!(steps.count(), 2);
+        // Switched on at a zero crossing: the half-cycle counts, as does the one from 10 to 20 ms not.
+        assert_eq!(got.half_cycles_s.len(), 1, "{:?}", got.half_cycles_s);
+        let off = |f: &Finding| matches!(f, Finding::CarrierAbsent { .. });
+        assert_eq!(got.findings.iter().filter(|f| off(f)).count(), 1);
+    }
+}
+
+#[test]
+fn exchanged_and_reversed_probes_are_found() {
+    let mut s = settings(50e3, 10e-3);
+    s.sensing.rate = Rate::Locked;
+    s.sensing.snr_db = Some(30.0);
+    let clean = capture(&s);
+    let r_ohm = survey(&clean).spans[0].load.unwrap().r_ohm;
+    for (swapped, inverted) in [(true, false), (false, true), (true, true)] {
+        let mut c = clean.clone();
+        if inverted {
+            c.i_a.iter_mut().for_each(|i| *i = -*i);
+        }
+        if swapped {
+            std::mem::swap(&mut c.v_v, &mut c.i_a);
+        }
+        c.v_full_scale_v = None;
+        c.i_full_scale_a = None;
+        let got = survey(&c);
+        assert_eq!(got.wiring, Wiring { swapped, inverted });
+        assert_eq!(got.worst(), Some(Severity::Error));
+        // The numbers are those of the repaired wiring.
+        let repaired = got.spans[0].load.unwrap().r_ohm;
+        assert!((repaired / r_ohm - 1.0).abs() < 1e-6, "{repaired} {r_ohm}");
+        assert!(got.half_cycles_s.len() == 1, "{:?}", got.mains);
+    }
+}
+
+/// Mean relative error of R in percent of a capture at 50 MS/s and 50 kHz: a thousand samples a
+/// period, so that the simulator's own meter can measure the samples.
+fn r_error_pct(skew_s: f64) -> f64 {
+    let mut s = settings(50e3, 10e-3);
+    s.sensing.skew_s = skew_s;
+    let r = record(&s, |_| ()).unwrap();
+    let mut sum = (0.0, 0);
+    for (k, truth) in r.truth.iter().enumerate() {
+        let boundary = k * 1000;
+        if k == 0 || truth.i_a < 0.05 * 60.0 || boundary + 1000 >= r.v_clean_v.len() {
+            continue;
+        }
+        let sums = |from: usize| {
+            let mut analyser = HarmonicAnalyser::new(1000);
+            for n in 0..=1000 {
+                analyser.push(n, r.v_clean_v[from + n], r.i_clean_a[from + n]);
+            }
+            analyser.sums().clone()
+        };
+        let got = sums(boundary - 1000).across(&sums(boundary), truth.t_s, 50e3);
+        sum = (
+            sum.0 + (got.r_ohm[0] / truth.r_ohm[0] - 1.0).abs(),
+            sum.1 + 1,
+        );
+    }
+    assert!(sum.1 > 300, "{sum:?}");
+    100.0 * sum.0 / f64::from(sum.1)
+}
+
+#[test]
+fn the_cost_of_a_skew_is_what_a_skewed_capture_shows() {
+    let got = survey(&capture(&settings(50e3, 10e-3)));
+    assert!(r_error_pct(0.0) < 0.05);
+    for cost in got.skew {
+        let shown = r_error_pct(cost.skew_s);
+        assert!(
+            (cost.r_pct / shown - 1.0).abs() < 0.1,
+            "{cost:?} but {shown} %"
+        );
+        // Design notes, section 5: 20 ns costs 1 to 1.8 %.
+        if cost.skew_s == 20e-9 {
+            assert!((1.0..1.8).contains(&cost.r_pct), "{cost:?}");
+        }
+    }
+}
+
+#[test]
+fn a_whole_number_of_samples_a_period_aliases_as_told() {
+    // Every fifth sample of 100 a period, from each of five starts: five positions of the samples
+    // relative to the edges.
+    let mut s = settings(45e3, 10e-3);
+    s.sensing.rate = Rate::Hz(100.0 * 45e3);
+    s.sensing.allow_aliasing = true;
+    let fine = capture(&s);
+    let reference = survey(&fine).spans[0].load.unwrap().r_ohm;
+    let (mut told_pct, mut square) = (0.0, 0.0);
+    for start in 0..5 {
+        let every = |x: &[f32]| x.iter().skip(start).step_by(5).copied().collect();
+        let coarse = Capture {
+            time: TimeBase::Even {
+                t0_s: start as f64 / 4.5e6,
+                dt_s: 5.0 / 4.5e6,
+            },
+            v_v: every(&fine.v_v),
+            i_a: every(&fine.i_a),
+            ..fine.clone()
+        };
+        let got = survey(&coarse);
+        let alias = |f: &&Finding| matches!(f, Finding::Aliasing { order: 19, .. });
+        let finding = got.findings.iter().find(alias).expect("aliasing is told");
+        assert_eq!(finding.severity(), Severity::Warning);
+        told_pct = got.aliasing.unwrap().r_pct;
+        let shown = 100.0 * (got.spans[0].load.unwrap().r_ohm / reference - 1.0);
+        square += shown * shown / 5.0;
+    }
+    let shown_pct = square.sqrt();
+    assert!(
+        (0.5..2.0).contains(&(told_pct / shown_pct)),
+        "told {told_pct} %, shown {shown_pct} %"
+    );
+}
+
+#[test]
+fn clipping_and_offsets_are_told_with_channel_and_size() {
+    let mut s = settings(45e3, 20e-3);
+    s.sensing.rate = Rate::Hz(12.5e6);
+    s.sensing.i_full_scale_a = 40.0;
+    s.sensing.v_offset_v = 6.0;
+    let mut c = capture(&s);
+    for known in [true, false] {
+        if !known {
+            c.i_full_scale_a = None;
+        }
+        let got = survey(&c);
+        let truth = c.i_a.iter().filter(|i| i.abs() > 39.9).count();
+        let told = got.findings.iter().find_map(|f| match f {
+            Finding::Clipping {
+                channel: Channel::Current,
+                samples,
+                level,
+            } => Some((*samples, *level)),
+            _ => None,
+        });
+        let (samples, level) = told.expect("clipping is told");
+        assert!(samples.abs_diff(truth) < truth / 10, "{samples} {truth}");
+        assert!((level - 40.0).abs() < 0.1);
+        let offset = got.findings.iter().find_map(|f| match f {
+            Finding::Offset {
+                channel: Channel::Voltage,
+                mean,
+                ..
+            } => Some(*mean),
+            _ => None,
+        });
+        assert!((offset.unwrap() - 6.0).abs() < 0.5, "{offset:?}");
+    }
+}
+
+#[test]
+fn a_dead_channel_and_a_gap_are_told() {
+    let mut s = settings(45e3, 20e-3);
+    s.sensing.rate = Rate::Locked;
+    let mut c = capture(&s);
+    if let TimeBase::Stamps(t_s) = &mut c.time {
+        t_s[8000..].iter_mut().for_each(|t| *t += 1.5e-3);
+    }
+    let got = survey(&c);
+    assert_eq!(got.spans.len(), 2);
+    assert!(
+        matches!(got.findings[0], Finding::Gap { gaps: 1, .. }),
+        "{:?}",
+        got.findings
+    );
+    c.i_a.fill(0.25);
+    let got = survey(&c);
+    let dead = Finding::Dead {
+        channel: Channel::Current,
+    };
+    assert!(got.findings.contains(&dead), "{:?}", got.findings);
+}

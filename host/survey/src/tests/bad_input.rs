@@ -1,0 +1,134 @@
+//! Captures that tell wrong things, or nothing.
+
+use super::*;
+
+#[test]
+fn what_was_told_wrongly_is_told_back() {
+    let mut s = settings(45e3, 20e-3);
+    s.sensing.rate = Rate::Locked;
+    let mut c = capture(&s);
+    c.f_sw = vec![ihd_signal::FrequencyStep {
+        t_s: 0.0,
+        f_sw_hz: 50e3,
+    }];
+    let differs = |f: &Finding| matches!(f, Finding::FrequencyDiffers { .. });
+    assert!(survey(&c).findings.iter().any(differs));
+    let hints = Hints {
+        f_sw_hz: Some(60e3),
+        ..Hints::default()
+    };
+    let refused = Survey::of(&c, &hints).unwrap_err();
+    assert!(
+        matches!(refused, SurveyError::NotAtHint { .. }),
+        "{refused:?}"
+    );
+    let text = refused.to_string();
+    assert!(
+        text.contains("60.00 kHz") && text.contains("45.00 kHz"),
+        "{text}"
+    );
+}
+
+#[test]
+fn captures_with_nothing_in_them_are_refused_with_the_reason() {
+    use rand::{RngExt, SeedableRng};
+    let s = settings(45e3, 1e-3);
+    let good = capture(&s);
+    let refused = |c: &Capture| Survey::of(c, &Hints::default()).unwrap_err();
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+    for n in [1_000, 30_000] {
+        let noise: Vec<f32> = (0..n).map(|_| rng.random::<f32>() - 0.5).collect();
+        let mut c = good.clone();
+        (c.v_v, c.i_a) = (noise.clone(), noise.iter().rev().copied().collect());
+        c.time = TimeBase::Even {
+            t0_s: 0.0,
+            dt_s: 1e-6,
+        };
+        assert!(matches!(refused(&c), SurveyError::NoCarrier { .. }), "{n}");
+    }
+    let mut c = good.clone();
+    c.v_v.truncate(2000);
+    assert!(matches!(refused(&c), SurveyError::Lengths { v: 2000, .. }));
+    c.i_a.truncate(2000);
+    assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
+    c.time = TimeBase::Even {
+        t0_s: 0.0,
+        dt_s: f64::NAN,
+    };
+    assert!(matches!(refused(&c), SurveyError::TimeStep { .. }));
+    c.time = TimeBase::Even {
+        t0_s: 0.0,
+        dt_s: 1e-3,
+    };
+    assert!(matches!(refused(&c), SurveyError::TooSlow { .. }));
+    (c.v_v, c.i_a) = (Vec::new(), Vec::new());
+    c.time = TimeBase::Stamps(Vec::new());
+    assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
+}
+
+/// Any samples and times: a survey of finite numbers, or a typed error.
+#[test]
+fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
+    use rand::{RngExt, SeedableRng};
+    let mut s = settings(45e3, 4e-3);
+    s.sensing.rate = Rate::Locked;
+    let good = capture(&s);
+    let TimeBase::Stamps(stamps) = &good.time else {
+        panic!("locked captures have stamps")
+    };
+    let (mut surveyed, mut refused) = (0, 0);
+    for seed in 0..150 {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut c = good.clone();
+        let mut t_s = stamps.clone();
+        let scale = 10f32.powi(rng.random_range(-30..37));
+        for _ in 0..rng.random_range(0..6) {
+            let at = rng.random_range(0..c.len());
+            let length = rng.random_range(1..400).min(c.len() - at);
+            match rng.random_range(0..8) {
+                0 => c.v_v[at..at + length].fill(f32::NAN),
+                1 => c.i_a[at..at + length].fill(0.0),
+                2 => c.i_a[at] = f32::MAX,
+                3 => t_s[at..].iter_mut().for_each(|t| *t += 1e9),
+                4 => t_s[at] = f64::NAN,
+                5 => t_s[at..].iter_mut().for_each(|t| *t -= 1e-3),
+                6 => c.v_v.iter_mut().for_each(|v| *v *= scale),
+                _ => t_s[at..].iter_mut().for_each(|t| *t *= 1.0 + 1e-3),
+            }
+        }
+        let even = rng.random_range(0..4) == 0;
+        c.time = if even {
+            let dt_s = 10f64.powi(rng.random_range(-320..10));
+            TimeBase::Even { t0_s: 1e3, dt_s }
+        } else {
+            TimeBase::Stamps(t_s)
+        };
+        let hints = Hints {
+            f_sw_hz: [None, Some(45e3), Some(f64::NAN), Some(-1.0), Some(1e-9)][seed as usize % 5],
+            mains_hz: [None, Some(0.0), Some(f64::INFINITY)][seed as usize % 3],
+            zero_crossing_s: [None, Some(f64::NAN)][seed as usize % 2],
+        };
+        match Survey::of(&c, &hints) {
+            Ok(survey) => {
+                surveyed += 1;
+                for span in &survey.spans {
+                    assert!(
+                        span.f_sw_hz.is_finite() && span.dt_s > 0.0,
+                        "{seed}: {span:?}"
+                    );
+                    assert!(span.first + span.samples <= c.len(), "{seed}: {span:?}");
+                    let segment = survey.segment(&c, span);
+                    let finite = |x: &Vec<f64>| x.iter().all(|x| x.is_finite());
+                    assert!(finite(&segment.v_v) && finite(&segment.i_a), "{seed}");
+                }
+                assert!(survey.mains.hz.is_finite() && survey.mains.zero_crossing_s.is_finite());
+                assert!(survey.voltage.rms.is_finite() && survey.current.rms.is_finite());
+            }
+            Err(e) => {
+                refused += 1;
+                assert!(e.to_string().starts_with("simulated: "), "{e}");
+            }
+        }
+    }
+    assert!(surveyed > 20 && refused > 20, "{surveyed} {refused}");
+}

@@ -1,0 +1,267 @@
+//! Phasors of harmonics through time: Hann-windowed frames of a few switching periods.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use ihd_signal::Capture;
+use nalgebra::{Complex, Matrix4, Vector4};
+
+use super::time::Run;
+
+/// Orders that are followed: a half-bridge has no even ones.
+pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
+
+/// Switching periods a frame may have; of these the one whose length is nearest to a whole number of
+/// samples, so that the window's nulls lie on the other harmonics.
+const PERIODS: Range<u32> = 3..8;
+
+/// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, and `t0` the first
+/// sample's time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// Times of the frames' middles in seconds.
+    pub t_s: Vec<f64>,
+    /// Voltage, one vector an order that the rate can show.
+    pub v_v: Vec<Vec<Complex<f64>>>,
+    /// Current, likewise.
+    pub i_a: Vec<Vec<Complex<f64>>>,
+    /// Samples a frame.
+    pub frame: usize,
+}
+
+/// The fundamental alone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fundamental {
+    /// Times in seconds.
+    pub t_s: Vec<f64>,
+    /// Current in ampere.
+    pub i_a: Vec<Complex<f64>>,
+}
+
+/// The Hann window, periodic: `n` weights whose sum is n/2.
+pub fn hann(n: usize) -> Vec<f64> {
+    (0..n)
+        .map(|k| 0.5 - 0.5 * libm::cos(TAU * k as f64 / n as f64))
+        .collect()
+}
+
+/// Phasors of a run at `f_hz`, frames overlapping by half.
+pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
+    let per_period = 1.0 / (f_hz * run.dt_s);
+    let mismatch = |p: &u32| {
+        let n = f64::from(*p) * per_period;
+        (n - n.round()).abs() / n
+    };
+    let periods = PERIODS.min_by(|a, b| mismatch(a).total_cmp(&mismatch(b)));
+    let frame = (f64::from(periods.unwrap_or(PERIODS.start)) * per_period).round() as usize;
+    let orders: Vec<u32> = ORDERS
+        .into_iter()
+        .filter(|&h| h == 1 || f64::from(h) * 2.2 < per_period)
+        .collect();
+    let (t_s, v_v) = channel(&capture.v_v, run, f_hz, frame, frame / 2, &orders);
+    let (_, i_a) = channel(&capture.i_a, run, f_hz, frame, frame / 2, &orders);
+    Track {
+        f_sw_hz: f_hz,
+        t_s,
+        v_v,
+        i_a,
+        frame,
+    }
+}
+
+/// The current's fundamental, two periods a frame and a frame every half period.
+pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> Fundamental {
+    let per_period = 1.0 / (f_hz * run.dt_s);
+    let frame = (2.0 * per_period).round() as usize;
+    let hop = (0.5 * per_period).round().max(1.0) as usize;
+    let (t_s, mut i_a) = channel(&capture.i_a, run, f_hz, frame, hop, &[1]);
+    Fundamental {
+        t_s,
+        i_a: i_a.pop().unwrap_or_default(),
+    }
+}
+
+/// Times of the frames' middles, and their phasors, one vector an order.
+fn channel(
+    x: &[f32],
+    run: &Run,
+    f_hz: f64,
+    frame: usize,
+    hop: usize,
+    orders: &[u32],
+) -> (Vec<f64>, Vec<Vec<Complex<f64>>>) {
+    let x = &x[run.samples.clone()];
+    let frame = frame.max(1);
+    let window = hann(frame);
+    let middle = 0.5 * frame as f64;
+    let step = TAU * f_hz * run.dt_s;
+    // Window times e^{-jhωt} from the frame's first sample; what is left is one turn a frame.
+    let tables: Vec<(Vec<f64>, Vec<f64>)> = orders
+        .iter()
+        .map(|&h| {
+            let turn = |k: usize| f64::from(h) * step * k as f64;
+            let scale = 4.0 / frame as f64;
+            let weigh = |k: usize| scale * window[k];
+            (
+                (0..frame).map(|k| weigh(k) * libm::cos(turn(k))).collect(),
+                (0..frame).map(|k| -weigh(k) * libm::sin(turn(k))).collect(),
+            )
+        })
+        .collect();
+    let mut t_s = Vec::new();
+    let mut out = vec![Vec::new(); orders.len()];
+    let mut buffer = vec![0.0; frame];
+    let mut start = 0;
+    while start + frame <= x.len() {
+        for (y, x) in buffer.iter_mut().zip(&x[start..start + frame]) {
+            *y = f64::from(*x);
+        }
+        let mean = buffer.iter().sum::<f64>() / frame as f64;
+        buffer.iter_mut().for_each(|y| *y -= mean);
+        t_s.push(run.t0_s + (start as f64 + middle) * run.dt_s);
+        for ((order, (re, im)), out) in orders.iter().zip(&tables).zip(&mut out) {
+            let phasor = Complex::new(dot(&buffer, re), dot(&buffer, im));
+            let turned = f64::from(*order) * (step * start as f64 % TAU);
+            out.push(phasor * Complex::from_polar(1.0, -turned));
+        }
+        start += hop.max(1);
+    }
+    (t_s, out)
+}
+
+/// Sum of products in four lanes, so that the compiler may use them side by side.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (a4, a_rest) = a.as_chunks::<4>();
+    let (b4, b_rest) = b.as_chunks::<4>();
+    let mut sum = [0.0; 4];
+    for (a, b) in a4.iter().zip(b4) {
+        for (sum, (a, b)) in sum.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sum.iter().sum::<f64>() + rest
+}
+
+impl Track {
+    /// How much the switching frequency differs from the track's, in hertz: slope of the current's
+    /// phase.
+    ///
+    /// The load turns the phase as its R and L follow the current, by a law of the amplitude: so
+    /// amplitude and its square are fitted along, and the slope stays free of them in a capture that
+    /// is no whole number of half-cycles.
+    pub fn frequency_error_hz(&self) -> f64 {
+        let Some(i_a) = self.i_a.first().filter(|i| i.len() >= 2) else {
+            return 0.0;
+        };
+        let hop_s = self.t_s[1] - self.t_s[0];
+        let coarse = pulse_pair_hz(i_a, hop_s);
+        let t0_s = self.t_s[0];
+        let level = i_a
+            .iter()
+            .map(|i| i.norm())
+            .fold(0.0, f64::max)
+            .max(f64::MIN_POSITIVE);
+        let steady: Vec<Complex<f64>> = (i_a.iter().zip(&self.t_s))
+            .map(|(i, t)| i * Complex::from_polar(1.0, -TAU * coarse * (t - t0_s)))
+            .collect();
+        let mean: Complex<f64> = steady.iter().sum();
+        let span_s = self.t_s[self.t_s.len() - 1] - t0_s;
+        let mut normal = Matrix4::zeros();
+        let mut right = Vector4::zeros();
+        for (i, t) in steady.iter().zip(&self.t_s) {
+            let e = i.norm() / level;
+            let row = Vector4::new(1.0, (t - t0_s) / span_s, e, e * e);
+            let weight = e * e;
+            normal += row * row.transpose() * weight;
+            right += row * ((i * mean.conj()).arg() * weight);
+        }
+        // A steady amplitude leaves its columns undetermined: a little weight keeps them at zero.
+        let ridge = 1e-9 * normal[(0, 0)];
+        normal[(2, 2)] += ridge;
+        normal[(3, 3)] += ridge;
+        let fine = normal
+            .cholesky()
+            .map_or(0.0, |c| c.solve(&right)[1] / (TAU * span_s));
+        coarse + fine
+    }
+}
+
+/// Frequency of a phasor track in hertz from the phase of its autocorrelation, at lags that double
+/// so that none turns by more than half a circle.
+fn pulse_pair_hz(x: &[Complex<f64>], hop_s: f64) -> f64 {
+    let mut f_hz = 0.0;
+    let mut lag = 1;
+    while lag < x.len() && lag <= x.len() / 2 + 1 {
+        let sum: Complex<f64> = x.iter().zip(&x[lag..]).map(|(a, b)| b * a.conj()).sum();
+        let lag_s = lag as f64 * hop_s;
+        let expected = Complex::from_polar(1.0, -TAU * f_hz * lag_s);
+        f_hz += (sum * expected).arg() / (TAU * lag_s);
+        lag *= 2;
+    }
+    f_hz
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use ihd_signal::TimeBase;
+
+    use super::*;
+
+    /// x(t) of the test: fundamental, third harmonic, offset.
+    fn tone(rate_hz: f64, f_hz: f64) -> (Capture, Run) {
+        let n = (2e-3 * rate_hz) as usize;
+        let x = |k: usize, third: f64| {
+            let a = TAU * f_hz * k as f64 / rate_hz;
+            (0.3 + 2.0 * (a + 0.5).cos() + third * (3.0 * a - 1.0).cos()) as f32
+        };
+        let capture = Capture {
+            name: "tone".to_owned(),
+            time: TimeBase::Even {
+                t0_s: 0.0,
+                dt_s: 1.0 / rate_hz,
+            },
+            v_v: (0..n).map(|k| x(k, 1.0)).collect(),
+            i_a: (0..n).map(|k| x(k, 0.1)).collect(),
+            v_full_scale_v: None,
+            i_full_scale_a: None,
+            f_sw: Vec::new(),
+            mains_hz: None,
+            zero_crossing_s: None,
+            truth: Vec::new(),
+            metadata: BTreeMap::new(),
+        };
+        let run = Run {
+            samples: 0..n,
+            t0_s: 0.0,
+            dt_s: 1.0 / rate_hz,
+        };
+        (capture, run)
+    }
+
+    #[test]
+    fn phasors_are_amplitude_and_phase_of_each_harmonic() {
+        for rate_hz in [45e3 * 61.0 / 3.0, 1e6, 12.5e6] {
+            let (capture, run) = tone(rate_hz, 45e3);
+            let track = track(&capture, &run, 45e3);
+            for k in [0, track.t_s.len() / 2, track.t_s.len() - 1] {
+                let first = Complex::from_polar(2.0, 0.5);
+                let third = Complex::from_polar(1.0, -1.0);
+                assert!((track.v_v[0][k] - first).norm() < 3e-3, "{rate_hz} {k}");
+                assert!((track.v_v[1][k] - third).norm() < 3e-3, "{rate_hz} {k}");
+                assert!((track.i_a[0][k] - first).norm() < 3e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn the_frequency_comes_from_the_phase() {
+        let (capture, run) = tone(1e6, 45_037.3);
+        let error = track(&capture, &run, 45e3).frequency_error_hz();
+        assert!((error - 37.3).abs() < 0.05, "{error}");
+    }
+}

@@ -1,0 +1,89 @@
+//! What ends a training run.
+
+use ihd_capture::mcap::McapFileError;
+use ihd_link::LinkError;
+use ihd_shared::fault::Fault;
+
+use super::OperatingPoint;
+
+/// Why a training run ended early. The device keeps the last lookup that it accepted.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainerError {
+    /// The link failed, or the device refused a command.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The device went to its safe state.
+    #[error("fault {number} on the device at {point}: {text}", number = .fault.number(), text = fault_text(*.fault))]
+    Fault {
+        /// The fault.
+        fault: Fault,
+        /// Where it happened.
+        point: OperatingPoint,
+    },
+    /// The power did not settle.
+    #[error(
+        "{asked_w} W did not settle within {half_cycles} half-cycles (last {last_w:.0} W at \
+         {f_sw_hz} Hz): is it within what this load takes at this mains voltage?"
+    )]
+    NotSettled {
+        /// Power that was asked for, in watt.
+        asked_w: u16,
+        /// Last power, in watt.
+        last_w: f64,
+        /// Last switching frequency, in hertz.
+        f_sw_hz: u32,
+        /// Half-cycles waited for.
+        half_cycles: u32,
+    },
+    /// Nothing came any more.
+    #[error("{what} did not come within {seconds} s of device time; windows: {windows}")]
+    Silent {
+        /// What was waited for.
+        what: &'static str,
+        /// How long, in seconds.
+        seconds: u64,
+        /// What the window counters say.
+        windows: String,
+    },
+    /// Several windows in a row were not fit for the lookup.
+    #[error("no window at {point} was fit for the lookup; the last one: {why}")]
+    NoFit {
+        /// Where.
+        point: OperatingPoint,
+        /// What the gate said.
+        why: String,
+    },
+    /// The lookup that the windows give is not one that a device would accept.
+    #[error("the identified lookup is not pushed: {0}")]
+    Lookup(String),
+    /// The recording of the session failed.
+    #[error(transparent)]
+    Store(#[from] McapFileError),
+    /// A file of the store could not be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+}
+
+/// A fault in words, with what to do about it.
+pub fn fault_text(fault: Fault) -> &'static str {
+    match fault {
+        Fault::None => "no fault",
+        Fault::NoPot => "no pot on the coil; put one on and start again",
+        Fault::UnsuitablePot => {
+            "the load cannot be heated by induction (aluminium, copper, bare stainless)"
+        }
+        Fault::PotRemoved => "the pot was taken away while heating",
+        Fault::OverCurrent => "coil current at the trip level",
+        Fault::BusOverVoltage => "bus voltage above its limit; check the mains",
+        Fault::SamplesLost => "sample blocks were lost; check the ADC trigger and DMA",
+        Fault::SensorSaturated => "samples at the end of the ADC's range; check probes and gains",
+        Fault::BelowResonance => "the inverter was about to run below resonance",
+        Fault::EstimatorDiverged => "the R, L estimate left its plausible range",
+        Fault::MainsLost => "no mains zero crossing for 30 ms",
+    }
+}

@@ -1,0 +1,70 @@
+//! The firmware as this build compiled it, as a device without hardware: no time passes, and what it
+//! has to say is there at once.
+
+use std::time::Duration;
+
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::realtime::RealTime;
+use ihd_link::{LinkError, Transport};
+use ihd_shared::hob::F_SW_MAX_HZ;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::frame::MAX_ENCODED;
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
+
+/// Firmware and the device's end of a link.
+pub struct ReferenceDevice {
+    housekeeping: Housekeeping,
+    realtime: Box<RealTime>,
+    to_host: Vec<u8>,
+}
+
+impl Default for ReferenceDevice {
+    fn default() -> Self {
+        let build = concat!("ihd ", env!("CARGO_PKG_VERSION"));
+        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+        Self {
+            housekeeping: Housekeeping::new(ours(ROLE_DEVICE, CAP_SIMULATED, 0, build, "host")),
+            realtime: Box::new(RealTime::new(r, l)),
+            to_host: Vec::new(),
+        }
+    }
+}
+
+impl ReferenceDevice {
+    fn transmit(&mut self) {
+        let mut frame = [0; MAX_ENCODED];
+        loop {
+            self.housekeeping.poll(&mut *self.realtime);
+            let length = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            if length == 0 {
+                return;
+            }
+            self.to_host.extend_from_slice(&frame[..length]);
+        }
+    }
+}
+
+impl Transport for ReferenceDevice {
+    fn send(&mut self, mut bytes: &[u8]) -> Result<(), LinkError> {
+        while !bytes.is_empty() {
+            let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
+            bytes = &bytes[taken..];
+            // Makes room for the rest.
+            self.transmit();
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buf: &mut [u8], _: Duration) -> Result<usize, LinkError> {
+        self.transmit();
+        let length = buf.len().min(self.to_host.len());
+        for (slot, byte) in buf.iter_mut().zip(self.to_host.drain(..length)) {
+            *slot = byte;
+        }
+        Ok(length)
+    }
+
+    fn describe(&self) -> String {
+        "this build of the firmware".to_owned()
+    }
+}

@@ -1,0 +1,139 @@
+//! A capture as blocks for a device: one stretch of pairs on the ADC's grid for every frequency.
+
+use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
+use ihd_signal::Segment;
+use ihd_signal::TimeBase;
+use ihd_signal::resample::{AdcGrid, adc_pairs};
+
+/// A capture at a rate this close to the ADC's own is taken sample by sample: over a half-cycle it
+/// drifts by less than a sample.
+const SAME_RATE: f64 = 1e-4;
+
+/// Whole blocks of pairs at one switching frequency.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stretch {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: u32,
+    /// Time of the first pair in seconds, on the capture's clock.
+    pub t0_s: f64,
+    /// Time from one pair to the next in seconds.
+    pub dt_s: f64,
+    /// The pairs.
+    pub pairs: Vec<Pair>,
+    /// Indices of the first pair after each mains zero crossing.
+    pub crossings: Vec<usize>,
+}
+
+impl Stretch {
+    /// Resamples a segment; `None` for less than a block, or a frequency outside the hob's ratings.
+    pub fn of(segment: &Segment) -> Option<Self> {
+        let f_sw_hz = segment.f_sw_hz.round() as u32;
+        if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
+            return None;
+        }
+        let own_hz = f64::from(ADC_LOCK_Q) / (ADC_LOCK_P as f64 * segment.dt_s);
+        let on_grid = (own_hz / segment.f_sw_hz - 1.0).abs() < SAME_RATE;
+        let grid = AdcGrid {
+            f_sw_hz: if on_grid { own_hz } else { segment.f_sw_hz },
+            t0_s: segment.t0_s,
+        };
+        let time = TimeBase::Even {
+            t0_s: segment.t0_s,
+            dt_s: segment.dt_s,
+        };
+        let mut pairs = adc_pairs(&time, &segment.v_v, &segment.i_a, grid);
+        pairs.truncate(pairs.len() - pairs.len() % ADC_LOCK_P);
+        let dt_s = grid.dt_s();
+        let half_s = segment.half_cycle_s();
+        // From the first crossing within the stretch on.
+        let first = ((segment.t0_s - segment.zero_crossing_s) / half_s).ceil();
+        let crossings = (0..)
+            .map(|n| segment.zero_crossing_s + (first + f64::from(n)) * half_s - segment.t0_s)
+            .map(|after_s| (after_s / dt_s).ceil() as usize)
+            .take_while(|&at| at < pairs.len())
+            .collect();
+        (!pairs.is_empty()).then_some(Self {
+            f_sw_hz,
+            t0_s: segment.t0_s,
+            dt_s,
+            pairs,
+            crossings,
+        })
+    }
+
+    /// Blocks in all.
+    pub fn blocks(&self) -> usize {
+        self.pairs.len() / ADC_LOCK_P
+    }
+
+    /// Time of a block's first pair in seconds, on the capture's clock.
+    pub fn block_s(&self, block: usize) -> f64 {
+        self.t0_s + (block * ADC_LOCK_P) as f64 * self.dt_s
+    }
+
+    /// The crossing within pairs `from` to `to`, counted from `from`.
+    pub fn crossing_in(&self, from: usize, to: usize) -> Option<usize> {
+        let at = self.crossings.partition_point(|&at| at < from);
+        let found = self.crossings.get(at).filter(|&&at| at < to);
+        found.map(|at| at - from)
+    }
+}
+
+/// Bus voltage that a replay states, in decivolt: no capture holds it, and the firmware only guards
+/// against too much of it.
+pub const BUS_DV: u16 = (BUS_PEAK_V * 10.0) as u16;
+
+#[cfg(test)]
+mod tests {
+    use ihd_shared::sampling::{AMPERE_PER_CODE, VOLT_PER_CODE, f_adc_hz};
+
+    use super::*;
+
+    fn segment(dt_s: f64, samples: usize) -> Segment {
+        let code = |k: usize| f64::from((k % 100) as i16 - 50);
+        Segment {
+            f_sw_hz: 45_000.2,
+            mains_hz: 50.0,
+            zero_crossing_s: -3e-3,
+            t0_s: 1e-3,
+            dt_s,
+            v_v: (0..samples).map(|k| code(k) * VOLT_PER_CODE).collect(),
+            i_a: (0..samples).map(|k| -code(k) * AMPERE_PER_CODE).collect(),
+        }
+    }
+
+    #[test]
+    fn a_boards_own_samples_are_sent_as_they_are() {
+        let stretch = Stretch::of(&segment(1.0 / f_adc_hz(45_000), 20_000)).unwrap();
+        assert_eq!(stretch.blocks(), 20_000 / 61);
+        for (k, pair) in stretch.pairs.iter().enumerate() {
+            let code = (k % 100) as i16 - 50;
+            assert_eq!((pair.v, pair.i), (code, -code), "{k}");
+        }
+    }
+
+    #[test]
+    fn crossings_lie_where_the_mains_puts_them() {
+        let stretch = Stretch::of(&segment(0.2e-6, 120_000)).unwrap();
+        // Crossings at 7 and 17 ms; the stretch begins at 1 ms.
+        let at_s = |k: usize| 1e-3 + k as f64 * stretch.dt_s;
+        assert_eq!(stretch.crossings.len(), 2);
+        for (&k, due_s) in stretch.crossings.iter().zip([7e-3, 17e-3]) {
+            assert!(at_s(k) >= due_s - 1e-12 && at_s(k - 1) < due_s, "{k}");
+        }
+        let first = stretch.crossings[0];
+        assert_eq!(stretch.crossing_in(first - 10, first + 1), Some(10));
+        assert_eq!(stretch.crossing_in(first - 10, first), None);
+    }
+
+    #[test]
+    fn what_a_hob_never_switches_at_is_left_out() {
+        let slow = Segment {
+            f_sw_hz: 20e3,
+            ..segment(0.2e-6, 120_000)
+        };
+        assert_eq!(Stretch::of(&slow), None);
+        assert_eq!(Stretch::of(&segment(0.2e-6, 30)), None);
+    }
+}

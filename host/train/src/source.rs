@@ -1,0 +1,85 @@
+//! Where a training run's windows come from.
+
+use std::fmt;
+
+use ihd_shared::sampling::Pair;
+use ihd_signal::Segment;
+
+use crate::replay::stretch::{BUS_DV, Stretch};
+
+/// Share of a half-cycle that must be there for the lookup to learn from it.
+const WHOLE: f64 = 0.99;
+
+/// Operating points, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// The hob heats with these powers, in watt.
+    Powers(Vec<u16>),
+    /// Recorded half-cycles go through the device's own sampling path in place of its ADC; its power
+    /// outputs are locked off meanwhile.
+    Replay(Vec<Recorded>),
+}
+
+/// One mains half-cycle on the device's ADC grid, from its zero crossing on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Recorded {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: u32,
+    /// Whole blocks of sample pairs at f_sw·61/3.
+    pub pairs: Vec<Pair>,
+    /// Bus voltage at the crest in decivolt.
+    pub bus_dv: u16,
+}
+
+impl Recorded {
+    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid.
+    pub fn half_cycles(segment: &Segment) -> Vec<Self> {
+        let whole = WHOLE * segment.half_cycle_s() / segment.dt_s;
+        let bounds = segment.half_cycles().into_iter();
+        bounds
+            .filter(|(from, to)| (to - from) as f64 >= whole)
+            .filter_map(|(from, to)| Stretch::of(&segment.part(from, to)))
+            .map(|stretch| Self {
+                f_sw_hz: stretch.f_sw_hz,
+                pairs: stretch.pairs,
+                bus_dv: BUS_DV,
+            })
+            .collect()
+    }
+}
+
+/// An operating point by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OperatingPoint {
+    /// Heating with a power.
+    Heating {
+        /// Power asked for, in watt.
+        asked_w: u16,
+    },
+    /// A recorded half-cycle.
+    Replayed {
+        /// Its switching frequency in hertz.
+        f_sw_hz: u32,
+    },
+}
+
+impl OperatingPoint {
+    /// Power asked for in watt; none in a replay.
+    pub fn asked_w(self) -> Option<u16> {
+        match self {
+            Self::Heating { asked_w } => Some(asked_w),
+            Self::Replayed { .. } => None,
+        }
+    }
+}
+
+impl fmt::Display for OperatingPoint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Heating { asked_w } => write!(f, "{asked_w} W"),
+            Self::Replayed { f_sw_hz } => {
+                write!(f, "{:.2} kHz (replayed)", f64::from(*f_sw_hz) * 1e-3)
+            }
+        }
+    }
+}

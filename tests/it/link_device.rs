@@ -1,0 +1,426 @@
+//! The host's client against the real firmware: handshake, commands, lookups, refusals.
+
+use std::time::Duration;
+
+use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
+use ihd_link::{Client, Event, LinkError, Transport};
+use ihd_shared::fault::Fault;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::blob::LEN;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::PROTOCOL_MAJOR;
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_raw};
+use ihd_shared::wire::hello::{ROLE_HOST, ours};
+use ihd_shared::wire::messages::{
+    AnyMessage, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
+};
+use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
+use proptest::prelude::*;
+
+fn connected() -> (Client, DeskLink) {
+    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    let client = Client::connect(Box::new(link.clone())).unwrap();
+    (client, link)
+}
+
+fn newer(version: u32) -> RlLookup {
+    RlLookup { version, ..prior() }
+}
+
+/// The outcome and detail of a refusal.
+fn refusal(result: Result<(), LinkError>) -> (Outcome, u32) {
+    match result {
+        Err(LinkError::Refused {
+            outcome, detail, ..
+        }) => (outcome, detail),
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+#[test]
+fn a_device_says_what_it_is_and_takes_commands() {
+    let (mut client, _) = connected();
+    assert_eq!(client.hello(), &desk_hello());
+    client.set_power(1_000).unwrap();
+    let status = client.status().unwrap();
+    assert_eq!((status.state, status.asked_w), (State::Probing, 1_000));
+    assert_eq!(client.counters().frames_bad, 0);
+}
+
+#[test]
+fn another_major_is_told_at_the_host() {
+    let mut hello = desk_hello();
+    hello.protocol_major = PROTOCOL_MAJOR + 1;
+    let link = DeskLink::new(DeskHob::new(hello));
+    let Err(error) = Client::connect(Box::new(link)) else {
+        panic!("it must not connect");
+    };
+    let text = error.to_string();
+    assert!(matches!(error, LinkError::Mismatch { .. }), "{text}");
+    for part in ["protocol major version 2", "1 here", "desk 0.0.0", "flash"] {
+        assert!(text.contains(part), "{part:?} is missing in {text:?}");
+    }
+}
+
+/// Every reply in a stream of frames.
+fn replies(stream: &[u8]) -> Vec<Reply> {
+    let mut deframer = Deframer::new();
+    let mut found = Vec::new();
+    for &byte in stream {
+        if let Some(Ok(frame)) = deframer.push(byte)
+            && let Ok(AnyMessage::Reply(reply)) = AnyMessage::decode(frame.id, frame.payload)
+        {
+            found.push(reply);
+        }
+    }
+    found
+}
+
+#[test]
+fn a_device_refuses_a_host_of_another_major_everything() {
+    let mut hob = DeskHob::new(desk_hello());
+    let mut theirs = ours(ROLE_HOST, 0, 1, "other", "host");
+    theirs.protocol_major = PROTOCOL_MAJOR + 1;
+    let mut frame = [0; MAX_ENCODED];
+    let length = encode(&theirs, 0, &mut frame).unwrap();
+    hob.offer(&frame[..length]);
+    let not_paired = |to| Reply {
+        to,
+        outcome: Outcome::NotPaired,
+        detail: 0,
+    };
+    assert_eq!(replies(&hob.collect()), [not_paired(Hello::ID)]);
+    for id in MESSAGES.iter().filter_map(|m| m.id) {
+        if id == Hello::ID {
+            continue;
+        }
+        let length = encode_raw(id, 1, &[], &mut frame).unwrap();
+        hob.offer(&frame[..length]);
+        hob.run(1);
+        assert_eq!(replies(&hob.collect()), [not_paired(id)], "id {id:#04x}");
+    }
+}
+
+#[test]
+fn a_reset_device_asks_for_a_new_connection() {
+    let (mut client, link) = connected();
+    *link.hob() = DeskHob::new(desk_hello());
+    assert_eq!(refusal(client.set_power(500)).0, Outcome::NotPaired);
+    assert!(Client::connect(Box::new(link)).is_ok());
+}
+
+/// A peer that answers everything with the same bytes.
+struct Parrot(&'static [u8]);
+
+impl Transport for Parrot {
+    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+        Ok(())
+    }
+    fn receive(&mut self, buf: &mut [u8], _: Duration) -> Result<usize, LinkError> {
+        let length = self.0.len();
+        buf[..length].copy_from_slice(std::mem::take(&mut self.0));
+        Ok(length)
+    }
+    fn describe(&self) -> String {
+        "parrot".into()
+    }
+}
+
+#[test]
+fn a_peer_that_is_no_device_is_told_from_silence() {
+    for (bytes, told) in [
+        (&b"HTTP/1.1 400 Bad Request\r\n"[..], "no frame"),
+        (b"", "nothing came"),
+    ] {
+        let Err(error) = Client::connect(Box::new(Parrot(bytes))) else {
+            panic!("a parrot must not connect");
+        };
+        assert!(error.to_string().contains(told), "{error}");
+    }
+}
+
+#[test]
+fn a_good_lookup_becomes_active_at_the_half_cycle_boundary() {
+    let (mut client, link) = connected();
+    link.hob().run(1);
+    client.push_lookup(&newer(3)).unwrap();
+    assert_eq!(link.hob().housekeeping().lookup().version, 0);
+    let busy = refusal(client.push_lookup(&newer(4)));
+    assert_eq!(busy.0, Outcome::Busy);
+    link.hob().run(1);
+    assert_eq!(client.status().unwrap().lookup_version, 3);
+    assert_eq!(client.read_lookup().unwrap(), newer(3));
+    client.push_lookup(&newer(4)).unwrap();
+}
+
+#[test]
+fn a_bad_lookup_is_refused_with_its_reason_and_the_old_one_stays() {
+    let (mut client, link) = connected();
+    let kept = newer(5);
+    client.push_lookup(&kept).unwrap();
+    link.hob().run(1);
+    let changed = |change: fn(&mut RlLookup)| {
+        let mut lookup = newer(6);
+        change(&mut lookup);
+        lookup.to_bytes().to_vec()
+    };
+    let mut bad_crc = changed(|_| ());
+    bad_crc[40] ^= 1;
+    let mut other_format = changed(|_| ());
+    other_format[4] += 1;
+    let crc = CRC32.checksum(&other_format[..LEN - 4]);
+    other_format[LEN - 4..].copy_from_slice(&crc.to_le_bytes());
+    let cases = [
+        (bad_crc, Outcome::LookupCrc, 0),
+        (other_format, Outcome::LookupFormat, 1),
+        (vec![0; 3], Outcome::LookupLength, LEN as u32),
+        (vec![0; 1_000], Outcome::LookupLength, LEN as u32),
+        (newer(5).to_bytes().to_vec(), Outcome::LookupStale, 5),
+        (newer(0).to_bytes().to_vec(), Outcome::LookupStale, 5),
+        (changed(|l| l.r[1][2] = 0), Outcome::LookupRange, 19),
+        (changed(|l| l.l[0][3] = u16::MAX), Outcome::LookupRange, 3),
+        (
+            changed(|l| l.l[0][0] = l.l[0][1] / 2),
+            Outcome::LookupSlope,
+            0,
+        ),
+        (
+            changed(|l| l.r[0][1] = l.r[0][0] + l.r[0][0] / 10),
+            Outcome::LookupNotMonotone,
+            0,
+        ),
+    ];
+    for (blob, outcome, detail) in cases {
+        assert_eq!(refusal(client.push_lookup_bytes(&blob)), (outcome, detail));
+        link.hob().run(2);
+        assert_eq!(client.read_lookup().unwrap(), kept, "after {outcome:?}");
+    }
+    let too_long = client.push_lookup_bytes(&[0; 2_000]);
+    assert!(matches!(too_long, Err(LinkError::Unsendable { .. })));
+}
+
+#[test]
+fn power_above_the_rating_is_refused() {
+    let (mut client, _) = connected();
+    let refused = refusal(client.set_power(2_501));
+    assert_eq!(refused, (Outcome::PowerOutOfRange, 2_500));
+    assert_eq!(client.status().unwrap().asked_w, 0);
+}
+
+#[test]
+fn a_missing_pot_is_a_fault_that_blocks_until_cleared() {
+    let (mut client, link) = connected();
+    link.hob().load_ohm = 0.0;
+    client.set_power(1_000).unwrap();
+    let event = client.next_event(Duration::from_millis(200)).unwrap();
+    let Some(Event::Fault(fault)) = event else {
+        panic!("no fault: {event:?}");
+    };
+    assert_eq!(fault.fault, Fault::NoPot);
+    let refused = refusal(client.set_power(1_000));
+    assert_eq!(
+        refused,
+        (Outcome::FaultActive, Fault::NoPot.number().into())
+    );
+    client.clear_fault().unwrap();
+    link.hob().load_ohm = 4.5;
+    client.set_power(1_000).unwrap();
+    assert_eq!(client.status().unwrap().state, State::Probing);
+}
+
+#[test]
+fn events_that_arrive_while_a_command_waits_are_kept() {
+    let (mut client, link) = connected();
+    client.stream(1, 0).unwrap();
+    for _ in 0..3 {
+        link.hob().run(3);
+        client.status().unwrap();
+    }
+    let mut seen = Vec::new();
+    while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
+        let Event::Telemetry(telemetry) = event else {
+            panic!("unexpected {event:?}");
+        };
+        seen.push(telemetry.seq);
+    }
+    assert_eq!(seen, (0..9).collect::<Vec<_>>());
+    assert_eq!(client.counters().telemetry.missing, 0);
+}
+
+#[test]
+fn an_answer_that_stays_away_is_told_and_a_late_one_is_not_taken_for_another() {
+    let (mut client, link) = connected();
+    let mut swallowed = Vec::new();
+    // The first answer arrives only together with the second.
+    link.hob().mangle = Box::new(move |frame| {
+        if swallowed.is_empty() {
+            swallowed = frame.to_vec();
+            return Vec::new();
+        }
+        [std::mem::take(&mut swallowed), frame.to_vec()].concat()
+    });
+    client.set_timeout(Duration::from_millis(100));
+    let error = client.status().unwrap_err();
+    assert!(matches!(
+        error,
+        LinkError::NoAnswer {
+            command: "GetStatus",
+            ..
+        }
+    ));
+    assert!(error.to_string().contains("100ms"), "{error}");
+    client.set_power(700).unwrap();
+    assert_eq!(client.counters().answers_stray, 1);
+}
+
+#[test]
+fn telemetry_that_the_link_loses_shows_as_a_gap() {
+    let (mut client, link) = connected();
+    client.stream(1, 0).unwrap();
+    let mut count = 0;
+    link.hob().mangle = Box::new(move |frame| {
+        count += 1;
+        if (2..5).contains(&count) {
+            Vec::new()
+        } else {
+            frame.to_vec()
+        }
+    });
+    link.hob().run(8);
+    client.status().unwrap();
+    let counters = client.counters();
+    assert_eq!(
+        (counters.telemetry.received, counters.telemetry.missing),
+        (5, 3)
+    );
+    assert_eq!(counters.frames_lost, 3);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Garbage between the frames, in both directions, costs no command its answer.
+    #[test]
+    fn garbage_between_frames_costs_no_answer(
+        to_device in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..1_500), 6),
+        to_host in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..1_500), 1..6),
+    ) {
+        let mut hob = DeskHob::new(desk_hello());
+        let mut noise = to_host.into_iter().cycle();
+        hob.mangle = Box::new(move |frame| [noise.next().unwrap_or_default(), frame.to_vec()].concat());
+        let link = DeskLink::noisy(hob, to_device);
+        let mut client = Client::connect(Box::new(link.clone())).unwrap();
+        client.set_power(1_200).unwrap();
+        client.stream(0, 1).unwrap();
+        client.push_lookup(&newer(1)).unwrap();
+        link.hob().run(1);
+        let status = client.status().unwrap();
+        prop_assert_eq!((status.asked_w, status.lookup_version), (1_200, 1));
+        prop_assert_eq!(client.read_lookup().unwrap(), newer(1));
+        prop_assert_eq!(status.frames_lost, 0);
+    }
+
+    /// Whatever bytes come as a frame's payload, the device stays alive and answers the next.
+    #[test]
+    fn any_payload_under_any_id_leaves_the_device_answering(
+        frames in prop::collection::vec(
+            (any::<u8>(), prop::collection::vec(any::<u8>(), 0..600)), 1..12),
+    ) {
+        let (client, link) = connected();
+        drop(client);
+        let mut out = [0; MAX_ENCODED];
+        for (k, (id, payload)) in frames.iter().enumerate() {
+            let length = encode_raw(*id, k as u16, payload, &mut out).unwrap();
+            link.hob().offer(&out[..length]);
+        }
+        link.hob().run(1);
+        link.hob().collect();
+        let length = encode(&GetStatus {}, 99, &mut out).unwrap();
+        link.hob().offer(&out[..length]);
+        prop_assert!(!link.hob().collect().is_empty());
+        prop_assert!(Client::connect(Box::new(link)).is_ok());
+    }
+}
+
+#[test]
+fn a_host_that_falls_silent_no_longer_heats() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) - 10);
+    assert_eq!(
+        client.status().unwrap().asked_w,
+        1_000,
+        "it was heard in time"
+    );
+    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) + 2);
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.asked_w, status.f_sw_hz),
+        (State::Idle, 0, 0)
+    );
+}
+
+#[test]
+fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
+    let (mut client, link) = connected();
+    link.hob().load_ohm = 0.0;
+    client.set_power(1_000).unwrap();
+    link.hob().run(10);
+    for _ in 0..100 {
+        client.status().unwrap();
+    }
+    drop(client);
+    let mut second = Client::connect(Box::new(link.clone())).unwrap();
+    link.hob().run(2);
+    let event = second.next_event(Duration::from_millis(50)).unwrap();
+    assert!(
+        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::NoPot),
+        "{event:?}"
+    );
+    assert_eq!(second.status().unwrap().frames_lost, 0);
+}
+
+#[test]
+fn a_window_under_way_is_not_sent_to_the_next_host() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    client.stream(0, 1).unwrap();
+    // Into the middle of a half-cycle that is recorded.
+    link.hob().run(60);
+    for _ in 0..60 {
+        link.hob().step();
+    }
+    drop(client);
+    let mut second = Client::connect(Box::new(link.clone())).unwrap();
+    link.hob().run(20);
+    assert_eq!(second.next_event(Duration::from_millis(50)).unwrap(), None);
+    assert_eq!(second.counters().window_messages_stray, 0);
+}
+
+#[test]
+fn a_window_names_the_lookup_it_was_recorded_under() {
+    let (mut client, link) = connected();
+    client.set_power(1_000).unwrap();
+    client.stream(0, 1).unwrap();
+    link.hob().run(60);
+    client.push_lookup(&newer(5)).unwrap();
+    link.hob().run(200);
+    let mut versions = Vec::new();
+    while let Some(event) = client.next_event(Duration::from_millis(1)).unwrap() {
+        if let Event::Window(w) = event {
+            versions.push((w.half_cycle, w.lookup_version));
+        }
+        if versions.len() > 100 {
+            break;
+        }
+    }
+    // Pushed within half-cycle 60 or just after it: what began before names 0.
+    assert!(
+        versions
+            .iter()
+            .all(|&(h, v)| v == if h <= 60 { 0 } else { 5 }),
+        "{versions:?}"
+    );
+    assert!(versions.iter().any(|&(_, v)| v == 0) && versions.iter().any(|&(_, v)| v == 5));
+}

@@ -1,0 +1,280 @@
+//! Windows over a damaged link: every one is delivered as it was recorded, or rejected with its
+//! reason, or shows as a gap.
+
+use std::time::Duration;
+
+use ihd_link::{Client, Event, Window};
+use ihd_shared::sampling::f_adc_hz;
+use ihd_shared::window::MAX_PAIRS;
+use ihd_shared::wire::frame::{Frame, MAX_ENCODED, decode, encode};
+use ihd_shared::wire::messages::{
+    AnyMessage, Message, Raw, TrackChunk, WindowChunk, WindowEnd, WindowStart,
+};
+use ihd_tests::desk_hob::{DeskLink, heating};
+
+/// What the client sees of the next half-cycles.
+fn watch(client: &mut Client, link: &DeskLink, half_cycles: u64) -> Vec<Event> {
+    link.hob().run(half_cycles);
+    let mut events = Vec::new();
+    while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
+        events.push(event);
+    }
+    events
+}
+
+/// A frame's id, sequence number and payload.
+fn unframed(frame: &[u8]) -> (u8, u16, Vec<u8>) {
+    let mut stuffed = frame[1..frame.len() - 1].to_vec();
+    let Frame { id, seq, payload } = decode(&mut stuffed).unwrap();
+    (id, seq, payload.to_vec())
+}
+
+fn framed(message: &impl Message, seq: u16) -> Vec<u8> {
+    let mut out = [0; MAX_ENCODED];
+    let length = encode(message, seq, &mut out).unwrap();
+    out[..length].to_vec()
+}
+
+#[test]
+fn a_window_arrives_whole() {
+    let (mut client, link) = heating();
+    let events = watch(&mut client, &link, 6);
+    let windows: Vec<&Window> = events
+        .iter()
+        .map(|e| match e {
+            Event::Window(w) => &**w,
+            other => panic!("unexpected {other:?}"),
+        })
+        .collect();
+    assert!(windows.len() >= 2, "{} windows", windows.len());
+    for w in windows {
+        assert!((w.f_mains_hz() - 50.0).abs() < 0.01, "{}", w.f_mains_hz());
+        let expected = f_adc_hz(w.f_sw_hz) * 10e-3;
+        assert!((w.pairs.len() as f64 - expected).abs() <= 61.0);
+        assert!(w.pair_time_s(0).abs() <= 61.0 * w.dt_s());
+        assert!((w.pair_time_s(w.pairs.len() - 1) - 10e-3).abs() < 61.0 * w.dt_s());
+        let blocks = w.pairs.len() as f64 / 61.0;
+        assert!(
+            (w.track.len() as f64 - blocks).abs() <= 2.0,
+            "{}",
+            w.track.len()
+        );
+        assert!(w.track_time_s(0) >= 0.0 && w.track_time_s(w.track.len() - 1) < 10e-3);
+        // The load: 4.5 ohm · √(f/45 kHz) and 26 µH, in the middle of the half-cycle.
+        let middle = w.track[w.track.len() / 2];
+        let r = 4.5 * (f64::from(w.f_sw_hz) / 45e3).sqrt();
+        assert!((middle.r.ohm() / r - 1.0).abs() < 0.02, "{:?}", middle.r);
+        assert!((middle.l.henry() / 26e-6 - 1.0).abs() < 0.02);
+        let crest = w.i_ampere().into_iter().fold(0.0, f64::max);
+        let v_crest = w.v_volt().into_iter().fold(0.0, f64::max);
+        assert!(crest > 10.0 && v_crest > 100.0 && v_crest < 400.0);
+    }
+    assert_eq!(client.counters().windows.missing, 0);
+}
+
+/// What happens to one kind of frame.
+type Damage = fn(frame: &[u8]) -> Vec<Vec<u8>>;
+
+/// Applies `damage` to the `nth` frame with message `id` of one window; returns what became of it,
+/// and checks that the next window is untouched.
+fn reason_after(id: u8, nth: usize, damage: Damage) -> &'static str {
+    let (mut client, link) = heating();
+    watch(&mut client, &link, 4);
+    let before = client.counters();
+    let mut count = 0;
+    link.hob().mangle = Box::new(move |frame| {
+        if unframed(frame).0 != id {
+            return frame.to_vec();
+        }
+        count += 1;
+        if count == nth + 1 {
+            damage(frame).concat()
+        } else {
+            frame.to_vec()
+        }
+    });
+    let events = watch(&mut client, &link, 8);
+    let rejected: Vec<_> = events
+        .iter()
+        .filter_map(|e| match e {
+            Event::WindowRejected { seq, reason } => Some((*seq, reason.label())),
+            _ => None,
+        })
+        .collect();
+    let [(seq, label)] = rejected[..] else {
+        panic!("one window must be rejected, once: {rejected:?}");
+    };
+    let accepted: Vec<u32> = events
+        .iter()
+        .filter_map(|e| match e {
+            Event::Window(w) => Some(w.seq),
+            _ => None,
+        })
+        .collect();
+    assert!(!accepted.contains(&seq), "{label}: rejected and accepted");
+    assert!(accepted.len() >= 2, "{label}: {accepted:?}");
+    let counters = client.counters();
+    assert_eq!(counters.windows_rejected.get(label), Some(&1));
+    assert_eq!(
+        counters.windows.received - before.windows.received,
+        accepted.len() as u32
+    );
+    label
+}
+
+fn dropped(_: &[u8]) -> Vec<Vec<u8>> {
+    Vec::new()
+}
+
+fn repeated(frame: &[u8]) -> Vec<Vec<u8>> {
+    vec![frame.to_vec(); 2]
+}
+
+fn bit_flipped(frame: &[u8]) -> Vec<Vec<u8>> {
+    let mut frame = frame.to_vec();
+    let middle = frame.len() / 2;
+    frame[middle] ^= 0x10;
+    vec![frame]
+}
+
+fn truncated(frame: &[u8]) -> Vec<Vec<u8>> {
+    vec![frame[..frame.len() / 2].to_vec()]
+}
+
+#[test]
+fn frames_lost_cut_flipped_or_repeated_reject_the_window_with_the_reason() {
+    for damage in [dropped, bit_flipped, truncated] {
+        assert_eq!(reason_after(WindowStart::ID, 0, damage), "no start");
+        assert_eq!(reason_after(WindowChunk::ID, 0, damage), "missing chunk");
+        assert_eq!(reason_after(WindowChunk::ID, 7, damage), "missing chunk");
+        assert_eq!(reason_after(TrackChunk::ID, 0, damage), "missing chunk");
+        assert_eq!(reason_after(WindowEnd::ID, 0, damage), "no end");
+    }
+    assert_eq!(reason_after(WindowStart::ID, 0, repeated), "repeated start");
+    assert_eq!(reason_after(WindowChunk::ID, 3, repeated), "repeated chunk");
+    assert_eq!(reason_after(TrackChunk::ID, 1, repeated), "repeated chunk");
+}
+
+#[test]
+fn a_repeated_end_is_counted_and_costs_nothing() {
+    let (mut client, link) = heating();
+    link.hob().mangle = Box::new(|frame| match unframed(frame).0 {
+        WindowEnd::ID => frame.repeat(2),
+        _ => frame.to_vec(),
+    });
+    let events = watch(&mut client, &link, 6);
+    assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+    assert_eq!(
+        client.counters().window_messages_stray as usize,
+        events.len()
+    );
+}
+
+/// Changes a decoded message and frames it again with a matching CRC.
+fn forged(frame: &[u8], change: impl FnOnce(AnyMessage<'_>, u16) -> Vec<u8>) -> Vec<Vec<u8>> {
+    let (id, seq, payload) = unframed(frame);
+    vec![change(AnyMessage::decode(id, &payload).unwrap(), seq)]
+}
+
+fn forged_start(frame: &[u8], change: fn(&mut WindowStart)) -> Vec<Vec<u8>> {
+    forged(frame, |message, seq| {
+        let AnyMessage::WindowStart(mut start) = message else {
+            panic!("not a start");
+        };
+        change(&mut start);
+        framed(&start, seq)
+    })
+}
+
+fn forged_chunk(frame: &[u8], change: fn(&mut Vec<u8>, &mut u16)) -> Vec<Vec<u8>> {
+    forged(frame, |message, seq| {
+        let AnyMessage::WindowChunk(chunk) = message else {
+            panic!("not a chunk");
+        };
+        let (mut data, mut offset) = (chunk.data.0.to_vec(), chunk.offset);
+        change(&mut data, &mut offset);
+        let chunk = WindowChunk {
+            offset,
+            data: Raw(&data),
+            ..chunk
+        };
+        framed(&chunk, seq)
+    })
+}
+
+#[test]
+fn what_a_frame_crc_cannot_see_the_window_does() {
+    let at_start = |change: Damage| reason_after(WindowStart::ID, 0, change);
+    let at_chunk = |nth, change: Damage| reason_after(WindowChunk::ID, nth, change);
+    assert_eq!(
+        at_start(|f| forged_start(f, |s| s.pairs = MAX_PAIRS as u16 + 1)),
+        "too large"
+    );
+    assert_eq!(
+        at_start(|f| forged_start(f, |s| s.track = 273)),
+        "too large"
+    );
+    assert_eq!(at_start(|f| forged_start(f, |s| s.pairs = 0)), "empty");
+    assert_eq!(at_start(|f| forged_start(f, |s| s.f_sw_hz = 0)), "empty");
+    assert_eq!(
+        at_start(|f| forged_start(f, |s| s.half_cycle_ns = 0)),
+        "empty"
+    );
+    assert_eq!(
+        at_start(|f| forged_start(f, |s| s.pairs = 100)),
+        "chunk beyond end"
+    );
+    assert_eq!(
+        at_start(|f| forged_start(f, |s| s.saturated = s.pairs / 500)),
+        "saturated"
+    );
+    assert_eq!(at_chunk(2, |f| forged_chunk(f, |d, _| d[5] ^= 1)), "crc");
+    assert_eq!(
+        at_chunk(2, |f| forged_chunk(f, |d, _| d.truncate(5))),
+        "ragged chunk"
+    );
+    assert_eq!(
+        at_chunk(2, |f| forged_chunk(f, |d, _| d.clear())),
+        "ragged chunk"
+    );
+    assert_eq!(
+        at_chunk(2, |f| forged_chunk(f, |_, offset| *offset -= 1)),
+        "repeated chunk"
+    );
+}
+
+#[test]
+fn saturated_pairs_reject_the_window() {
+    let (mut client, link) = heating();
+    // 0.4 % of the pairs: the estimator gets over it, and so does the device.
+    link.hob().clip_every = 4;
+    let events = watch(&mut client, &link, 8);
+    assert!(!events.is_empty());
+    for event in events {
+        let Event::WindowRejected { reason, .. } = event else {
+            panic!("unexpected {event:?}");
+        };
+        assert_eq!(reason.label(), "saturated");
+        assert!(reason.to_string().contains("end of the ADC's range"));
+    }
+    assert!(client.status().unwrap().saturated_pairs > 0);
+}
+
+#[test]
+fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
+    let (mut client, link) = heating();
+    link.hob().bytes_per_block = 100;
+    client.stream(0, 1).unwrap();
+    let events = watch(&mut client, &link, 40);
+    assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+    link.hob().bytes_per_block = usize::MAX;
+    client.stream(0, 0).unwrap();
+    watch(&mut client, &link, 2);
+    let (counters, status) = (client.counters(), client.status().unwrap());
+    assert!(counters.windows.missing > 5, "{counters:?}");
+    let seen = counters.windows.received + counters.windows.missing;
+    let known = status.windows_recorded + status.windows_dropped;
+    // Those dropped after the last one sent show with the next.
+    assert!(seen <= known && known - seen <= 3, "{seen} of {known}");
+    assert_eq!(counters.windows_rejected_total(), 0);
+}

@@ -1,0 +1,373 @@
+//! Replay in the loop: the same answer over every link, at every speed, and no difference unseen.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use ihd_link::{Client, Event as LinkEvent, LinkError, Transport};
+use ihd_shared::fault::Fault;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::CAP_REPLAYING;
+use ihd_shared::wire::messages::{
+    AnyMessage, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry, WindowEnd,
+};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::sensing::Rate;
+use ihd_sim::recording::settings;
+use ihd_sim::recording::settings::{Change, Event, LoadKind};
+use ihd_sim::transport::SharedHob;
+use ihd_survey::{Hints, Survey};
+use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
+use ihd_train::replay::{Outcome, Settings, Stretch, run};
+
+/// 25 ms with a frequency step, sampled by an oscilloscope.
+fn stretches() -> Vec<Stretch> {
+    let mut settings = settings::Settings {
+        load: LoadKind::Behavioural,
+        duration_s: 25e-3,
+        events: vec![Event {
+            t_s: 12e-3,
+            change: Change::Frequency(52e3),
+        }],
+        ..settings::Settings::default()
+    };
+    settings.sensing.rate = Rate::Hz(10e6);
+    let recording = record(&settings, |_| ()).unwrap();
+    let capture = recording.capture("a test");
+    let survey = Survey::of(&capture, &Hints::default()).unwrap();
+    let segments = survey.segments(&capture);
+    segments.iter().filter_map(Stretch::of).collect()
+}
+
+/// Replays on whatever `connect` reaches.
+fn replayed(settings: Settings, connect: &mut dyn FnMut() -> Result<Client, LinkError>) -> Outcome {
+    let outcome = run(&stretches(), settings, connect, &mut |_| ()).unwrap();
+    Outcome {
+        seconds: 0.0,
+        ..outcome
+    }
+}
+
+/// A client that does not wait long for what a bad link has lost.
+fn client(transport: impl Transport + 'static) -> Result<Client, LinkError> {
+    let mut client = Client::connect(Box::new(transport))?;
+    client.set_timeout(Duration::from_millis(30));
+    Ok(client)
+}
+
+const QUICK: Settings = Settings {
+    speed: None,
+    patience: Some(Duration::from_millis(30)),
+};
+
+#[test]
+fn a_device_of_this_build_gives_the_same_bits_windows_and_states() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let outcome = replayed(Settings::default(), &mut || client(hob.clone()));
+    assert!(outcome.is_identical(), "{:?}", outcome.first);
+    assert_eq!(outcome.stretches, 2);
+    // 25 ms at three periods a block.
+    assert!((370..410).contains(&outcome.blocks), "{}", outcome.blocks);
+    assert_eq!(outcome.estimates, outcome.blocks);
+    // Crossings at 10 and 20 ms (and at 0): a window each that the one slot was free for.
+    assert!(
+        outcome.windows.compared >= 1 && outcome.windows.lost == 0,
+        "{outcome:?}"
+    );
+    assert!(
+        outcome.telemetry.compared >= 2 && outcome.telemetry.lost == 0,
+        "{outcome:?}"
+    );
+    assert_eq!((outcome.repeats, outcome.reconnects), (0, 0));
+}
+
+#[test]
+fn speed_does_not_change_the_answer() {
+    let hob = || SharedHob::new(SimHob::new(&HobConfig::default()));
+    let fastest = hob();
+    let fastest = replayed(Settings::default(), &mut || client(fastest.clone()));
+    for speed in [0.2, 5.0] {
+        let paced = hob();
+        let settings = Settings {
+            speed: Some(speed),
+            ..Settings::default()
+        };
+        assert_eq!(replayed(settings, &mut || client(paced.clone())), fastest);
+    }
+}
+
+/// A small generator, so that each seed damages in its own way.
+struct Dice(u32);
+
+impl Dice {
+    fn roll(&mut self, sides: u32) -> u32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.0 >> 16) % sides
+    }
+
+    /// What becomes of a frame: nothing, twice, cut, or one bit of it.
+    fn damage(&mut self, frame: &[u8]) -> Vec<u8> {
+        let at = self.roll(frame.len() as u32) as usize;
+        match self.roll(40) {
+            0 => Vec::new(),
+            1 => [frame, frame].concat(),
+            2 => frame[..at].to_vec(),
+            3 => {
+                let mut flipped = frame.to_vec();
+                flipped[at] ^= 1 << self.roll(8);
+                flipped
+            }
+            _ => frame.to_vec(),
+        }
+    }
+}
+
+/// A link whose host's frames suffer, too.
+struct Damaging {
+    inner: DeskLink,
+    dice: Arc<Mutex<Option<Dice>>>,
+}
+
+impl Transport for Damaging {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        match &mut *self.dice.lock().unwrap() {
+            Some(dice) => self.inner.send(&dice.damage(bytes)),
+            None => self.inner.send(bytes),
+        }
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        self.inner.receive(buf, timeout)
+    }
+
+    fn describe(&self) -> String {
+        "damaging".to_owned()
+    }
+
+    fn clock(&self) -> Duration {
+        self.inner.clock()
+    }
+}
+
+#[test]
+fn a_link_that_drops_repeats_and_cuts_never_changes_the_result() {
+    let mut repeats = 0;
+    for seed in 1..=12 {
+        let mut connect = || {
+            let inner = DeskLink::new(DeskHob::new(desk_hello()));
+            let dice = Arc::new(Mutex::new(None));
+            let link = Damaging {
+                inner: inner.clone(),
+                dice: Arc::clone(&dice),
+            };
+            let client = client(link)?;
+            // The handshake has no second try; everything after it has.
+            let mut back = Dice(seed);
+            let mangle = move |frame: &[u8]| back.damage(frame);
+            inner.hob().mangle = Box::new(mangle);
+            *dice.lock().unwrap() = Some(Dice(seed + 1_000));
+            Ok(client)
+        };
+        let outcome = run(&stretches(), QUICK, &mut connect, &mut |_| ());
+        let outcome = outcome.unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+        assert!(outcome.is_identical(), "seed {seed}: {:?}", outcome.first);
+        assert_eq!(outcome.estimates, outcome.blocks, "seed {seed}");
+        repeats += outcome.repeats;
+    }
+    assert!(repeats > 50, "{repeats}: the link was not bad enough");
+}
+
+/// A link that ends after so many of the host's frames.
+struct Ending {
+    inner: DeskLink,
+    left: u32,
+}
+
+impl Transport for Ending {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        if self.left == 0 {
+            return Err(self.closed());
+        }
+        self.left -= 1;
+        self.inner.send(bytes)
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        if self.left == 0 {
+            // The device took the last frame, and its answer is lost.
+            let _ = self.inner.receive(buf, Duration::ZERO);
+            return Err(self.closed());
+        }
+        self.inner.receive(buf, timeout)
+    }
+
+    fn describe(&self) -> String {
+        "ending".to_owned()
+    }
+
+    fn clock(&self) -> Duration {
+        self.inner.clock()
+    }
+}
+
+impl Ending {
+    fn closed(&self) -> LinkError {
+        LinkError::Closed {
+            device: self.describe(),
+        }
+    }
+}
+
+#[test]
+fn a_link_that_ends_is_made_anew_and_the_replay_goes_on_where_it_was() {
+    let desk = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut lives = vec![1_000_000, 30, 41, 20];
+    let outcome = replayed(QUICK, &mut || {
+        client(Ending {
+            inner: desk.clone(),
+            left: lives.pop().unwrap(),
+        })
+    });
+    assert_eq!(outcome.reconnects, 3);
+    assert!(outcome.is_identical(), "{:?}", outcome.first);
+    assert_eq!(outcome.estimates, outcome.blocks);
+}
+
+#[test]
+fn one_bit_of_one_estimate_is_seen_and_told() {
+    let desk = DeskLink::new(DeskHob::new(desk_hello()));
+    // The estimates' frames, made anew with one micro-ohm more in one of them.
+    let mut deframer = Deframer::new();
+    let mut seen = 0;
+    desk.hob().mangle = Box::new(move |frame| {
+        for &byte in frame {
+            let Some(Ok(whole)) = deframer.push(byte) else {
+                continue;
+            };
+            let (seq, payload) = (whole.seq, whole.payload.to_vec());
+            if let Ok(AnyMessage::ReplayEstimates(m)) = AnyMessage::decode(whole.id, &payload) {
+                seen += 1;
+                if seen == 30 {
+                    let mut data = m.data.0.to_vec();
+                    data[8] ^= 1;
+                    let changed = ReplayEstimates {
+                        first: m.first,
+                        data: Raw(&data),
+                    };
+                    let mut out = [0; MAX_ENCODED];
+                    let length = encode(&changed, seq, &mut out).unwrap();
+                    return out[..length].to_vec();
+                }
+            }
+        }
+        frame.to_vec()
+    });
+    let outcome = replayed(QUICK, &mut || client(desk.clone()));
+    assert_eq!(outcome.differences, 1);
+    let difference = &outcome.first[0];
+    assert_eq!(difference.what, "R, µΩ");
+    let numbers: Vec<i64> = [&difference.device, &difference.host]
+        .map(|text| text.parse().unwrap())
+        .to_vec();
+    assert_eq!((numbers[0] - numbers[1]).abs(), 1);
+    // The second block of the thirtieth message: block 117 of 66.7 µs.
+    assert!(
+        (difference.t_s - 117.0 * 3.0 / 45e3).abs() < 1e-4,
+        "{difference:?}"
+    );
+}
+
+/// Telemetry withheld by a device whose link loses nothing: frames count, and none is missing.
+#[test]
+fn what_a_device_does_not_send_over_a_sound_link_is_a_difference() {
+    let desk = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut deframer = Deframer::new();
+    desk.hob().mangle = Box::new(move |frame| {
+        for &byte in frame {
+            if let Some(Ok(whole)) = deframer.push(byte)
+                && whole.id == Telemetry::ID
+            {
+                // Another message of the same number, which means nothing to a replay.
+                let mut out = [0; MAX_ENCODED];
+                let nothing = WindowEnd { seq: 7, crc32: 0 };
+                let length = encode(&nothing, whole.seq, &mut out).unwrap();
+                return out[..length].to_vec();
+            }
+        }
+        frame.to_vec()
+    });
+    let outcome = replayed(QUICK, &mut || client(desk.clone()));
+    assert!(
+        outcome.telemetry.lost > 0 && !outcome.is_identical(),
+        "{outcome:?}"
+    );
+    assert_eq!(outcome.first[0].what, "windows and telemetry");
+}
+
+#[test]
+fn replay_mode_locks_the_power_outputs_and_says_so() {
+    let desk = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut first = client(desk.clone()).unwrap();
+    first.set_power(1_000).unwrap();
+    desk.hob().run(60);
+    assert_eq!(first.status().unwrap().state, State::Heating);
+    let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+    let mut replay = first.start_replay(45_000, r, l).unwrap();
+    let status = replay.client().status().unwrap();
+    assert_eq!(
+        (status.state, status.f_sw_hz),
+        (State::Idle, 0),
+        "it was heating"
+    );
+    let refused = replay.client().set_power(1_000).unwrap_err();
+    assert!(
+        matches!(
+            refused,
+            LinkError::Refused {
+                outcome: Answer::FaultActive,
+                detail: 0,
+                ..
+            }
+        ),
+        "{refused}"
+    );
+    assert!(refused.to_string().contains("replay mode"), "{refused}");
+    // Whoever comes next is told by the hello.
+    let mut second = client(desk.clone()).unwrap();
+    assert!(second.hello().capabilities & CAP_REPLAYING != 0);
+    assert!(second.set_power(1_000).is_err());
+    second.continue_replay(0).end().unwrap();
+    second.set_power(1_000).unwrap();
+}
+
+#[test]
+fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = client(hob).unwrap();
+    let mut replay = client
+        .start_replay(45_000, MicroOhm(4_000_000), PicoHenry(25_000_000))
+        .unwrap();
+    // 150 blocks of three periods are 10 ms; each crossing begins a half-cycle.
+    let quiet = [Pair { v: 0, i: 0 }; ADC_LOCK_P];
+    let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
+    for half_cycle in 0..3 {
+        replay.blocks(&quiet, Some(0), 0).unwrap();
+        let blocks = if half_cycle < 2 { 149 } else { 20 };
+        for _ in 0..blocks {
+            replay.blocks(&quiet, None, 3_000).unwrap();
+        }
+    }
+    replay.blocks(&loud, None, 3_000).unwrap();
+    let now = replay.client().status().unwrap();
+    let fault = loop {
+        let event = replay.client().next_event(Duration::from_millis(100));
+        if let LinkEvent::Fault(event) = event.unwrap().expect("a fault is told") {
+            break event;
+        }
+    };
+    assert_eq!(fault.fault, Fault::OverCurrent);
+    assert_eq!(fault.half_cycle, now.half_cycles);
+}

@@ -1,0 +1,306 @@
+//! Golden bytes of every message: what is on the wire today stays so, or the version changes.
+
+use std::collections::BTreeMap;
+
+use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
+use ihd_shared::fault::Fault;
+use ihd_shared::lookup::blob::LEN;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode};
+use ihd_shared::wire::hello::MAGIC;
+use ihd_shared::wire::messages::{
+    AnyMessage, ClearFault, FaultEvent, GetStatus, Hello, LookupBlob, MESSAGES, Message, Outcome,
+    Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode,
+    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrackChunk,
+    WindowChunk, WindowEnd, WindowStart,
+};
+use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
+
+const HELLO: &str = include_str!("../fixtures/wire/hello.txt");
+const GOLDEN: &str = include_str!("../fixtures/wire/messages.txt");
+
+/// Number, name, payload and frame of each message in a golden file.
+fn golden(text: &str) -> BTreeMap<u8, (String, Vec<u8>, Vec<u8>)> {
+    let lines: Vec<&str> = text.lines().filter(|l| !l.starts_with('#')).collect();
+    let at = lines.iter().position(|l| l.starts_with("0x")).unwrap();
+    lines[at..]
+        .chunks(3)
+        .map(|entry| {
+            let (id, name) = entry[0].split_once(' ').unwrap();
+            let id = u8::from_str_radix(&id[2..], 16).unwrap();
+            let [payload, frame] = [(1, "payload"), (2, "frame")]
+                .map(|(k, key)| unhex(entry[k].trim().strip_prefix(key).unwrap().trim()));
+            (id, (name.to_owned(), payload, frame))
+        })
+        .collect()
+}
+
+fn unhex(text: &str) -> Vec<u8> {
+    let nibble = |c: char| c.to_digit(16).unwrap() as u8;
+    let nibbles: Vec<u8> = text.chars().map(nibble).collect();
+    nibbles
+        .chunks_exact(2)
+        .map(|n| (n[0] << 4) | n[1])
+        .collect()
+}
+
+/// The frame of any message; a message that is new to the table does not compile here until it has
+/// a line.
+fn framed(message: &AnyMessage<'_>, seq: u16) -> Vec<u8> {
+    let mut out = [0; MAX_ENCODED];
+    let out_len = match message {
+        AnyMessage::Hello(m) => encode(m, seq, &mut out),
+        AnyMessage::SetPower(m) => encode(m, seq, &mut out),
+        AnyMessage::Stream(m) => encode(m, seq, &mut out),
+        AnyMessage::GetStatus(m) => encode(m, seq, &mut out),
+        AnyMessage::PushLookup(m) => encode(m, seq, &mut out),
+        AnyMessage::ReadLookup(m) => encode(m, seq, &mut out),
+        AnyMessage::ClearFault(m) => encode(m, seq, &mut out),
+        AnyMessage::ReplayStart(m) => encode(m, seq, &mut out),
+        AnyMessage::ReplayBlocks(m) => encode(m, seq, &mut out),
+        AnyMessage::ReplayEnd(m) => encode(m, seq, &mut out),
+        AnyMessage::ReplayMode(m) => encode(m, seq, &mut out),
+        AnyMessage::ReplayEstimates(m) => encode(m, seq, &mut out),
+        AnyMessage::Reply(m) => encode(m, seq, &mut out),
+        AnyMessage::Status(m) => encode(m, seq, &mut out),
+        AnyMessage::Telemetry(m) => encode(m, seq, &mut out),
+        AnyMessage::WindowStart(m) => encode(m, seq, &mut out),
+        AnyMessage::WindowChunk(m) => encode(m, seq, &mut out),
+        AnyMessage::TrackChunk(m) => encode(m, seq, &mut out),
+        AnyMessage::WindowEnd(m) => encode(m, seq, &mut out),
+        AnyMessage::LookupBlob(m) => encode(m, seq, &mut out),
+        AnyMessage::FaultEvent(m) => encode(m, seq, &mut out),
+    };
+    out[..out_len.unwrap()].to_vec()
+}
+
+/// Of every message, one whose fields differ from each other and from zero; make.py has them again.
+fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
+    vec![
+        AnyMessage::Hello(Hello {
+            magic: MAGIC,
+            role: 1,
+            protocol_major: 0x102,
+            protocol_minor: 0x304,
+            schema_hash: 0x0102_0304_0506_0708,
+            capabilities: 5,
+            boot_id: 0xDEAD_BEEF,
+            reset_reason: 3,
+            fault_before_reset: 300,
+            build: "ihd-firmware 0.1.0".try_into().unwrap(),
+            board: "board".try_into().unwrap(),
+        }),
+        AnyMessage::SetPower(SetPower { power_w: 1_500 }),
+        AnyMessage::Stream(Stream {
+            telemetry_every: 1,
+            windows_every: 200,
+        }),
+        AnyMessage::GetStatus(GetStatus {}),
+        AnyMessage::PushLookup(PushLookup {
+            blob: Raw(&[0, 1, 0xFF]),
+        }),
+        AnyMessage::ReadLookup(ReadLookup {}),
+        AnyMessage::ClearFault(ClearFault {}),
+        AnyMessage::ReplayStart(ReplayStart {
+            f_sw_hz: 52_345,
+            r: MicroOhm(4_000_000),
+            l: PicoHenry(-25_000_000),
+        }),
+        AnyMessage::ReplayBlocks(ReplayBlocks {
+            zero_crossing: 61,
+            bus_dv: 3_250,
+            data: Raw(chunk),
+        }),
+        AnyMessage::ReplayEnd(ReplayEnd {}),
+        AnyMessage::Reply(Reply {
+            to: 5,
+            outcome: Outcome::LookupStale,
+            detail: 70_000,
+        }),
+        AnyMessage::Status(status()),
+        AnyMessage::Telemetry(telemetry()),
+        AnyMessage::WindowStart(WindowStart {
+            seq: 77,
+            dropped: 1,
+            half_cycle: 3_001,
+            f_sw_hz: 52_345,
+            half_cycle_ns: 9_999_500,
+            first_pair_ns: -1_234,
+            first_track_ns: 28_656,
+            pairs: 10_643,
+            track: 174,
+            saturated: 3,
+            lookup_version: 7,
+        }),
+        AnyMessage::WindowChunk(WindowChunk {
+            seq: 77,
+            offset: 240,
+            data: Raw(chunk),
+        }),
+        AnyMessage::TrackChunk(TrackChunk {
+            seq: 77,
+            offset: 120,
+            data: Raw(chunk),
+        }),
+        AnyMessage::WindowEnd(WindowEnd {
+            seq: 77,
+            crc32: 0x1234_5678,
+        }),
+        AnyMessage::LookupBlob(LookupBlob { blob: Raw(lookup) }),
+        AnyMessage::FaultEvent(FaultEvent {
+            half_cycle: 3_002,
+            fault: Fault::MainsLost,
+        }),
+        AnyMessage::ReplayMode(ReplayMode {
+            active: true,
+            blocks: 200,
+        }),
+        AnyMessage::ReplayEstimates(ReplayEstimates {
+            first: 200,
+            data: Raw(chunk),
+        }),
+    ]
+}
+
+fn status() -> Status {
+    Status {
+        state: State::Heating,
+        fault: Fault::PotRemoved,
+        pot: Pot::Ferromagnetic,
+        asked_w: 1_800,
+        delivered_mw: 1_795_123,
+        f_sw_hz: 45_678,
+        lookup_version: 12,
+        half_cycles: 100_001,
+        windows_recorded: 201,
+        windows_dropped: 302,
+        telemetry_dropped: 403,
+        frames_bad: 504,
+        frames_lost: 605,
+        saturated_pairs: 706,
+    }
+}
+
+fn telemetry() -> Telemetry {
+    Telemetry {
+        seq: 1_000,
+        dropped: 2,
+        half_cycle: 3_000,
+        state: State::Heating,
+        fault: Fault::None,
+        pot: Pot::Ferromagnetic,
+        f_sw_hz: 52_345,
+        r: MicroOhm(4_123_456),
+        l: PicoHenry(25_654_321),
+        i_crest_ma: 34_567,
+        power_mw: 1_499_999,
+        phase_mrad: -345,
+        lookup_version: 7,
+    }
+}
+
+#[test]
+fn every_message_has_its_golden_bytes() {
+    let chunk = [1, 2, 3, 4, 5, 6, 7, 8];
+    let lookup = [b"IHDL".as_slice(), &[0; 300]].concat();
+    let mut golden_of = golden(GOLDEN);
+    golden_of.extend(golden(HELLO));
+    let mut covered = Vec::new();
+    for sample in samples(&chunk, &lookup) {
+        let mut stuffed = framed(&sample, 0);
+        let end = stuffed.len() - 1;
+        let frame = decode(&mut stuffed[1..end]).unwrap();
+        let id = frame.id;
+        covered.push(id);
+        let (name, payload, on_wire) = golden_of
+            .remove(&id)
+            .unwrap_or_else(|| panic!("{sample:?} is missing in tests/fixtures/wire/make.py"));
+        assert_eq!(
+            frame.payload, payload,
+            "payload of {name}; read messages.txt"
+        );
+        let seq = 0x100 + u16::from(id);
+        assert_eq!(framed(&sample, seq), on_wire, "frame of {name}");
+        assert_eq!(AnyMessage::decode(id, &payload).as_ref(), Ok(&sample));
+    }
+    let table: Vec<u8> = MESSAGES.iter().filter_map(|m| m.id).collect();
+    assert_eq!(covered, table, "messages of the table without a sample");
+    assert!(
+        golden_of.is_empty(),
+        "no longer in the table: {golden_of:?}"
+    );
+}
+
+#[test]
+fn the_names_are_those_of_the_table() {
+    let mut golden_of = golden(GOLDEN);
+    golden_of.extend(golden(HELLO));
+    for m in MESSAGES {
+        assert_eq!(golden_of[&m.id.unwrap()].0, m.name);
+    }
+}
+
+#[test]
+fn the_schema_and_its_version_change_together() {
+    let pinned: Vec<&str> = GOLDEN
+        .lines()
+        .filter(|l| l.starts_with("protocol ") || l.starts_with("schema "))
+        .collect();
+    let now = [
+        format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}"),
+        format!("schema {SCHEMA_HASH:016x}"),
+    ];
+    assert_eq!(
+        pinned, now,
+        "the message table has changed: raise PROTOCOL_MINOR for a new message, PROTOCOL_MAJOR for \
+         anything else, then pin both in tests/fixtures/wire/messages.txt"
+    );
+}
+
+/// Frozen for ever, so pinned here once more: who changes this array breaks every older peer.
+#[test]
+fn hello_is_frozen() {
+    const PAYLOAD: &str = "c990918a030182028406888e98a8c0e080810105effdb6f50d03ac021269\
+                           68642d6669726d7761726520302e312e3005626f617264";
+    let (_, payload, _) = &golden(HELLO)[&1];
+    assert_eq!(payload, &unhex(PAYLOAD));
+    assert_eq!(MAGIC.to_le_bytes(), *b"IHD1");
+    assert_eq!(Hello::ID, 1);
+}
+
+/// The session drops what does not fit a frame, so the longest of each message has to fit.
+#[test]
+fn the_longest_of_every_message_fits_a_frame() {
+    let name = "x".repeat(32);
+    let mut longest = samples(&[0xFF; CHUNK_BYTES], &[0xFF; LEN]);
+    for message in &mut longest {
+        match message {
+            AnyMessage::Hello(m) => {
+                *m = Hello {
+                    magic: u32::MAX,
+                    role: u8::MAX,
+                    protocol_major: u16::MAX,
+                    protocol_minor: u16::MAX,
+                    schema_hash: u64::MAX,
+                    capabilities: u32::MAX,
+                    boot_id: u32::MAX,
+                    reset_reason: u8::MAX,
+                    fault_before_reset: u16::MAX,
+                    build: name.as_str().try_into().unwrap(),
+                    board: name.as_str().try_into().unwrap(),
+                }
+            }
+            AnyMessage::PushLookup(m) => m.blob = Raw(&[0xFF; LEN]),
+            AnyMessage::ReplayBlocks(m) => {
+                (m.zero_crossing, m.bus_dv) = (u16::MAX, u16::MAX);
+                m.data = Raw(&[0xFF; BLOCKS_PER_MESSAGE * BLOCK_BYTES]);
+            }
+            AnyMessage::WindowChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
+            AnyMessage::TrackChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
+            // Integers only, at most 14 of at most 5 bytes: far below a frame.
+            _ => {}
+        }
+        assert!(framed(message, u16::MAX).len() <= MAX_ENCODED);
+    }
+}
