@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use ihd::link::{Client, Event, LinkError, Transport};
-use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::LEN;
@@ -15,6 +14,7 @@ use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     AnyMessage, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use proptest::prelude::*;
 

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode};

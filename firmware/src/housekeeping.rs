@@ -11,30 +11,14 @@ use ihd_shared::wire::messages::{
     AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, ReplayBlocks,
     ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use crate::control::{Action, Control};
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
-use crate::realtime::RealTime;
-use crate::replay::Replay;
+use crate::realtime::{Access, RealTime};
+use crate::replay::{Replay, Replayed};
 use crate::session::{Answer, Session};
-
-/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
-/// section; every closure here is short (the longest copies one 960-byte chunk).
-pub trait Access {
-    /// Runs `f` on the sampling path.
-    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R;
-}
-
-impl Access for RealTime {
-    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
-        f(self)
-    }
-}
-
-/// Half-cycles without a frame from the host after which it no longer answers for the power it
-/// asked for: 10 s at 50 Hz.
-pub const HOST_UNHEARD_HALF_CYCLES: u32 = 1_000;
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
@@ -108,7 +92,12 @@ impl Housekeeping {
                 }
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
                     match self.replay.blocks(access, &blocks, seq) {
-                        Some(answer) => self.session.answer(answer),
+                        Some(Replayed::Estimates(estimates)) => {
+                            self.session.answer(Answer::ReplayEstimates(estimates));
+                        }
+                        Some(Replayed::NotReplaying(mode)) => {
+                            self.session.answer(Answer::ReplayMode(mode));
+                        }
                         None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
                     }
                 }

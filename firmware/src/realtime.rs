@@ -50,6 +50,19 @@ impl Drive {
 /// A crossing sooner than this after the last one is an echo of it.
 const SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000;
 
+/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
+/// section; every closure is short (the longest copies one 960-byte chunk).
+pub trait Access {
+    /// Runs `f` on the sampling path.
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R;
+}
+
+impl Access for RealTime {
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
+        f(self)
+    }
+}
+
 /// Everything the sampling interrupt owns.
 pub struct RealTime {
     drive: Drive,

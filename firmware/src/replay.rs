@@ -7,24 +7,14 @@
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::window::{PAIR_BYTES, TRACK_BYTES, TrackEntry};
 use ihd_shared::wire::messages::{
     Outcome, Raw, ReplayBlocks, ReplayEstimates, ReplayMode, ReplayStart,
 };
 
-use crate::housekeeping::Access;
-use crate::realtime::Block;
-use crate::session::Answer;
-
-/// Blocks that fit one message.
-pub const BLOCKS_PER_MESSAGE: usize = 4;
-
-/// Bytes of one block on the wire.
-pub const BLOCK_BYTES: usize = ADC_LOCK_P * PAIR_BYTES;
-
-/// [`ReplayBlocks::zero_crossing`] when no zero crossing falls into the blocks.
-pub const NO_CROSSING: u16 = u16::MAX;
+use crate::realtime::{Access, Block};
 
 /// What the blocks of one message led to.
 #[derive(Clone, Copy, Debug, Default)]
@@ -49,6 +39,15 @@ impl Estimates {
             data: Raw(&raw[..count * TRACK_BYTES]),
         }
     }
+}
+
+/// What a message of blocks is answered with.
+#[derive(Clone, Debug)]
+pub enum Replayed {
+    /// What the blocks led to.
+    Estimates(Estimates),
+    /// The device is not in replay mode, and took nothing.
+    NotReplaying(ReplayMode),
 }
 
 /// Replay mode as the link sees it.
@@ -118,7 +117,7 @@ impl Replay {
         access: &mut impl Access,
         m: &ReplayBlocks<'_>,
         seq: u16,
-    ) -> Option<Answer> {
+    ) -> Option<Replayed> {
         let bytes = m.data.0;
         let count = bytes.len() / BLOCK_BYTES;
         if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
@@ -126,10 +125,10 @@ impl Replay {
         }
         let (active, blocks) = (access.with(|rt| rt.is_replaying()), self.blocks);
         if !active {
-            return Some(Answer::ReplayMode(ReplayMode { active, blocks }));
+            return Some(Replayed::NotReplaying(ReplayMode { active, blocks }));
         }
         if count == 0 || self.last_seq == Some(seq) {
-            return Some(Answer::ReplayEstimates(self.last));
+            return Some(Replayed::Estimates(self.last));
         }
         let mut entries = [TrackEntry::default(); BLOCKS_PER_MESSAGE];
         let blocks = bytes.chunks_exact(BLOCK_BYTES);
@@ -146,7 +145,7 @@ impl Replay {
             entries,
             count,
         };
-        Some(Answer::ReplayEstimates(self.last))
+        Some(Replayed::Estimates(self.last))
     }
 }
 

@@ -13,7 +13,7 @@ use ihd_shared::wire::messages::{
     WindowChunk, WindowEnd, WindowStart,
 };
 
-use crate::housekeeping::Access;
+use crate::realtime::Access;
 use crate::recorder::Header;
 use crate::replay::Estimates;
 

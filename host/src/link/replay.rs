@@ -5,7 +5,7 @@
 //! an answer counts only with the number of blocks before it, and after silence the device is asked
 //! which message was its last.
 
-use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::{TRACK_BYTES, TrackEntry};

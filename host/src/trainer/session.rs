@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{State, Telemetry};
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use super::{OperatingPoint, Recorded, TrainerError};
 use crate::link::{Client, Event, LinkError, Window};

@@ -10,6 +10,7 @@ pub mod frame;
 pub mod hello;
 pub mod messages;
 pub mod schema;
+pub mod timing;
 
 /// Raised by any change of an existing message.
 pub const PROTOCOL_MAJOR: u16 = 1;

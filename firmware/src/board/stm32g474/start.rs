@@ -2,7 +2,7 @@
 
 use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
-use embassy_executor::{Executor, InterruptExecutor, Spawner};
+use embassy_executor::{Executor, Spawner};
 use embassy_stm32::dac::{Dac, Value};
 use embassy_stm32::flash::Flash;
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
@@ -16,8 +16,9 @@ use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
-use ihd_firmware::housekeeping::{Access, Housekeeping};
+use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::protection::TRIP_CODE;
+use ihd_firmware::realtime::Access;
 use ihd_firmware::{pwm, reset, store};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
@@ -26,7 +27,7 @@ use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Hello, State};
 use static_cell::StaticCell;
 
-use super::adc::Adc;
+use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::slots::Slots;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
@@ -42,7 +43,6 @@ bind_interrupts!(struct Irqs {
 /// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
-pub(super) static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
 static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
