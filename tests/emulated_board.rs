@@ -359,7 +359,7 @@ fn over_current_in_a_replay_ends_the_estimates_and_is_told() {
     let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
     replay.blocks(&loud, None, BUS_DV).unwrap();
     let status = replay.client().status().unwrap();
-    assert_eq!(status.fault, Fault::OverCurrent);
+    assert_eq!(status.fault, Fault::OVER_CURRENT);
     let after = replay.blocks(&loud, None, BUS_DV).unwrap();
     assert_eq!(after, [None]);
 }

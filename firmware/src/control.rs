@@ -126,9 +126,9 @@ impl Control {
                 self.enter(State::Heating);
                 self.heat(summary, lookup)
             }
-            Pot::Unsuitable => Action::Fault(Fault::UnsuitablePot),
+            Pot::Unsuitable => Action::Fault(Fault::UNSUITABLE_POT),
             // A coil through which no current flows heats nothing either.
-            Pot::Absent | Pot::Unknown => Action::Fault(Fault::NoPot),
+            Pot::Absent | Pot::Unknown => Action::Fault(Fault::NO_POT),
         }
     }
 
@@ -142,9 +142,9 @@ impl Control {
             if self.doubt >= POT_GONE_HALF_CYCLES {
                 self.pot = seen;
                 return Action::Fault(if seen == Pot::Unsuitable {
-                    Fault::UnsuitablePot
+                    Fault::UNSUITABLE_POT
                 } else {
-                    Fault::PotRemoved
+                    Fault::POT_REMOVED
                 });
             }
             return Action::Keep;
@@ -221,12 +221,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_heated_is_a_numbered_fault() {
-        assert_eq!(run(&mut probing(), AIR, 3), Action::Fault(Fault::NoPot));
+        assert_eq!(run(&mut probing(), AIR, 3), Action::Fault(Fault::NO_POT));
         let aluminium = run(&mut probing(), ALUMINIUM, 3);
-        assert_eq!(aluminium, Action::Fault(Fault::UnsuitablePot));
+        assert_eq!(aluminium, Action::Fault(Fault::UNSUITABLE_POT));
         assert_eq!(
             run(&mut probing(), (5.0, 22.0, 0.1), 3),
-            Action::Fault(Fault::NoPot)
+            Action::Fault(Fault::NO_POT)
         );
     }
 
@@ -235,12 +235,12 @@ mod tests {
         let mut c = probing();
         run(&mut c, POT, 5);
         assert_eq!(run(&mut c, AIR, 1), Action::Keep, "one half-cycle may err");
-        assert_eq!(run(&mut c, AIR, 1), Action::Fault(Fault::PotRemoved));
+        assert_eq!(run(&mut c, AIR, 1), Action::Fault(Fault::POT_REMOVED));
         let mut c = probing();
         run(&mut c, POT, 5);
         assert_eq!(
             run(&mut c, ALUMINIUM, 2),
-            Action::Fault(Fault::UnsuitablePot)
+            Action::Fault(Fault::UNSUITABLE_POT)
         );
     }
 

@@ -46,7 +46,7 @@ impl Housekeeping {
             telemetry_every: 0,
             active: prior(),
             pending: None,
-            reported_fault: Fault::None,
+            reported_fault: Fault::NONE,
             half_cycles_unheard: 0,
             last: Summary::default(),
             replay: Replay::default(),
@@ -145,7 +145,7 @@ impl Housekeeping {
         self.replay.forget_sequence();
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was told to somebody before.
-        self.reported_fault = Fault::None;
+        self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
         self.paired = check(self.session.hello(), theirs).is_ok();
         self.session.answer(Answer::Hello);
@@ -165,7 +165,7 @@ impl Housekeeping {
         }
         // In replay mode nothing may be heated; there is no fault to name.
         let locked = access.with(|rt| rt.is_replaying());
-        if (fault != Fault::None || locked) && m.power_w > 0 {
+        if (fault != Fault::NONE || locked) && m.power_w > 0 {
             return self.reply(
                 SetPower::ID,
                 Outcome::FaultActive,
@@ -224,7 +224,7 @@ impl Housekeeping {
             self.act(access, action);
             self.send_telemetry(access, &summary);
         }
-        if fault != Fault::None && self.control.state() != State::Faulted {
+        if fault != Fault::NONE && self.control.state() != State::Faulted {
             self.control.faulted();
         }
         let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));

@@ -120,7 +120,7 @@ impl RealTime {
             since_crossing_ns: 0,
             half_cycle: 0,
             summary: None,
-            fault: Fault::None,
+            fault: Fault::NONE,
             fault_half_cycle: 0,
             saturated_pairs: 0,
             blocks: 0,
@@ -231,7 +231,7 @@ impl RealTime {
 
     /// The wanted drive becomes the drive at a zero crossing; off at once.
     fn take_drive(&mut self, at_crossing: bool) {
-        let next = if self.fault == Fault::None {
+        let next = if self.fault == Fault::NONE {
             self.wanted
         } else {
             Drive::OFF
@@ -253,7 +253,7 @@ impl RealTime {
     }
 
     fn trip(&mut self, fault: Fault) {
-        if self.fault == Fault::None {
+        if self.fault == Fault::NONE {
             self.fault = fault;
             self.fault_half_cycle = self.half_cycle;
         }
@@ -292,7 +292,7 @@ impl RealTime {
     /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
     /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
     pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
-        let on = replay && self.fault == Fault::None;
+        let on = replay && self.fault == Fault::NONE;
         let drive = if on {
             Drive { f_sw_hz, on }
         } else {
@@ -338,14 +338,14 @@ impl RealTime {
     /// The half-cycle in which the active fault tripped; the present one without a fault.
     pub fn fault_half_cycle(&self) -> u32 {
         match self.fault {
-            Fault::None => self.half_cycle,
+            Fault::NONE => self.half_cycle,
             _ => self.fault_half_cycle,
         }
     }
 
     /// Leaves the safe state; the bridge stays off until it is asked for again.
     pub fn clear_fault(&mut self) {
-        self.fault = Fault::None;
+        self.fault = Fault::NONE;
         self.wanted = Drive::OFF;
         self.protection.reset();
     }

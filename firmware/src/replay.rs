@@ -74,12 +74,12 @@ impl Replay {
             return Err((Outcome::Malformed, 0));
         }
         let fault = access.with(|rt| {
-            if rt.fault() == Fault::None {
+            if rt.fault() == Fault::NONE {
                 rt.set_replay(true, m.f_sw_hz, m.r, m.l);
             }
             rt.fault()
         });
-        if fault != Fault::None {
+        if fault != Fault::NONE {
             return Err((Outcome::FaultActive, u32::from(fault.number())));
         }
         *self = Self::default();

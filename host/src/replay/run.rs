@@ -126,7 +126,7 @@ impl Run<'_> {
     /// A fault that the last stretch led to must not keep the next one from beginning.
     fn clear_faults(&mut self) -> Result<(), LinkError> {
         for client in [&mut self.device, &mut self.host] {
-            if persist(|| client.status())?.fault != Fault::None {
+            if persist(|| client.status())?.fault != Fault::NONE {
                 persist(|| client.clear_fault())?;
             }
         }
@@ -280,7 +280,7 @@ impl Run<'_> {
             }
             Event::Fault(f) => {
                 self.outcome
-                    .value(t_s, "fault", f.fault, Fault::None, |f| format!("{f:?}"));
+                    .value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
             }
             Event::Window(_) | Event::Telemetry(_) => {}
         }

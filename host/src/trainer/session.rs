@@ -150,7 +150,7 @@ impl<'a> Session<'a> {
         match self.next_event("telemetry")? {
             Event::Telemetry(t) => {
                 self.last = Some(t.clone());
-                if t.fault != Fault::None {
+                if t.fault != Fault::NONE {
                     return Err(TrainerError::Fault {
                         fault: t.fault,
                         point,
@@ -158,7 +158,7 @@ impl<'a> Session<'a> {
                 }
                 Ok(Some(t))
             }
-            Event::Fault(f) if f.fault != Fault::None => Err(TrainerError::Fault {
+            Event::Fault(f) if f.fault != Fault::NONE => Err(TrainerError::Fault {
                 fault: f.fault,
                 point,
             }),
@@ -192,7 +192,7 @@ impl<'a> Session<'a> {
                     });
                 }
                 Event::Telemetry(t) => self.last = Some(t),
-                Event::Fault(f) if f.fault != Fault::None => {
+                Event::Fault(f) if f.fault != Fault::NONE => {
                     return Err(TrainerError::Fault {
                         fault: f.fault,
                         point,

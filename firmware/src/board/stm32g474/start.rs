@@ -241,7 +241,7 @@ impl Board {
         let blocks = path.with(|rt| {
             // A trip counts while the bridge should run: switching on clears what is left of it.
             if tripped && rt.drive().on {
-                rt.raise(Fault::OverCurrent);
+                rt.raise(Fault::OVER_CURRENT);
             }
             rt.blocks()
         });
