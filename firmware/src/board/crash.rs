@@ -1,4 +1,5 @@
-//! The end of the program: panic, processor fault, stack overflow. Outputs off, last words, reset.
+//! The end of the program: panic, processor fault, stack overflow, error of flash or RAM. Outputs
+//! off, last words, reset.
 
 #![cfg_attr(
     feature = "instruction-counts",
@@ -13,7 +14,7 @@ use ihd_firmware::reset::{LastWords, Reason, WORDS};
 #[cfg(feature = "mps2-an386")]
 use super::mps2_an386::outputs_off;
 #[cfg(feature = "stm32g474")]
-use super::stm32g474::outputs_off;
+use super::stm32g474::{outputs_off, system_fault};
 
 /// Not cleared at start: link.x places `.uninit` outside what start-up code writes.
 #[unsafe(link_section = ".uninit.LAST_WORDS")]
@@ -69,6 +70,18 @@ fn end(reason: Reason) -> ! {
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
+    end(Reason::Panic)
+}
+
+/// An error of flash or RAM that cannot be corrected (RM0440: FLASH, "Error code correction (ECC)";
+/// SYSCFG, SYSCFG_CFGR2). HRTIM's system fault has opened the bridge already; the number is left for
+/// the next start, as no code is to be trusted from here on.
+#[cfg(feature = "stm32g474")]
+#[cortex_m_rt::exception]
+unsafe fn NonMaskableInt() -> ! {
+    if let Some(fault) = system_fault() {
+        note_fault(fault.number());
+    }
     end(Reason::Panic)
 }
 

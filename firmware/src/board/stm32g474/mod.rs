@@ -22,7 +22,14 @@ mod slots;
 mod start;
 mod usb;
 
+use ihd_shared::fault::Fault;
+
 /// Both switches off, at once, whatever else goes on.
 pub fn outputs_off() {
     registers::bridge_off();
+}
+
+/// Which of the chip's system faults has left a flag.
+pub fn system_fault() -> Option<Fault> {
+    registers::system_fault()
 }

@@ -20,7 +20,6 @@ use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::Access;
 use ihd_firmware::{pwm, reset, store};
-use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -237,11 +236,13 @@ async fn link_task(
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
-        let tripped = registers::hardware_tripped();
+        let tripped = registers::hardware_fault();
         let blocks = path.with(|rt| {
             // A trip counts while the bridge should run: switching on clears what is left of it.
-            if tripped && rt.drive().on {
-                rt.raise(Fault::OVER_CURRENT);
+            if let Some(fault) = tripped
+                && rt.drive().on
+            {
+                rt.raise(fault);
             }
             rt.blocks()
         });
