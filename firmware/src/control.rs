@@ -1,4 +1,14 @@
-//! The controller's state machine: idle, probing, heating, faulted.
+//! The controller's state machine.
+//!
+//! | state | entered by | left when |
+//! |---|---|---|
+//! | Idle | start; 0 W asked for (the host, its silence for 10 s, replay mode); `ClearFault` | power is asked for: Probing, at the highest frequency |
+//! | Probing | power asked for in Idle | the third half-cycle shows a pot that can be heated: Heating; anything else: Faulted (NO_POT, UNSUITABLE_POT) |
+//! | Heating | Probing that found a pot | two half-cycles in a row without one: Faulted (POT_REMOVED, UNSUITABLE_POT) |
+//! | Faulted | any fault: of the pot, of protection, of the hardware | `ClearFault`: Idle |
+//!
+//! 0 W asked for leaves Probing and Heating for Idle at once; `ClearFault` leads to Idle from any
+//! state, and what was asked for is forgotten.
 //!
 //! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
 //! effect at the next zero crossing, so the summary after that one still shows the old one and is
@@ -39,7 +49,8 @@ pub struct Control {
     pot: Pot,
     asked_w: u16,
     half_cycles_in_state: u8,
-    doubt: u8,
+    /// In a row, while heating.
+    half_cycles_without_pot: u8,
     /// Frequency of the last drive asked for; summaries of another one are of the past.
     requested_hz: u32,
     power: PowerControl,
@@ -101,7 +112,7 @@ impl Control {
     fn enter(&mut self, state: State) {
         self.state = state;
         self.half_cycles_in_state = 0;
-        self.doubt = 0;
+        self.half_cycles_without_pot = 0;
     }
 
     /// Takes a half-cycle's summary.
@@ -135,11 +146,11 @@ impl Control {
     fn heat(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
         let seen = classify(summary, lookup);
         if matches!(seen, Pot::Ferromagnetic | Pot::Small) {
-            self.doubt = 0;
+            self.half_cycles_without_pot = 0;
             self.pot = seen;
         } else {
-            self.doubt += 1;
-            if self.doubt >= POT_GONE_HALF_CYCLES {
+            self.half_cycles_without_pot += 1;
+            if self.half_cycles_without_pot >= POT_GONE_HALF_CYCLES {
                 self.pot = seen;
                 return Action::Fault(if seen == Pot::Unsuitable {
                     Fault::UNSUITABLE_POT

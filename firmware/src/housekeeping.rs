@@ -144,7 +144,7 @@ impl Housekeeping {
         self.session.restart(access);
         self.replay.forget_sequence();
         self.telemetry_every = 0;
-        // Whoever comes must hear of an active fault, even if it was told to somebody before.
+        // Whoever comes must hear of an active fault, even if it was reported to somebody before.
         self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
         self.paired = check(self.session.hello(), theirs).is_ok();

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn each_reason_is_told() {
+    fn each_reason_is_reported() {
         let none = Flags::default();
         let watchdog = Flags {
             watchdog: true,

@@ -103,7 +103,7 @@ impl Session {
 
     /// Queues an answer; callers keep [`Session::is_full`] false first.
     pub fn answer(&mut self, answer: Answer) {
-        // A fault event on top of a full queue is lost here, not in Status, which still tells it.
+        // A fault event on top of a full queue is lost here, not in Status, which still reports it.
         let _ = self.answers.push_back(answer);
     }
 

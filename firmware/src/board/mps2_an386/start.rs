@@ -48,7 +48,7 @@ fn main() -> ! {
 }
 
 fn hello(last: Option<reset::LastWords>) -> Hello {
-    // The board tells power-on by the absence of last words; every other start follows a reset
+    // The absence of last words indicates power-on; every other start follows a reset
     // that this program asked for.
     let flags = Flags {
         software: last.is_some(),

@@ -99,7 +99,7 @@ fn main() -> ! {
 
 fn hello(flags: reset::Flags, last: Option<reset::LastWords>) -> Hello {
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-    // Starts since power-on, told apart from other boards by the chip's number.
+    // Starts since power-on, made different from other boards' by the chip's number.
     let starts = last.map_or(0, |words| u32::from(words.starts) + 1);
     let boot_id = uid::uid().iter().fold(starts, |id, &byte| {
         id.wrapping_mul(0x0100_0193) ^ u32::from(byte)
