@@ -79,15 +79,15 @@ fn free_address() -> String {
 }
 
 impl Board {
-    /// Switches a board on; `mishap` is what mishap.rs of the board understands.
-    fn start(mishap: &str) -> Self {
+    /// Switches a board on; `inject` is what fault_injection.rs of the board understands.
+    fn start(inject: &str) -> Self {
         let (link, monitor) = (free_address(), free_address());
         let port = |address: &str| format!("tcp:{address},server=on,wait=off");
         let qemu = Command::new(&*QEMU)
             .args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
             .args(["-serial", &port(&link), "-monitor", &port(&monitor)])
             .arg("-semihosting-config")
-            .arg(format!("enable=on,target=native,arg={mishap}"))
+            .arg(format!("enable=on,target=native,arg={inject}"))
             .args(["-kernel", &IMAGE])
             .stdin(Stdio::null())
             .spawn()
@@ -366,19 +366,19 @@ fn over_current_in_a_replay_ends_the_estimates_and_is_told() {
 
 #[test]
 fn the_reason_of_a_reset_survives_it() {
-    for (mishap, reason, fault) in [
+    for (inject, reason, fault) in [
         ("", Reason::PowerOn, 0),
         ("panic", Reason::Panic, 4),
         ("stack-overflow", Reason::StackOverflow, 0),
         ("processor-fault", Reason::Panic, 0),
     ] {
-        let board = Board::start(mishap);
+        let board = Board::start(inject);
         let client = board.connect();
         let hello = client.hello();
         assert_eq!(
             (hello.reset_reason, hello.fault_before_reset),
             (reason as u8, fault),
-            "{mishap:?}"
+            "{inject:?}"
         );
     }
 }

@@ -325,7 +325,7 @@ fn hello_is_frozen() {
     assert_eq!(Hello::ID, 1);
 }
 
-/// The session drops what does not fit a frame, so the longest of each message has to fit.
+/// The transmit queue drops what does not fit a frame, so the longest of each message has to fit.
 #[test]
 fn the_longest_of_every_message_fits_a_frame() {
     let name = "x".repeat(32);

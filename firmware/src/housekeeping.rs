@@ -18,12 +18,12 @@ use crate::half_cycle::Summary;
 use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
-use crate::session::{Answer, Session};
+use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
     deframer: Deframer,
-    session: Session,
+    queue: TransmitQueue,
     control: Control,
     paired: bool,
     telemetry_every: u8,
@@ -40,7 +40,7 @@ impl Housekeeping {
     pub fn new(hello: Hello) -> Self {
         Self {
             deframer: Deframer::new(),
-            session: Session::new(hello),
+            queue: TransmitQueue::new(hello),
             control: Control::default(),
             paired: false,
             telemetry_every: 0,
@@ -72,7 +72,7 @@ impl Housekeeping {
     /// the link: offer the rest again later.
     pub fn receive(&mut self, access: &mut impl Access, bytes: &[u8]) -> usize {
         for (taken, &byte) in bytes.iter().enumerate() {
-            if self.session.is_full() {
+            if self.queue.is_full() {
                 return taken;
             }
             let Some(Ok(frame)) = self.deframer.push(byte) else {
@@ -93,10 +93,10 @@ impl Housekeeping {
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
                     match self.replay.blocks(access, &blocks, seq) {
                         Some(Replayed::Estimates(estimates)) => {
-                            self.session.answer(Answer::ReplayEstimates(estimates));
+                            self.queue.answer(Answer::ReplayEstimates(estimates));
                         }
                         Some(Replayed::NotReplaying(mode)) => {
-                            self.session.answer(Answer::ReplayMode(mode));
+                            self.queue.answer(Answer::ReplayMode(mode));
                         }
                         None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
                     }
@@ -107,9 +107,9 @@ impl Housekeeping {
                 Ok(AnyMessage::Stream(m)) => self.stream(access, &m),
                 Ok(AnyMessage::GetStatus(_)) => {
                     let status = self.status(access);
-                    self.session.answer(Answer::Status(status));
+                    self.queue.answer(Answer::Status(status));
                 }
-                Ok(AnyMessage::ReadLookup(_)) => self.session.answer(Answer::Lookup),
+                Ok(AnyMessage::ReadLookup(_)) => self.queue.answer(Answer::Lookup),
                 Ok(AnyMessage::ClearFault(_)) => {
                     access.with(RealTime::clear_fault);
                     self.control.clear_fault();
@@ -132,7 +132,7 @@ impl Housekeeping {
     }
 
     fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
-        self.session.answer(Answer::Reply(Reply {
+        self.queue.answer(Answer::Reply(Reply {
             to,
             outcome,
             detail,
@@ -141,14 +141,14 @@ impl Housekeeping {
 
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
-        self.session.restart(access);
+        self.queue.restart(access);
         self.replay.forget_sequence();
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was reported to somebody before.
         self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
-        self.paired = check(self.session.hello(), theirs).is_ok();
-        self.session.answer(Answer::Hello);
+        self.paired = check(self.queue.hello(), theirs).is_ok();
+        self.queue.answer(Answer::Hello);
         if !self.paired {
             self.reply(Hello::ID, Outcome::NotPaired, 0);
         }
@@ -187,8 +187,8 @@ impl Housekeeping {
     }
 
     fn answer_replay_mode(&mut self, mode: ReplayMode) {
-        self.session.set_capability(CAP_REPLAYING, mode.active);
-        self.session.answer(Answer::ReplayMode(mode));
+        self.queue.set_capability(CAP_REPLAYING, mode.active);
+        self.queue.answer(Answer::ReplayMode(mode));
     }
 
     fn stream(&mut self, access: &mut impl Access, m: &Stream) {
@@ -228,9 +228,9 @@ impl Housekeeping {
             self.control.faulted();
         }
         let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));
-        if fault != self.reported_fault && self.paired && !self.session.is_full() {
+        if fault != self.reported_fault && self.paired && !self.queue.is_full() {
             self.reported_fault = fault;
-            self.session
+            self.queue
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
         }
     }
@@ -268,7 +268,7 @@ impl Housekeeping {
         } else {
             0
         };
-        self.session.telemetry(|seq, dropped| Telemetry {
+        self.queue.telemetry(|seq, dropped| Telemetry {
             seq,
             dropped,
             half_cycle: s.half_cycle,
@@ -287,7 +287,7 @@ impl Housekeeping {
 
     fn status(&mut self, access: &mut impl Access) -> Status {
         let counters = self.deframer.counters();
-        let telemetry_dropped = self.session.telemetry_dropped();
+        let telemetry_dropped = self.queue.telemetry_dropped();
         let (control, active, last) = (&self.control, &self.active, &self.last);
         access.with(|rt| {
             let windows = rt.recorder().counters();
@@ -312,6 +312,6 @@ impl Housekeeping {
 
     /// Writes the next frame for the link, if there is one; returns its length, 0 for none.
     pub fn transmit(&mut self, access: &mut impl Access, out: &mut [u8; MAX_ENCODED]) -> usize {
-        self.session.transmit(access, &self.active, out)
+        self.queue.transmit(access, &self.active, out)
     }
 }

@@ -16,9 +16,9 @@
 //! This module is compiled and its image linked and measured; it has not run on hardware yet.
 
 mod adc;
+mod nonvolatile;
 mod registers;
 mod serial;
-mod slots;
 mod start;
 mod usb;
 

@@ -1,4 +1,5 @@
-//! The link's outgoing side: what is queued, in which order it leaves, and what is counted.
+//! The transmit queue, the link's outgoing side: what waits, in which order it leaves, and what is
+//! counted.
 //!
 //! Nothing waits for the link. Answers go first, then faults, telemetry and windows. Telemetry and
 //! windows take their sequence number before they look for room, so that what is dropped shows as
@@ -57,7 +58,7 @@ enum Stage {
 }
 
 /// Queues and counters of the outgoing side.
-pub struct Session {
+pub struct TransmitQueue {
     hello: Hello,
     frame_seq: u16,
     answers: Deque<Answer, ANSWERS>,
@@ -67,7 +68,7 @@ pub struct Session {
     cursor: Option<Cursor>,
 }
 
-impl Session {
+impl TransmitQueue {
     /// Nothing queued.
     pub fn new(hello: Hello) -> Self {
         Self {
@@ -101,7 +102,7 @@ impl Session {
         self.answers.len() + 2 > ANSWERS
     }
 
-    /// Queues an answer; callers keep [`Session::is_full`] false first.
+    /// Queues an answer; callers keep [`TransmitQueue::is_full`] false first.
     pub fn answer(&mut self, answer: Answer) {
         // A fault event on top of a full queue is lost here, not in Status, which still reports it.
         let _ = self.answers.push_back(answer);
