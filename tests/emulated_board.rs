@@ -24,7 +24,7 @@ use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::hello::{CAP_REPLAYING, CAP_SIMULATED};
 use ihd_shared::wire::messages::{Outcome, State};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
@@ -146,7 +146,7 @@ impl Board {
 }
 
 /// The host-compiled library on the same blocks.
-fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrackEntry>> {
+fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
     let mut realtime = Box::new(RealTime::new(START.0, START.1));
     realtime.set_replay(true, h.f_sw_hz, START.0, START.1);
     let blocks = h.blocks().enumerate();
@@ -162,7 +162,7 @@ fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrackEntry>> {
         .collect()
 }
 
-fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrackEntry>> {
+fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
     let mut replay = client.start_replay(h.f_sw_hz, START.0, START.1).unwrap();
     let estimates = replay.blocks(&h.pairs, Some(0), BUS_DV).unwrap();
     replay.end().unwrap();
@@ -224,7 +224,7 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
     assert_eq!(client.read_lookup().unwrap(), built.lookup);
 }
 
-fn spread(estimates: &[Option<TrackEntry>]) -> (f64, f64) {
+fn spread(estimates: &[Option<TrajectoryEntry>]) -> (f64, f64) {
     let settled = estimates.iter().flatten().skip(40);
     settled.fold((f64::MAX, 0.0f64), |(low, high), entry| {
         (low.min(entry.r.ohm()), high.max(entry.r.ohm()))
@@ -254,15 +254,19 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
 /// R and L against the amplitude of the current, from a window's own track.
 fn curve(window: &Window) -> LoadCurve {
     let block = ADC_LOCK_P;
-    let points = window.track.iter().enumerate().filter_map(|(k, entry)| {
-        let pairs = window.pairs.get(k * block..(k + 1) * block)?;
-        let peak = pairs.iter().map(|p| p.i.unsigned_abs()).max()?;
-        Some(LoadPoint {
-            i_a: f64::from(peak) * AMPERE_PER_CODE,
-            r_ohm: entry.r.ohm(),
-            l_h: entry.l.henry(),
-        })
-    });
+    let points = window
+        .trajectory
+        .iter()
+        .enumerate()
+        .filter_map(|(k, entry)| {
+            let pairs = window.pairs.get(k * block..(k + 1) * block)?;
+            let peak = pairs.iter().map(|p| p.i.unsigned_abs()).max()?;
+            Some(LoadPoint {
+                i_a: f64::from(peak) * AMPERE_PER_CODE,
+                r_ohm: entry.r.ohm(),
+                l_h: entry.l.henry(),
+            })
+        });
     LoadCurve::from_half_cycle(f64::from(window.f_sw_hz), points)
 }
 

@@ -14,7 +14,7 @@ use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, FaultEvent, GetStatus, Hello, LookupBlob, MESSAGES, Message, Outcome,
     Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode,
-    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrackChunk,
+    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrajectoryChunk,
     WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
@@ -69,7 +69,7 @@ fn framed(message: &AnyMessage<'_>, seq: u16) -> Vec<u8> {
         AnyMessage::Telemetry(m) => encode(m, seq, &mut out),
         AnyMessage::WindowStart(m) => encode(m, seq, &mut out),
         AnyMessage::WindowChunk(m) => encode(m, seq, &mut out),
-        AnyMessage::TrackChunk(m) => encode(m, seq, &mut out),
+        AnyMessage::TrajectoryChunk(m) => encode(m, seq, &mut out),
         AnyMessage::WindowEnd(m) => encode(m, seq, &mut out),
         AnyMessage::LookupBlob(m) => encode(m, seq, &mut out),
         AnyMessage::FaultEvent(m) => encode(m, seq, &mut out),
@@ -129,9 +129,9 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             f_sw_hz: 52_345,
             half_cycle_ns: 9_999_500,
             first_pair_ns: -1_234,
-            first_track_ns: 28_656,
+            first_trajectory_ns: 28_656,
             pairs: 10_643,
-            track: 174,
+            trajectory: 174,
             saturated: 3,
             lookup_version: 7,
         }),
@@ -140,7 +140,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             offset: 240,
             data: Raw(chunk),
         }),
-        AnyMessage::TrackChunk(TrackChunk {
+        AnyMessage::TrajectoryChunk(TrajectoryChunk {
             seq: 77,
             offset: 120,
             data: Raw(chunk),
@@ -353,7 +353,7 @@ fn the_longest_of_every_message_fits_a_frame() {
                 m.data = Raw(&[0xFF; BLOCKS_PER_MESSAGE * BLOCK_BYTES]);
             }
             AnyMessage::WindowChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
-            AnyMessage::TrackChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
+            AnyMessage::TrajectoryChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
             // Integers only, at most 14 of at most 5 bytes: far below a frame.
             _ => {}
         }

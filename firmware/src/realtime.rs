@@ -12,7 +12,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 
 use crate::demod::{Demodulator, correlate};
 use crate::ekf::{Ekf, Noise};
@@ -210,7 +210,7 @@ impl RealTime {
     }
 
     /// Takes one block from a host; returns the estimate it led to, if any.
-    pub fn replay_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
+    pub fn replay_block(&mut self, block: &Block<'_>) -> Option<TrajectoryEntry> {
         if self.replaying {
             self.take_block(block)
         } else {
@@ -274,7 +274,7 @@ impl RealTime {
     }
 
     /// Takes one block; returns the estimate it led to.
-    fn take_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
+    fn take_block(&mut self, block: &Block<'_>) -> Option<TrajectoryEntry> {
         let mut estimate = None;
         let sums = correlate(block.pairs);
         self.saturated_pairs = self.saturated_pairs.wrapping_add(u32::from(sums.saturated));
@@ -301,7 +301,7 @@ impl RealTime {
         {
             self.ekf.step(&phasors);
             self.accumulator.add_estimate(&phasors, &self.ekf);
-            let entry = TrackEntry {
+            let entry = TrajectoryEntry {
                 r: self.ekf.r(),
                 l: self.ekf.l(),
             };

@@ -9,7 +9,7 @@ use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
-use ihd_shared::window::{PAIR_BYTES, TRACK_BYTES, TrackEntry};
+use ihd_shared::window::{PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
 use ihd_shared::wire::messages::{
     Outcome, Raw, ReplayBlocks, ReplayEstimates, ReplayMode, ReplayStart,
 };
@@ -20,23 +20,27 @@ use crate::realtime::{Access, Block};
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Estimates {
     first: u32,
-    entries: [TrackEntry; BLOCKS_PER_MESSAGE],
+    entries: [TrajectoryEntry; BLOCKS_PER_MESSAGE],
     count: usize,
 }
 
 impl Estimates {
     /// Most bytes of a message.
-    pub const BYTES: usize = BLOCKS_PER_MESSAGE * TRACK_BYTES;
+    pub const BYTES: usize = BLOCKS_PER_MESSAGE * TRAJECTORY_ENTRY_BYTES;
 
     /// The message, its bytes in `raw`.
     pub fn message<'a>(&self, raw: &'a mut [u8; Self::BYTES]) -> ReplayEstimates<'a> {
         let count = self.count.min(BLOCKS_PER_MESSAGE);
-        for (entry, slot) in self.entries.iter().zip(raw.chunks_exact_mut(TRACK_BYTES)) {
+        for (entry, slot) in self
+            .entries
+            .iter()
+            .zip(raw.chunks_exact_mut(TRAJECTORY_ENTRY_BYTES))
+        {
             slot.copy_from_slice(&entry.to_le_bytes());
         }
         ReplayEstimates {
             first: self.first,
-            data: Raw(&raw[..count * TRACK_BYTES]),
+            data: Raw(&raw[..count * TRAJECTORY_ENTRY_BYTES]),
         }
     }
 }
@@ -130,7 +134,7 @@ impl Replay {
         if count == 0 || self.last_seq == Some(seq) {
             return Some(Replayed::Estimates(self.last));
         }
-        let mut entries = [TrackEntry::default(); BLOCKS_PER_MESSAGE];
+        let mut entries = [TrajectoryEntry::default(); BLOCKS_PER_MESSAGE];
         let blocks = bytes.chunks_exact(BLOCK_BYTES);
         for (k, (entry, block)) in entries.iter_mut().zip(blocks).enumerate() {
             let crossing = usize::from(m.zero_crossing).checked_sub(k * ADC_LOCK_P);
@@ -155,7 +159,7 @@ fn replay_one(
     bytes: &[u8],
     crossing: Option<usize>,
     bus_dv: u16,
-) -> Option<TrackEntry> {
+) -> Option<TrajectoryEntry> {
     let mut pairs = [Pair::default(); ADC_LOCK_P];
     for (pair, b) in pairs.iter_mut().zip(bytes.chunks_exact(PAIR_BYTES)) {
         *pair = Pair::from_le_bytes([b[0], b[1], b[2], b[3]]);

@@ -10,8 +10,8 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
-    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry, TrackChunk,
-    WindowChunk, WindowEnd, WindowStart,
+    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
+    TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 
 use crate::realtime::Access;
@@ -53,7 +53,7 @@ struct Cursor {
 enum Stage {
     Start,
     Pairs(u16),
-    Track(u16),
+    Trajectory(u16),
     End,
 }
 
@@ -194,9 +194,9 @@ impl TransmitQueue {
                     f_sw_hz: h.f_sw_hz,
                     half_cycle_ns: h.half_cycle_ns,
                     first_pair_ns: h.first_pair_ns,
-                    first_track_ns: h.first_track_ns,
+                    first_trajectory_ns: h.first_trajectory_ns,
                     pairs: h.pairs,
-                    track: h.track,
+                    trajectory: h.trajectory,
                     saturated: h.saturated,
                     lookup_version: h.lookup_version,
                 };
@@ -213,8 +213,8 @@ impl TransmitQueue {
                 };
                 (self.frame(&chunk, out), Stage::Pairs(offset + n.max(1)))
             }
-            Stage::Pairs(_) => return self.track_frame(cursor, 0, access, out),
-            Stage::Track(offset) => return self.track_frame(cursor, offset, access, out),
+            Stage::Pairs(_) => return self.trajectory_frame(cursor, 0, access, out),
+            Stage::Trajectory(offset) => return self.trajectory_frame(cursor, offset, access, out),
             Stage::End => {
                 let end = WindowEnd {
                     seq: h.seq,
@@ -229,7 +229,7 @@ impl TransmitQueue {
         length
     }
 
-    fn track_frame(
+    fn trajectory_frame(
         &mut self,
         mut cursor: Cursor,
         offset: u16,
@@ -237,23 +237,23 @@ impl TransmitQueue {
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
         let h = cursor.header;
-        if offset >= h.track {
+        if offset >= h.trajectory {
             cursor.stage = Stage::End;
             return self.window_frame(cursor, access, out);
         }
         let mut raw = [0; CHUNK_BYTES];
-        let n = access.with(|rt| rt.recorder().read_track(offset, &mut raw));
-        let data = &raw[..usize::from(n) * ihd_shared::window::TRACK_BYTES];
+        let n = access.with(|rt| rt.recorder().read_trajectory(offset, &mut raw));
+        let data = &raw[..usize::from(n) * ihd_shared::window::TRAJECTORY_ENTRY_BYTES];
         cursor.digest.update(data);
         let length = self.frame(
-            &TrackChunk {
+            &TrajectoryChunk {
                 seq: h.seq,
                 offset,
                 data: Raw(data),
             },
             out,
         );
-        cursor.stage = Stage::Track(offset + n.max(1));
+        cursor.stage = Stage::Trajectory(offset + n.max(1));
         self.cursor = Some(cursor);
         length
     }

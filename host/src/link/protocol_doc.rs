@@ -6,7 +6,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
-use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRACK};
+use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRAJECTORY};
 use ihd_shared::wire::frame::{MAX_BODY, MAX_ENCODED, MAX_PAYLOAD};
 use ihd_shared::wire::messages::{ENUMS, MESSAGES, SCHEMA_HASH};
 use ihd_shared::wire::schema::Entry;
@@ -91,15 +91,15 @@ one.
 
 ## Windows
 
-A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrackChunk`s,
-`WindowEnd`, in this order, other messages in between. At most {MAX_PAIRS} pairs and {MAX_TRACK} track
+A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrajectoryChunk`s,
+`WindowEnd`, in this order, other messages in between. At most {MAX_PAIRS} pairs and {MAX_TRAJECTORY} trajectory
 entries, {CHUNK_BYTES} bytes a chunk.
 
-    pair         v i16 LE · i i16 LE        ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
-    track entry  R i32 LE · L i32 LE        µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
+    pair              v i16 LE · i i16 LE   ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
+    trajectory entry  R i32 LE · L i32 LE   µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
 
 Chunks follow each other without gap or overlap. `WindowEnd` carries the CRC-32 of all pair bytes, then
-all track bytes. A window's number counts before a buffer is claimed: a gap is a window that was
+all trajectory bytes. A window's number counts before a buffer is claimed: a gap is a window that was
 dropped.
 
 ## Lookup

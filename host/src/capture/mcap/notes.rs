@@ -67,10 +67,10 @@ pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
             pairs: w.pairs.len(),
             saturated: w.saturated,
             lookup_version: w.lookup_version,
-            track_t0_s: zero_crossing_s + w.track_time_s(0),
+            track_t0_s: zero_crossing_s + w.trajectory_time_s(0),
             track_dt_s: f64::from(ADC_LOCK_Q) / f64::from(w.f_sw_hz),
-            track_r_ohm: w.track.iter().map(|e| e.r.ohm()).collect(),
-            track_l_h: w.track.iter().map(|e| e.l.henry()).collect(),
+            track_r_ohm: w.trajectory.iter().map(|e| e.r.ohm()).collect(),
+            track_l_h: w.trajectory.iter().map(|e| e.l.henry()).collect(),
         }),
     }
 }
