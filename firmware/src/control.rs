@@ -2,13 +2,14 @@
 //!
 //! | state | entered by | left when |
 //! |---|---|---|
-//! | Idle | start; 0 W asked for (the host, its silence for 10 s, replay mode); `ClearFault` | power is asked for: Probing, at the highest frequency |
-//! | Probing | power asked for in Idle | the third half-cycle shows a pot that can be heated: Heating; anything else: Faulted (NO_POT, UNSUITABLE_POT) |
-//! | Heating | Probing that found a pot | two half-cycles in a row without one: Faulted (POT_REMOVED, UNSUITABLE_POT) |
-//! | Faulted | any fault: of the pot, of protection, of the hardware | `ClearFault`: Idle |
+//! | Idle | start, 0 W, `ClearFault` | power is asked for: Probing |
+//! | Probing | power asked for in Idle | third half-cycle: Heating with a pot, else Faulted |
+//! | Heating | Probing that found a pot | two half-cycles in a row without one: Faulted |
+//! | Faulted | any fault: pot, protection, hardware | `ClearFault`: Idle |
 //!
-//! 0 W asked for leaves Probing and Heating for Idle at once; `ClearFault` leads to Idle from any
-//! state, and what was asked for is forgotten.
+//! Power comes from `SetPower`; 0 W also from a host that is not heard for 10 s and from replay mode.
+//! 0 W leads from Probing and Heating to Idle at once, a fault from any state to Faulted, and
+//! `ClearFault` from any state to Idle, with the power that was asked for forgotten.
 //!
 //! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
 //! effect at the next zero crossing, so the summary after that one still shows the old one and is

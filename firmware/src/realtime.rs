@@ -218,7 +218,7 @@ impl RealTime {
         }
     }
 
-    /// Enters the safe state for a reason that housekeeping found (a pot, not a sample).
+    /// Enters the safe state for a reason that lies outside the samples: the pot, the hardware.
     pub fn raise(&mut self, fault: Fault) {
         self.trip(fault);
     }

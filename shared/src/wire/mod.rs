@@ -2,8 +2,8 @@
 //! over TCP, over USB and in files.
 //!
 //! Evolution: a new message or a new fault raises [`PROTOCOL_MINOR`]; any change of a message, an
-//! appended field included, raises [`PROTOCOL_MAJOR`]. [`messages::Hello`] alone is frozen for ever, so that any
-//! two builds can find out that they do not fit.
+//! appended field included, raises [`PROTOCOL_MAJOR`]. [`messages::Hello`] alone is frozen for ever,
+//! so that any two builds can find out that they do not fit.
 
 pub mod deframer;
 pub mod frame;

@@ -1,5 +1,5 @@
-//! Fault injection: accidents on demand, named by QEMU's `-semihosting-config arg=`: so that a test sees what the
-//! next start says about them. Only at power-on, or they would repeat for ever.
+//! Fault injection: accidents on demand, named by QEMU's `-semihosting-config arg=`, so that a test
+//! sees what the next start reports. Only at power-on, or they would repeat for ever.
 
 use ihd_firmware::reset::CrashRecord;
 

@@ -154,9 +154,9 @@ pub fn start_timers(periods: Periods) {
 }
 
 /// HRTIM, HRTIM_FLTINR1 and HRTIM_FLTAR: COMP2 on input 1, COMP1 on input 4, active high,
-/// unfiltered; locked until reset. SYSCFG, SYSCFG_CFGR2: lock-up, RAM parity and ECC errors and a sagging
-/// supply reach HRTIM's system fault. EXTI, EXTI_RTSR1 and EXTI_IMR1: a sag of the supply is kept; its
-/// interrupt stays masked in the NVIC.
+/// unfiltered; locked until reset. SYSCFG, SYSCFG_CFGR2: lock-up, RAM parity and ECC errors and a
+/// sagging supply reach HRTIM's system fault. EXTI, EXTI_RTSR1 and EXTI_IMR1: a sag of the supply is
+/// kept; its interrupt stays masked in the NVIC.
 fn start_faults() {
     let hrtim = pac::HRTIM1;
     for input in [0, 3] {
