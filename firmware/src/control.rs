@@ -1,4 +1,15 @@
-//! The controller's state machine: idle, probing, heating, faulted.
+//! The controller's state machine.
+//!
+//! | state | entered by | left when |
+//! |---|---|---|
+//! | Idle | start, 0 W, `ClearFault` | power is asked for: Probing |
+//! | Probing | power asked for in Idle | third half-cycle: Heating with a pot, else Faulted |
+//! | Heating | Probing that found a pot | two half-cycles in a row without one: Faulted |
+//! | Faulted | any fault: pot, protection, hardware | `ClearFault`: Idle |
+//!
+//! Power comes from `SetPower`; 0 W also from a host that is not heard for 10 s and from replay mode.
+//! 0 W leads from Probing and Heating to Idle at once, a fault from any state to Faulted, and
+//! `ClearFault` from any state to Idle, with the power that was asked for forgotten.
 //!
 //! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
 //! effect at the next zero crossing, so the summary after that one still shows the old one and is
@@ -39,7 +50,8 @@ pub struct Control {
     pot: Pot,
     asked_w: u16,
     half_cycles_in_state: u8,
-    doubt: u8,
+    /// In a row, while heating.
+    half_cycles_without_pot: u8,
     /// Frequency of the last drive asked for; summaries of another one are of the past.
     requested_hz: u32,
     power: PowerControl,
@@ -101,7 +113,7 @@ impl Control {
     fn enter(&mut self, state: State) {
         self.state = state;
         self.half_cycles_in_state = 0;
-        self.doubt = 0;
+        self.half_cycles_without_pot = 0;
     }
 
     /// Takes a half-cycle's summary.
@@ -126,25 +138,25 @@ impl Control {
                 self.enter(State::Heating);
                 self.heat(summary, lookup)
             }
-            Pot::Unsuitable => Action::Fault(Fault::UnsuitablePot),
+            Pot::Unsuitable => Action::Fault(Fault::UNSUITABLE_POT),
             // A coil through which no current flows heats nothing either.
-            Pot::Absent | Pot::Unknown => Action::Fault(Fault::NoPot),
+            Pot::Absent | Pot::Unknown => Action::Fault(Fault::NO_POT),
         }
     }
 
     fn heat(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
         let seen = classify(summary, lookup);
         if matches!(seen, Pot::Ferromagnetic | Pot::Small) {
-            self.doubt = 0;
+            self.half_cycles_without_pot = 0;
             self.pot = seen;
         } else {
-            self.doubt += 1;
-            if self.doubt >= POT_GONE_HALF_CYCLES {
+            self.half_cycles_without_pot += 1;
+            if self.half_cycles_without_pot >= POT_GONE_HALF_CYCLES {
                 self.pot = seen;
                 return Action::Fault(if seen == Pot::Unsuitable {
-                    Fault::UnsuitablePot
+                    Fault::UNSUITABLE_POT
                 } else {
-                    Fault::PotRemoved
+                    Fault::POT_REMOVED
                 });
             }
             return Action::Keep;
@@ -221,12 +233,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_heated_is_a_numbered_fault() {
-        assert_eq!(run(&mut probing(), AIR, 3), Action::Fault(Fault::NoPot));
+        assert_eq!(run(&mut probing(), AIR, 3), Action::Fault(Fault::NO_POT));
         let aluminium = run(&mut probing(), ALUMINIUM, 3);
-        assert_eq!(aluminium, Action::Fault(Fault::UnsuitablePot));
+        assert_eq!(aluminium, Action::Fault(Fault::UNSUITABLE_POT));
         assert_eq!(
             run(&mut probing(), (5.0, 22.0, 0.1), 3),
-            Action::Fault(Fault::NoPot)
+            Action::Fault(Fault::NO_POT)
         );
     }
 
@@ -235,12 +247,12 @@ mod tests {
         let mut c = probing();
         run(&mut c, POT, 5);
         assert_eq!(run(&mut c, AIR, 1), Action::Keep, "one half-cycle may err");
-        assert_eq!(run(&mut c, AIR, 1), Action::Fault(Fault::PotRemoved));
+        assert_eq!(run(&mut c, AIR, 1), Action::Fault(Fault::POT_REMOVED));
         let mut c = probing();
         run(&mut c, POT, 5);
         assert_eq!(
             run(&mut c, ALUMINIUM, 2),
-            Action::Fault(Fault::UnsuitablePot)
+            Action::Fault(Fault::UNSUITABLE_POT)
         );
     }
 

@@ -124,9 +124,9 @@ pub struct BlockSums {
     pub saturated: u16,
 }
 
-/// Added to a pair, these set a half's sign bit from a bound on: both carry into the current's half
-/// when the voltage is negative, which only widens its bound by a code. v beyond CODE_MIN or
-/// CODE_MAX, |i| from [`ALARM_CODE`].
+/// Adding ABOVE or BELOW to a packed pair sets a half-word's sign bit when its code reaches the
+/// limit: v at CODE_MIN or CODE_MAX, |i| at [`ALARM_CODE`]. A carry may make the current limit act one
+/// code early; `look_closer` then checks exactly.
 const ABOVE: u32 = halves(
     i16::MIN.wrapping_sub(CODE_MAX),
     i16::MIN.wrapping_sub(ALARM_CODE),
@@ -437,12 +437,12 @@ mod tests {
                     let s = correlate(&pairs);
                     assert_eq!(s.saturated, u16::from(pair.is_saturated()), "{pair:?}");
                     let peak = pair.i.unsigned_abs();
-                    let told = if peak >= ALARM_CODE.unsigned_abs() {
+                    let expected = if peak >= ALARM_CODE.unsigned_abs() {
                         peak
                     } else {
                         0
                     };
-                    assert_eq!(s.i_peak, told, "{pair:?}");
+                    assert_eq!(s.i_peak, expected, "{pair:?}");
                     assert_eq!(s.vi, i64::from(i32::from(pair.v) * i32::from(pair.i)));
                 }
             }

@@ -85,7 +85,7 @@ impl Reciprocal {
         let zeros = n.leading_zeros();
         // m ≤ n·2^(zeros-32) < m + 1, 2^31 ≤ m < 2^32.
         let m = ((n << zeros) >> 32) as u32;
-        // The bit is set already; naming it tells the compiler that nothing is divided by zero.
+        // The bit is set already; naming it shows the compiler that nothing is divided by zero.
         let seed = u32::MAX / (m >> 16 | 1 << 15); // ≈ 2^48 / m, 16 to 17 bits
         // m · seed ≈ 2^48, so `product` ≈ 2^31 and 2^32 − product ≈ 2^31.
         let product = (u64::from(m) * u64::from(seed)) >> 17;

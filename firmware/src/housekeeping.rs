@@ -11,35 +11,19 @@ use ihd_shared::wire::messages::{
     AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, ReplayBlocks,
     ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use crate::control::{Action, Control};
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
-use crate::realtime::RealTime;
-use crate::replay::Replay;
-use crate::session::{Answer, Session};
-
-/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
-/// section; every closure here is short (the longest copies one 960-byte chunk).
-pub trait Access {
-    /// Runs `f` on the sampling path.
-    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R;
-}
-
-impl Access for RealTime {
-    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
-        f(self)
-    }
-}
-
-/// Half-cycles without a frame from the host after which it no longer answers for the power it
-/// asked for: 10 s at 50 Hz.
-pub const HOST_UNHEARD_HALF_CYCLES: u32 = 1_000;
+use crate::realtime::{Access, RealTime};
+use crate::replay::{Replay, Replayed};
+use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
     deframer: Deframer,
-    session: Session,
+    queue: TransmitQueue,
     control: Control,
     paired: bool,
     telemetry_every: u8,
@@ -56,13 +40,13 @@ impl Housekeeping {
     pub fn new(hello: Hello) -> Self {
         Self {
             deframer: Deframer::new(),
-            session: Session::new(hello),
+            queue: TransmitQueue::new(hello),
             control: Control::default(),
             paired: false,
             telemetry_every: 0,
             active: prior(),
             pending: None,
-            reported_fault: Fault::None,
+            reported_fault: Fault::NONE,
             half_cycles_unheard: 0,
             last: Summary::default(),
             replay: Replay::default(),
@@ -88,7 +72,7 @@ impl Housekeeping {
     /// the link: offer the rest again later.
     pub fn receive(&mut self, access: &mut impl Access, bytes: &[u8]) -> usize {
         for (taken, &byte) in bytes.iter().enumerate() {
-            if self.session.is_full() {
+            if self.queue.is_full() {
                 return taken;
             }
             let Some(Ok(frame)) = self.deframer.push(byte) else {
@@ -108,7 +92,12 @@ impl Housekeeping {
                 }
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
                     match self.replay.blocks(access, &blocks, seq) {
-                        Some(answer) => self.session.answer(answer),
+                        Some(Replayed::Estimates(estimates)) => {
+                            self.queue.answer(Answer::ReplayEstimates(estimates));
+                        }
+                        Some(Replayed::NotReplaying(mode)) => {
+                            self.queue.answer(Answer::ReplayMode(mode));
+                        }
                         None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
                     }
                 }
@@ -118,9 +107,9 @@ impl Housekeeping {
                 Ok(AnyMessage::Stream(m)) => self.stream(access, &m),
                 Ok(AnyMessage::GetStatus(_)) => {
                     let status = self.status(access);
-                    self.session.answer(Answer::Status(status));
+                    self.queue.answer(Answer::Status(status));
                 }
-                Ok(AnyMessage::ReadLookup(_)) => self.session.answer(Answer::Lookup),
+                Ok(AnyMessage::ReadLookup(_)) => self.queue.answer(Answer::Lookup),
                 Ok(AnyMessage::ClearFault(_)) => {
                     access.with(RealTime::clear_fault);
                     self.control.clear_fault();
@@ -143,7 +132,7 @@ impl Housekeeping {
     }
 
     fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
-        self.session.answer(Answer::Reply(Reply {
+        self.queue.answer(Answer::Reply(Reply {
             to,
             outcome,
             detail,
@@ -152,14 +141,14 @@ impl Housekeeping {
 
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
-        self.session.restart(access);
+        self.queue.restart(access);
         self.replay.forget_sequence();
         self.telemetry_every = 0;
-        // Whoever comes must hear of an active fault, even if it was told to somebody before.
-        self.reported_fault = Fault::None;
+        // Whoever comes must hear of an active fault, even if it was reported to somebody before.
+        self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
-        self.paired = check(self.session.hello(), theirs).is_ok();
-        self.session.answer(Answer::Hello);
+        self.paired = check(self.queue.hello(), theirs).is_ok();
+        self.queue.answer(Answer::Hello);
         if !self.paired {
             self.reply(Hello::ID, Outcome::NotPaired, 0);
         }
@@ -176,7 +165,7 @@ impl Housekeeping {
         }
         // In replay mode nothing may be heated; there is no fault to name.
         let locked = access.with(|rt| rt.is_replaying());
-        if (fault != Fault::None || locked) && m.power_w > 0 {
+        if (fault != Fault::NONE || locked) && m.power_w > 0 {
             return self.reply(
                 SetPower::ID,
                 Outcome::FaultActive,
@@ -198,8 +187,8 @@ impl Housekeeping {
     }
 
     fn answer_replay_mode(&mut self, mode: ReplayMode) {
-        self.session.set_capability(CAP_REPLAYING, mode.active);
-        self.session.answer(Answer::ReplayMode(mode));
+        self.queue.set_capability(CAP_REPLAYING, mode.active);
+        self.queue.answer(Answer::ReplayMode(mode));
     }
 
     fn stream(&mut self, access: &mut impl Access, m: &Stream) {
@@ -235,13 +224,13 @@ impl Housekeeping {
             self.act(access, action);
             self.send_telemetry(access, &summary);
         }
-        if fault != Fault::None && self.control.state() != State::Faulted {
+        if fault != Fault::NONE && self.control.state() != State::Faulted {
             self.control.faulted();
         }
         let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));
-        if fault != self.reported_fault && self.paired && !self.session.is_full() {
+        if fault != self.reported_fault && self.paired && !self.queue.is_full() {
             self.reported_fault = fault;
-            self.session
+            self.queue
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
         }
     }
@@ -279,7 +268,7 @@ impl Housekeeping {
         } else {
             0
         };
-        self.session.telemetry(|seq, dropped| Telemetry {
+        self.queue.telemetry(|seq, dropped| Telemetry {
             seq,
             dropped,
             half_cycle: s.half_cycle,
@@ -298,7 +287,7 @@ impl Housekeeping {
 
     fn status(&mut self, access: &mut impl Access) -> Status {
         let counters = self.deframer.counters();
-        let telemetry_dropped = self.session.telemetry_dropped();
+        let telemetry_dropped = self.queue.telemetry_dropped();
         let (control, active, last) = (&self.control, &self.active, &self.last);
         access.with(|rt| {
             let windows = rt.recorder().counters();
@@ -323,6 +312,6 @@ impl Housekeeping {
 
     /// Writes the next frame for the link, if there is one; returns its length, 0 for none.
     pub fn transmit(&mut self, access: &mut impl Access, out: &mut [u8; MAX_ENCODED]) -> usize {
-        self.session.transmit(access, &self.active, out)
+        self.queue.transmit(access, &self.active, out)
     }
 }

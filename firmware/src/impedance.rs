@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn resonance_is_told_from_both_sides() {
+    fn the_tank_is_above_or_below_resonance() {
         // 20 µH and 1080 nF resonate at 34.25 kHz.
         let at = |f| Tank::new(f, MicroOhm(3_000_000), PicoHenry(20_000_000));
         assert!(!at(34_000).is_above_resonance(0));

@@ -5,7 +5,7 @@
 //!    │                            ├─► half_cycle ─► control: pot, power ─► drive
 //!    └────► recorder (pairs, R, L)┘                     ▲
 //!              │                                        │
-//!              └────────► session ◄──── link ────► lookup, checked
+//!              └────► transmit queue ◄── link ────► lookup, checked
 //! ```
 //!
 //! [`realtime::RealTime`] is what runs in the sampling interrupt: one call per block of 61 sample
@@ -26,6 +26,7 @@ pub mod health;
 pub mod housekeeping;
 pub mod impedance;
 pub mod mains;
+pub mod nonvolatile;
 pub mod pot;
 pub mod power;
 pub mod protection;
@@ -35,5 +36,4 @@ pub mod recorder;
 pub mod replay;
 pub mod reset;
 pub mod ring;
-pub mod session;
-pub mod store;
+pub mod transmit_queue;

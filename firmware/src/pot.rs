@@ -3,7 +3,7 @@
 //! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 1.4-0.84 / 52-49, aluminium
 //! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
 //! to the lookup at the same frequency and current separate them: R below half of the expected is
-//! no full pot, and then L tells air (above) from a non-magnetic plate (below).
+//! no full pot, and then L separates air (above) from a non-magnetic plate (below).
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::Pot;
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn loads_of_the_design_are_told_apart() {
+    fn loads_of_the_design_are_distinguished() {
         for f in [36_000, 45_000, 60_000, 80_000] {
             assert_eq!(seen(f, 3.7, 24.0, 40.0), Pot::Ferromagnetic);
             assert_eq!(seen(f, 5.0, 30.0, 10.0), Pot::Ferromagnetic);
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn no_current_tells_nothing() {
+    fn no_current_indicates_nothing() {
         assert_eq!(seen(45_000, 3.0, 20.0, 1.0), Pot::Unknown);
         assert_eq!(seen(0, 3.0, 20.0, 10.0), Pot::Unknown);
     }

@@ -71,15 +71,15 @@ impl Protection {
             self.since_zero_crossing_ns += u64::from(block_ns);
         }
         if sums.saturated >= SATURATED_TRIP {
-            Some(Fault::SensorSaturated)
+            Some(Fault::SENSOR_SATURATED)
         } else if sums.i_peak >= TRIP_CODE {
-            Some(Fault::OverCurrent)
+            Some(Fault::OVER_CURRENT)
         } else if bus_dv >= BUS_TRIP_DV {
-            Some(Fault::BusOverVoltage)
+            Some(Fault::BUS_OVER_VOLTAGE)
         } else if late {
-            Some(Fault::SamplesLost)
+            Some(Fault::SAMPLES_LOST)
         } else if self.since_zero_crossing_ns > MAINS_LOST_NS {
-            Some(Fault::MainsLost)
+            Some(Fault::MAINS_LOST)
         } else {
             None
         }
@@ -99,9 +99,9 @@ impl Protection {
             *counter >= BLOCKS_IN_A_ROW
         };
         if count(&mut self.at_bound, ekf.is_at_bound()) {
-            Some(Fault::EstimatorDiverged)
+            Some(Fault::ESTIMATOR_DIVERGED)
         } else if count(&mut self.below_resonance, ekf.l() < self.l_min) {
-            Some(Fault::BelowResonance)
+            Some(Fault::BELOW_RESONANCE)
         } else {
             None
         }
@@ -140,11 +140,14 @@ mod tests {
             ..current
         };
         assert_eq!(check(quiet(), 3_300, 0), None);
-        assert_eq!(check(current, 0, 0), Some(Fault::OverCurrent));
-        assert_eq!(check(saturated, 0, 0), Some(Fault::SensorSaturated));
-        assert_eq!(check(quiet(), BUS_TRIP_DV, 0), Some(Fault::BusOverVoltage));
+        assert_eq!(check(current, 0, 0), Some(Fault::OVER_CURRENT));
+        assert_eq!(check(saturated, 0, 0), Some(Fault::SENSOR_SATURATED));
+        assert_eq!(
+            check(quiet(), BUS_TRIP_DV, 0),
+            Some(Fault::BUS_OVER_VOLTAGE)
+        );
         assert_eq!(check(quiet(), 0, 2), None);
-        assert_eq!(check(quiet(), 0, 3), Some(Fault::SamplesLost));
+        assert_eq!(check(quiet(), 0, 3), Some(Fault::SAMPLES_LOST));
     }
 
     #[test]
@@ -178,6 +181,6 @@ mod tests {
             assert_eq!(p.check_estimate(&ekf), None);
         }
         let tripped = p.check_estimate(&ekf);
-        assert_eq!(tripped, Some(Fault::BelowResonance));
+        assert_eq!(tripped, Some(Fault::BELOW_RESONANCE));
     }
 }

@@ -3,7 +3,7 @@
 //! One tick is 1/8 of a cycle of 170 MHz (HRTIM prescaler 2, 735 ps). The sampling period is 3·m
 //! ticks and the switching period 61·m, so 61 samples span exactly three periods whatever m is.
 //! The price is a grid of frequencies, 55 Hz wide at 34 kHz and 286 Hz at 80 kHz: who asks for a
-//! frequency gets the nearest of the grid, and the estimator is told that one.
+//! frequency gets the nearest of the grid, and the estimator uses that one.
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};

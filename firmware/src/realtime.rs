@@ -1,7 +1,10 @@
 //! The sampling path: what runs once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz. Correlating takes 61
-//! times ≤ 24 instructions, the estimator ≤ 1 500, recording 61 copies; together below a third.
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 550
+//! instructions of it, 35 %: 61 times at most 18 to correlate, 250 for the boxcars, 800 for the
+//! estimator, the rest for protection and recording. firmware/budget.toml holds these ceilings,
+//! docs/performance.md what was counted, and an estimate in cycles that exceeds 35 %. A block that
+//! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
 //! Nothing here waits, allocates, divides by a variable of 64 bit (but at a frequency step), uses
 //! floating point or can panic.
 
@@ -9,7 +12,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 
 use crate::demod::{Demodulator, correlate};
 use crate::ekf::{Ekf, Noise};
@@ -49,6 +52,19 @@ impl Drive {
 
 /// A crossing sooner than this after the last one is an echo of it.
 const SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000;
+
+/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
+/// section; every closure is short (the longest copies one 960-byte chunk).
+pub trait Access {
+    /// Runs `f` on the sampling path.
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R;
+}
+
+impl Access for RealTime {
+    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
+        f(self)
+    }
+}
 
 /// Everything the sampling interrupt owns.
 pub struct RealTime {
@@ -107,7 +123,7 @@ impl RealTime {
             since_crossing_ns: 0,
             half_cycle: 0,
             summary: None,
-            fault: Fault::None,
+            fault: Fault::NONE,
             fault_half_cycle: 0,
             saturated_pairs: 0,
             blocks: 0,
@@ -136,8 +152,129 @@ impl RealTime {
         self.drive()
     }
 
+    /// Asks for another drive: off at once, anything else at the next zero crossing. Ignored while
+    /// a fault is active.
+    pub fn request(&mut self, drive: Drive) {
+        self.wanted = drive;
+        if drive.on
+            && let Some(nearest_hz) = self.nearest_hz
+        {
+            self.wanted.f_sw_hz = nearest_hz(drive.f_sw_hz);
+        }
+    }
+
+    /// Specifies which frequencies the board can make. Without this it can make any.
+    pub fn set_grid(&mut self, nearest_hz: fn(u32) -> u32) {
+        self.nearest_hz = Some(nearest_hz);
+    }
+
+    /// Blocks from the ADC since boot.
+    pub fn blocks(&self) -> u32 {
+        self.blocks
+    }
+
+    /// The drive in force at the bridge.
+    pub fn drive(&self) -> Drive {
+        if self.replaying {
+            Drive::OFF
+        } else {
+            self.drive
+        }
+    }
+
+    /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
+    /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
+    pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
+        let on = replay && self.fault == Fault::NONE;
+        let drive = if on {
+            Drive { f_sw_hz, on }
+        } else {
+            Drive::OFF
+        };
+        self.replaying = replay;
+        self.drive = drive;
+        self.wanted = drive;
+        self.block_ns = block_ns(drive.f_sw_hz);
+        self.demod = Demodulator::new(drive.f_sw_hz);
+        self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
+        self.protection.set_frequency(drive.f_sw_hz);
+        self.protection.reset();
+        self.accumulator = Accumulator::default();
+        self.recorder.interrupt();
+        self.since_crossing_ns = SHORTEST_HALF_CYCLE_NS;
+    }
+
+    /// Whether samples come from a host.
+    pub fn is_replaying(&self) -> bool {
+        self.replaying
+    }
+
+    /// Takes one block from a host; returns the estimate it led to, if any.
+    pub fn replay_block(&mut self, block: &Block<'_>) -> Option<TrajectoryEntry> {
+        if self.replaying {
+            self.take_block(block)
+        } else {
+            None
+        }
+    }
+
+    /// Enters the safe state for a reason that lies outside the samples: the pot, the hardware.
+    pub fn raise(&mut self, fault: Fault) {
+        self.trip(fault);
+    }
+
+    /// The active fault.
+    pub fn fault(&self) -> Fault {
+        self.fault
+    }
+
+    /// The half-cycle in which the active fault tripped; the present one without a fault.
+    pub fn fault_half_cycle(&self) -> u32 {
+        match self.fault {
+            Fault::NONE => self.half_cycle,
+            _ => self.fault_half_cycle,
+        }
+    }
+
+    /// Leaves the safe state; the bridge stays off until it is asked for again.
+    pub fn clear_fault(&mut self) {
+        self.fault = Fault::NONE;
+        self.wanted = Drive::OFF;
+        self.protection.reset();
+    }
+
+    /// The last half-cycle's summary, once.
+    pub fn take_summary(&mut self) -> Option<Summary> {
+        self.summary.take()
+    }
+
+    /// A window every this many half-cycles; 0 for none.
+    pub fn set_windows_every(&mut self, half_cycles: u8) {
+        self.windows_every = half_cycles;
+    }
+
+    /// Another lookup is active from the next window on.
+    pub fn set_lookup_version(&mut self, version: u32) {
+        self.lookup_version = version;
+    }
+
+    /// The window recorder, for the link to read.
+    pub fn recorder(&mut self) -> &mut Recorder {
+        &mut self.recorder
+    }
+
+    /// Half-cycles since boot.
+    pub fn half_cycles(&self) -> u32 {
+        self.half_cycle
+    }
+
+    /// Sample pairs at the end of the ADC's range since boot.
+    pub fn saturated_pairs(&self) -> u32 {
+        self.saturated_pairs
+    }
+
     /// Takes one block; returns the estimate it led to.
-    fn take_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
+    fn take_block(&mut self, block: &Block<'_>) -> Option<TrajectoryEntry> {
         let mut estimate = None;
         let sums = correlate(block.pairs);
         self.saturated_pairs = self.saturated_pairs.wrapping_add(u32::from(sums.saturated));
@@ -164,7 +301,7 @@ impl RealTime {
         {
             self.ekf.step(&phasors);
             self.accumulator.add_estimate(&phasors, &self.ekf);
-            let entry = TrackEntry {
+            let entry = TrajectoryEntry {
                 r: self.ekf.r(),
                 l: self.ekf.l(),
             };
@@ -218,7 +355,7 @@ impl RealTime {
 
     /// The wanted drive becomes the drive at a zero crossing; off at once.
     fn take_drive(&mut self, at_crossing: bool) {
-        let next = if self.fault == Fault::None {
+        let next = if self.fault == Fault::NONE {
             self.wanted
         } else {
             Drive::OFF
@@ -240,130 +377,9 @@ impl RealTime {
     }
 
     fn trip(&mut self, fault: Fault) {
-        if self.fault == Fault::None {
+        if self.fault == Fault::NONE {
             self.fault = fault;
             self.fault_half_cycle = self.half_cycle;
         }
-    }
-
-    /// Asks for another drive: off at once, anything else at the next zero crossing. Ignored while
-    /// a fault is active.
-    pub fn request(&mut self, drive: Drive) {
-        self.wanted = drive;
-        if drive.on
-            && let Some(nearest_hz) = self.nearest_hz
-        {
-            self.wanted.f_sw_hz = nearest_hz(drive.f_sw_hz);
-        }
-    }
-
-    /// Tells which frequencies the board can make. Without this it can make any.
-    pub fn set_grid(&mut self, nearest_hz: fn(u32) -> u32) {
-        self.nearest_hz = Some(nearest_hz);
-    }
-
-    /// Blocks from the ADC since boot.
-    pub fn blocks(&self) -> u32 {
-        self.blocks
-    }
-
-    /// The drive in force at the bridge.
-    pub fn drive(&self) -> Drive {
-        if self.replaying {
-            Drive::OFF
-        } else {
-            self.drive
-        }
-    }
-
-    /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
-    /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
-    pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
-        let on = replay && self.fault == Fault::None;
-        let drive = if on {
-            Drive { f_sw_hz, on }
-        } else {
-            Drive::OFF
-        };
-        self.replaying = replay;
-        self.drive = drive;
-        self.wanted = drive;
-        self.block_ns = block_ns(drive.f_sw_hz);
-        self.demod = Demodulator::new(drive.f_sw_hz);
-        self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
-        self.protection.set_frequency(drive.f_sw_hz);
-        self.protection.reset();
-        self.accumulator = Accumulator::default();
-        self.recorder.interrupt();
-        self.since_crossing_ns = SHORTEST_HALF_CYCLE_NS;
-    }
-
-    /// Whether samples come from a host.
-    pub fn is_replaying(&self) -> bool {
-        self.replaying
-    }
-
-    /// Takes one block from a host; returns the estimate it led to, if any.
-    pub fn replay_block(&mut self, block: &Block<'_>) -> Option<TrackEntry> {
-        if self.replaying {
-            self.take_block(block)
-        } else {
-            None
-        }
-    }
-
-    /// Enters the safe state for a reason that housekeeping found (a pot, not a sample).
-    pub fn raise(&mut self, fault: Fault) {
-        self.trip(fault);
-    }
-
-    /// The active fault.
-    pub fn fault(&self) -> Fault {
-        self.fault
-    }
-
-    /// The half-cycle in which the active fault tripped; the present one without a fault.
-    pub fn fault_half_cycle(&self) -> u32 {
-        match self.fault {
-            Fault::None => self.half_cycle,
-            _ => self.fault_half_cycle,
-        }
-    }
-
-    /// Leaves the safe state; the bridge stays off until it is asked for again.
-    pub fn clear_fault(&mut self) {
-        self.fault = Fault::None;
-        self.wanted = Drive::OFF;
-        self.protection.reset();
-    }
-
-    /// The last half-cycle's summary, once.
-    pub fn take_summary(&mut self) -> Option<Summary> {
-        self.summary.take()
-    }
-
-    /// A window every this many half-cycles; 0 for none.
-    pub fn set_windows_every(&mut self, half_cycles: u8) {
-        self.windows_every = half_cycles;
-    }
-
-    /// Another lookup is active from the next window on.
-    pub fn set_lookup_version(&mut self, version: u32) {
-        self.lookup_version = version;
-    }
-
-    /// The window recorder, for the link to read.
-    pub fn recorder(&mut self) -> &mut Recorder {
-        &mut self.recorder
-    }
-
-    /// Half-cycles since boot.
-    pub fn half_cycles(&self) -> u32 {
-        self.half_cycle
-    }
-
-    /// Sample pairs at the end of the ADC's range since boot.
-    pub fn saturated_pairs(&self) -> u32 {
-        self.saturated_pairs
     }
 }

@@ -1,25 +1,27 @@
-//! Window recorder: every pair of one half-cycle, and the estimator's track through it.
+//! Window recorder: every pair of one half-cycle, and the estimator's trajectory through it.
 //!
 //! One slot. While the link drains it, windows that are due are counted and dropped; the sampling
-//! path never waits. The track lags the pairs by the demodulator's delay, so a window is ready a
+//! path never waits. The trajectory lags the pairs by the demodulator's delay, so a window is ready a
 //! few blocks after its half-cycle has ended.
 
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
-use ihd_shared::window::{MAX_PAIRS, MAX_TRACK, PAIR_BYTES, TRACK_BYTES, TrackEntry};
+use ihd_shared::window::{
+    MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry,
+};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     /// Empty.
     Free,
-    /// Taking pairs and track.
+    /// Taking pairs and trajectory.
     Recording,
-    /// The half-cycle is over; the last track entries are on their way.
+    /// The half-cycle is over; the last trajectory entries are on their way.
     Tail,
     /// Complete; the link may read it.
     Ready,
 }
 
-/// What describes a window beside its pairs and track.
+/// What describes a window beside its pairs and trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Header {
     /// Counts every window that was due, recorded or not.
@@ -32,12 +34,12 @@ pub struct Header {
     pub half_cycle_ns: u32,
     /// Time of the first pair after the zero crossing, in nanoseconds.
     pub first_pair_ns: i32,
-    /// Time of the first track entry after the zero crossing, in nanoseconds.
-    pub first_track_ns: i32,
+    /// Time of the first trajectory entry after the zero crossing, in nanoseconds.
+    pub first_trajectory_ns: i32,
     /// Pairs recorded.
     pub pairs: u16,
-    /// Track entries recorded.
-    pub track: u16,
+    /// Trajectory entries recorded.
+    pub trajectory: u16,
     /// Pairs at the end of the ADC's range.
     pub saturated: u16,
     /// Version of the lookup that was active when the half-cycle began.
@@ -63,7 +65,7 @@ pub struct Recorder {
     /// Time of the current block's first pair since the window's zero crossing.
     block_start_ns: i64,
     pairs: [Pair; MAX_PAIRS],
-    track: [TrackEntry; MAX_TRACK],
+    trajectory: [TrajectoryEntry; MAX_TRAJECTORY],
 }
 
 impl Default for Recorder {
@@ -75,7 +77,7 @@ impl Default for Recorder {
 impl Recorder {
     /// An empty recorder.
     pub const fn new() -> Self {
-        const NO_ENTRY: TrackEntry = TrackEntry {
+        const NO_ENTRY: TrajectoryEntry = TrajectoryEntry {
             r: ihd_shared::units::MicroOhm(0),
             l: ihd_shared::units::PicoHenry(0),
         };
@@ -87,9 +89,9 @@ impl Recorder {
                 f_sw_hz: 0,
                 half_cycle_ns: 0,
                 first_pair_ns: 0,
-                first_track_ns: 0,
+                first_trajectory_ns: 0,
                 pairs: 0,
-                track: 0,
+                trajectory: 0,
                 saturated: 0,
                 lookup_version: 0,
             },
@@ -100,7 +102,7 @@ impl Recorder {
             },
             block_start_ns: 0,
             pairs: [Pair { v: 0, i: 0 }; MAX_PAIRS],
-            track: [NO_ENTRY; MAX_TRACK],
+            trajectory: [NO_ENTRY; MAX_TRAJECTORY],
         }
     }
 
@@ -165,7 +167,7 @@ impl Recorder {
     }
 
     /// Adds the estimate made with the current block; it belongs `delay_blocks` earlier.
-    pub fn estimate(&mut self, entry: TrackEntry, block_ns: u32, delay_blocks: u32) {
+    pub fn estimate(&mut self, entry: TrajectoryEntry, block_ns: u32, delay_blocks: u32) {
         if !matches!(self.stage, Stage::Recording | Stage::Tail) {
             return;
         }
@@ -175,15 +177,15 @@ impl Recorder {
             self.complete();
             return;
         }
-        let at = usize::from(self.header.track);
+        let at = usize::from(self.header.trajectory);
         if centre >= 0
-            && let Some(slot) = self.track.get_mut(at)
+            && let Some(slot) = self.trajectory.get_mut(at)
         {
             if at == 0 {
-                self.header.first_track_ns = centre as i32;
+                self.header.first_trajectory_ns = centre as i32;
             }
             *slot = entry;
-            self.header.track += 1;
+            self.header.trajectory += 1;
         }
     }
 
@@ -193,7 +195,7 @@ impl Recorder {
     }
 
     /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete
-    /// with the track it has, one in the middle is worthless.
+    /// with the trajectory it has, one in the middle is worthless.
     pub fn interrupt(&mut self) {
         match self.stage {
             Stage::Tail => self.complete(),
@@ -227,12 +229,15 @@ impl Recorder {
         copied
     }
 
-    /// Copies track entries from `offset` on as wire bytes; returns how many entries fitted.
-    pub fn read_track(&self, offset: u16, out: &mut [u8]) -> u16 {
-        let all = &self.track[..usize::from(self.header.track).min(MAX_TRACK)];
+    /// Copies trajectory entries from `offset` on as wire bytes; returns how many entries fitted.
+    pub fn read_trajectory(&self, offset: u16, out: &mut [u8]) -> u16 {
+        let all = &self.trajectory[..usize::from(self.header.trajectory).min(MAX_TRAJECTORY)];
         let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
         let mut copied = 0;
-        for (entry, slot) in rest.iter().zip(out.chunks_exact_mut(TRACK_BYTES)) {
+        for (entry, slot) in rest
+            .iter()
+            .zip(out.chunks_exact_mut(TRAJECTORY_ENTRY_BYTES))
+        {
             slot.copy_from_slice(&entry.to_le_bytes());
             copied += 1;
         }
@@ -267,8 +272,8 @@ mod tests {
         Box::new(Recorder::new())
     }
 
-    fn entry(k: i32) -> TrackEntry {
-        TrackEntry {
+    fn entry(k: i32) -> TrajectoryEntry {
+        TrajectoryEntry {
             r: MicroOhm(k),
             l: PicoHenry(-k),
         }
@@ -290,20 +295,20 @@ mod tests {
         }
         // Centres: -10000 + 33333 - 133334 < 0 for two blocks, then 23.3 µs and 90 µs.
         r.end(200_000);
-        assert!(r.ready().is_none(), "the track's tail is missing");
+        assert!(r.ready().is_none(), "the trajectory's tail is missing");
         r.estimate(entry(4), 66_667, 2);
         r.advance(66_667);
         r.estimate(entry(5), 66_667, 2); // 223 µs: beyond the end
         let header = *r.ready().unwrap();
         assert_eq!(header.pairs, 52 + 4 * 61);
         assert_eq!(header.saturated, header.pairs);
-        assert_eq!((header.track, header.first_track_ns), (3, 23_333));
+        assert_eq!((header.trajectory, header.first_trajectory_ns), (3, 23_333));
         let mut bytes = [0; 8];
         assert_eq!(r.read_pairs(0, &mut bytes), 2);
         assert_eq!(bytes, [9, 0, 255, 7, 10, 0, 255, 7]);
-        assert_eq!(r.read_track(2, &mut bytes), 1);
+        assert_eq!(r.read_trajectory(2, &mut bytes), 1);
         assert_eq!(bytes[..4], 4i32.to_le_bytes());
-        assert_eq!(r.read_track(3, &mut bytes), 0);
+        assert_eq!(r.read_trajectory(3, &mut bytes), 0);
     }
 
     #[test]
@@ -356,6 +361,6 @@ mod tests {
         r.estimate(entry(1), 37_500, 0);
         let header = r.ready().unwrap();
         assert_eq!(usize::from(header.pairs), MAX_PAIRS);
-        assert_eq!(usize::from(header.track), MAX_TRACK);
+        assert_eq!(usize::from(header.trajectory), MAX_TRAJECTORY);
     }
 }

@@ -7,48 +7,51 @@
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
-use ihd_shared::window::{PAIR_BYTES, TRACK_BYTES, TrackEntry};
+use ihd_shared::window::{PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
 use ihd_shared::wire::messages::{
     Outcome, Raw, ReplayBlocks, ReplayEstimates, ReplayMode, ReplayStart,
 };
 
-use crate::housekeeping::Access;
-use crate::realtime::Block;
-use crate::session::Answer;
-
-/// Blocks that fit one message.
-pub const BLOCKS_PER_MESSAGE: usize = 4;
-
-/// Bytes of one block on the wire.
-pub const BLOCK_BYTES: usize = ADC_LOCK_P * PAIR_BYTES;
-
-/// [`ReplayBlocks::zero_crossing`] when no zero crossing falls into the blocks.
-pub const NO_CROSSING: u16 = u16::MAX;
+use crate::realtime::{Access, Block};
 
 /// What the blocks of one message led to.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Estimates {
     first: u32,
-    entries: [TrackEntry; BLOCKS_PER_MESSAGE],
+    entries: [TrajectoryEntry; BLOCKS_PER_MESSAGE],
     count: usize,
 }
 
 impl Estimates {
     /// Most bytes of a message.
-    pub const BYTES: usize = BLOCKS_PER_MESSAGE * TRACK_BYTES;
+    pub const BYTES: usize = BLOCKS_PER_MESSAGE * TRAJECTORY_ENTRY_BYTES;
 
     /// The message, its bytes in `raw`.
     pub fn message<'a>(&self, raw: &'a mut [u8; Self::BYTES]) -> ReplayEstimates<'a> {
         let count = self.count.min(BLOCKS_PER_MESSAGE);
-        for (entry, slot) in self.entries.iter().zip(raw.chunks_exact_mut(TRACK_BYTES)) {
+        for (entry, slot) in self
+            .entries
+            .iter()
+            .zip(raw.chunks_exact_mut(TRAJECTORY_ENTRY_BYTES))
+        {
             slot.copy_from_slice(&entry.to_le_bytes());
         }
         ReplayEstimates {
             first: self.first,
-            data: Raw(&raw[..count * TRACK_BYTES]),
+            data: Raw(&raw[..count * TRAJECTORY_ENTRY_BYTES]),
         }
     }
+}
+
+/// What a message of blocks is answered with.
+#[derive(Clone, Debug)]
+pub enum Replayed {
+    /// What the blocks led to.
+    Estimates(Estimates),
+    /// The device is not in replay mode, and took nothing.
+    NotReplaying(ReplayMode),
 }
 
 /// Replay mode as the link sees it.
@@ -75,12 +78,12 @@ impl Replay {
             return Err((Outcome::Malformed, 0));
         }
         let fault = access.with(|rt| {
-            if rt.fault() == Fault::None {
+            if rt.fault() == Fault::NONE {
                 rt.set_replay(true, m.f_sw_hz, m.r, m.l);
             }
             rt.fault()
         });
-        if fault != Fault::None {
+        if fault != Fault::NONE {
             return Err((Outcome::FaultActive, u32::from(fault.number())));
         }
         *self = Self::default();
@@ -118,7 +121,7 @@ impl Replay {
         access: &mut impl Access,
         m: &ReplayBlocks<'_>,
         seq: u16,
-    ) -> Option<Answer> {
+    ) -> Option<Replayed> {
         let bytes = m.data.0;
         let count = bytes.len() / BLOCK_BYTES;
         if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
@@ -126,12 +129,12 @@ impl Replay {
         }
         let (active, blocks) = (access.with(|rt| rt.is_replaying()), self.blocks);
         if !active {
-            return Some(Answer::ReplayMode(ReplayMode { active, blocks }));
+            return Some(Replayed::NotReplaying(ReplayMode { active, blocks }));
         }
         if count == 0 || self.last_seq == Some(seq) {
-            return Some(Answer::ReplayEstimates(self.last));
+            return Some(Replayed::Estimates(self.last));
         }
-        let mut entries = [TrackEntry::default(); BLOCKS_PER_MESSAGE];
+        let mut entries = [TrajectoryEntry::default(); BLOCKS_PER_MESSAGE];
         let blocks = bytes.chunks_exact(BLOCK_BYTES);
         for (k, (entry, block)) in entries.iter_mut().zip(blocks).enumerate() {
             let crossing = usize::from(m.zero_crossing).checked_sub(k * ADC_LOCK_P);
@@ -146,7 +149,7 @@ impl Replay {
             entries,
             count,
         };
-        Some(Answer::ReplayEstimates(self.last))
+        Some(Replayed::Estimates(self.last))
     }
 }
 
@@ -156,7 +159,7 @@ fn replay_one(
     bytes: &[u8],
     crossing: Option<usize>,
     bus_dv: u16,
-) -> Option<TrackEntry> {
+) -> Option<TrajectoryEntry> {
     let mut pairs = [Pair::default(); ADC_LOCK_P];
     for (pair, b) in pairs.iter_mut().zip(bytes.chunks_exact(PAIR_BYTES)) {
         *pair = Pair::from_le_bytes([b[0], b[1], b[2], b[3]]);

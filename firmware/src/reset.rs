@@ -1,5 +1,5 @@
-//! Why the controller started: what the reset flags say, and the last words it left in memory that
-//! a reset does not clear.
+//! Why the controller started: what the reset flags say, and the crash record in memory that a reset
+//! does not clear.
 
 /// Reason in [`ihd_shared::wire::messages::Hello::reset_reason`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +39,9 @@ pub const WORDS: usize = 4;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"last");
 
-/// What was left there.
+/// What is left there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LastWords {
+pub struct CrashRecord {
     /// Set by whoever ends the program.
     pub reason: Option<Reason>,
     /// Number of the fault that was active, 0 for none.
@@ -50,7 +50,7 @@ pub struct LastWords {
     pub starts: u16,
 }
 
-impl LastWords {
+impl CrashRecord {
     /// As words; the last one checks the others.
     pub fn to_words(self) -> [u32; WORDS] {
         let reason = self.reason.map_or(0xFF, |reason| reason as u32);
@@ -58,7 +58,7 @@ impl LastWords {
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
 
-    /// From words; `None` for anything that [`LastWords::to_words`] did not write.
+    /// From words; `None` for anything that [`CrashRecord::to_words`] did not write.
     pub fn from_words(words: [u32; WORDS]) -> Option<Self> {
         let [magic, reason, counts, check] = words;
         if magic != MAGIC || check != !(magic ^ reason ^ counts) {
@@ -78,12 +78,12 @@ impl LastWords {
     }
 }
 
-/// The reason to report: the program's own last words count above the flags, and a watchdog above
+/// The reason to report: the crash record counts above the flags, and a watchdog above
 /// the reset that software asked for.
-pub fn reason(flags: Flags, last: Option<LastWords>) -> Reason {
-    let said = last.and_then(|words| words.reason);
-    match (flags, said) {
-        // Memory that lost its power may hold anything, even last words.
+pub fn reason(flags: Flags, last: Option<CrashRecord>) -> Reason {
+    let recorded = last.and_then(|record| record.reason);
+    match (flags, recorded) {
+        // Memory that lost its power may hold anything, even a crash record.
         (
             Flags {
                 brown_out: true, ..
@@ -108,33 +108,33 @@ pub fn reason(flags: Flags, last: Option<LastWords>) -> Reason {
 mod tests {
     use super::*;
 
-    const PANICKED: LastWords = LastWords {
+    const PANICKED: CrashRecord = CrashRecord {
         reason: Some(Reason::Panic),
         fault: 4,
         starts: 3,
     };
 
     #[test]
-    fn last_words_survive_and_noise_does_not_count() {
+    fn a_record_survives_and_noise_does_not_count() {
         let words = PANICKED.to_words();
-        assert_eq!(LastWords::from_words(words), Some(PANICKED));
+        assert_eq!(CrashRecord::from_words(words), Some(PANICKED));
         for word in 0..WORDS {
             for bit in 0..32 {
                 let mut damaged = words;
                 damaged[word] ^= 1 << bit;
                 assert_eq!(
-                    LastWords::from_words(damaged),
+                    CrashRecord::from_words(damaged),
                     None,
                     "word {word} bit {bit}"
                 );
             }
         }
-        assert_eq!(LastWords::from_words([0; WORDS]), None);
-        assert_eq!(LastWords::from_words([u32::MAX; WORDS]), None);
+        assert_eq!(CrashRecord::from_words([0; WORDS]), None);
+        assert_eq!(CrashRecord::from_words([u32::MAX; WORDS]), None);
     }
 
     #[test]
-    fn each_reason_is_told() {
+    fn each_reason_is_reported() {
         let none = Flags::default();
         let watchdog = Flags {
             watchdog: true,
@@ -151,7 +151,7 @@ mod tests {
             pin: true,
             ..none
         };
-        let quiet = Some(LastWords::default());
+        let quiet = Some(CrashRecord::default());
         assert_eq!(reason(watchdog, quiet), Reason::Watchdog);
         assert_eq!(reason(software, quiet), Reason::Software);
         assert_eq!(reason(software, Some(PANICKED)), Reason::Panic);

@@ -2,7 +2,7 @@
 //!
 //! The flags of a DMA say which half it has filled since they were cleared, not how often. Both at
 //! once mean that the reader was late by a block; its own position, looked at after a block was
-//! copied, tells whether it had begun to overwrite it. Either is a loss and is counted.
+//! copied, indicates whether it had begun to overwrite it. Either is a loss and is counted.
 
 use ihd_shared::sampling::ADC_LOCK_P;
 

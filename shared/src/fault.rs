@@ -1,38 +1,210 @@
-//! Numbered faults. A number, once given, keeps its meaning for ever.
+//! The table of faults: number, name, meaning, and what to do about it. There is no other.
+//!
+//! A fault travels as its number, a varint of a `u16`, so a host decodes numbers that its table does
+//! not know, shows "fault 23", and loses nothing else of the message. Therefore a new fault raises
+//! only [`crate::wire::PROTOCOL_MINOR`]. Its number is the next free one: a number, once given, keeps
+//! its meaning for ever.
 
-use crate::wire::schema::wire_enum;
+use core::fmt;
 
-wire_enum! {
-    /// Why the controller is in its safe state. The number is what a service manual quotes.
-    pub enum Fault {
-        /// No fault.
-        None = 0,
-        /// No pot on the coil when heating was asked for.
-        NoPot = 1,
-        /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless).
-        UnsuitablePot = 2,
-        /// The pot was taken away while heating.
-        PotRemoved = 3,
-        /// Coil current reached the trip level.
-        OverCurrent = 4,
-        /// Bus voltage above its limit.
-        BusOverVoltage = 5,
-        /// Sample blocks were lost (DMA overrun, trigger stopped).
-        SamplesLost = 6,
-        /// Too many samples at the end of the ADC's range.
-        SensorSaturated = 7,
-        /// The inverter was about to run at or below resonance.
-        BelowResonance = 8,
-        /// The R, L estimate left its plausible range.
-        EstimatorDiverged = 9,
-        /// No mains zero crossing for longer than three half-cycles.
-        MainsLost = 10,
+use serde::{Deserialize, Serialize};
+
+/// Why the controller is in its safe state. The number is what a service manual quotes.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fault(u16);
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// The fault.
+    pub fault: Fault,
+    /// Its name, as in captures.
+    pub name: &'static str,
+    /// What it means.
+    pub doc: &'static str,
+    /// What to say to a person: what has happened, and what to do about it.
+    pub text: &'static str,
+}
+
+macro_rules! fault_table {
+    ($($(#[doc = $doc:literal])+ $constant:ident = $number:literal $name:literal: $text:literal;)+) => {
+        impl Fault {
+            $($(#[doc = $doc])+ pub const $constant: Self = Self($number);)+
+
+            /// Every fault that this version knows, in order of its number.
+            pub const TABLE: &'static [Row] = &[$(Row {
+                fault: Self($number),
+                name: $name,
+                doc: concat!($($doc),+),
+                text: $text,
+            }),+];
+        }
+    };
+}
+
+fault_table! {
+    /// No fault.
+    NONE = 0 "None":
+        "no fault";
+    /// No pot on the coil when heating was asked for.
+    NO_POT = 1 "NoPot":
+        "no pot on the coil; put one on and start again";
+    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless).
+    UNSUITABLE_POT = 2 "UnsuitablePot":
+        "the load cannot be heated by induction (aluminium, copper, bare stainless); \
+         use a ferromagnetic pot";
+    /// The pot was taken away while heating.
+    POT_REMOVED = 3 "PotRemoved":
+        "the pot was taken away while heating; put it back and start again";
+    /// Coil current reached the trip level, seen in the samples.
+    OVER_CURRENT = 4 "OverCurrent":
+        "coil current at the trip level; ask for less power, or check the current sensor";
+    /// Bus voltage above its limit.
+    BUS_OVER_VOLTAGE = 5 "BusOverVoltage":
+        "bus voltage above its limit; check the mains";
+    /// Sample blocks were lost (DMA overrun, trigger stopped).
+    SAMPLES_LOST = 6 "SamplesLost":
+        "sample blocks were lost; check the ADC trigger and DMA";
+    /// Too many samples at the end of the ADC's range.
+    SENSOR_SATURATED = 7 "SensorSaturated":
+        "samples at the end of the ADC's range; check probes and gains";
+    /// The inverter was about to run at or below resonance.
+    BELOW_RESONANCE = 8 "BelowResonance":
+        "the inverter was about to run below resonance; ask for less power";
+    /// The R, L estimate left its plausible range.
+    ESTIMATOR_DIVERGED = 9 "EstimatorDiverged":
+        "the R, L estimate left its plausible range; check polarity and gain of both sensors";
+    /// No mains zero crossing for longer than three half-cycles.
+    MAINS_LOST = 10 "MainsLost":
+        "no mains zero crossing for 30 ms; check mains and crossing detector";
+    /// A comparator saw the coil current at the trip level and opened the bridge in hardware.
+    HARDWARE_OVER_CURRENT = 11 "HardwareOverCurrent":
+        "a comparator saw coil current at the trip level; check the load and the power stage";
+    /// The processor locked up: a fault inside the handler of a fault.
+    CORE_LOCKUP = 12 "CoreLockup":
+        "the processor locked up; flash the firmware again, and report it if it comes back";
+    /// The RAM's parity was wrong.
+    RAM_PARITY = 13 "RamParity":
+        "parity error in the controller's RAM; replace the controller if it comes back";
+    /// The flash's error correction found two wrong bits in a word.
+    FLASH_ECC = 14 "FlashEcc":
+        "uncorrectable error in the controller's flash; flash the firmware again";
+    /// The controller's supply fell below its detector's threshold.
+    SUPPLY_LOW = 15 "SupplyLow":
+        "the controller's supply is too low; check it";
+}
+
+/// Text of a number that [`Fault::TABLE`] lacks.
+const UNKNOWN: &str = "unknown to this version: update ihd";
+
+impl Fault {
+    /// The fault with a number, known to this version or not.
+    pub const fn from_number(number: u16) -> Self {
+        Self(number)
+    }
+
+    /// The fault's number.
+    pub const fn number(self) -> u16 {
+        self.0
+    }
+
+    /// Its row; `None` when it is newer than this version.
+    pub fn row(self) -> Option<&'static Row> {
+        Self::TABLE.iter().find(|row| row.fault == self)
+    }
+
+    /// Its name; `None` when it is newer than this version.
+    pub fn name(self) -> Option<&'static str> {
+        self.row().map(|row| row.name)
+    }
+
+    /// What has happened and what to do about it, without the number.
+    pub fn text(self) -> &'static str {
+        self.row().map_or(UNKNOWN, |row| row.text)
     }
 }
 
-impl Fault {
-    /// The fault's number.
-    pub fn number(self) -> u16 {
-        self as u16
+/// Number and text.
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.0, self.row()) {
+            (0, _) => f.write_str(self.text()),
+            (number, Some(row)) => write!(f, "fault {number}: {}", row.text),
+            (number, None) => write!(f, "fault {number} ({UNKNOWN})"),
+        }
+    }
+}
+
+/// The name, or the number of one that has no name here.
+impl fmt::Debug for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.name() {
+            Some(name) => f.write_str(name),
+            None => write!(f, "fault {}", self.0),
+        }
+    }
+}
+
+// Ascending, so unique; the first is none, as the default is.
+const _: () = {
+    assert!(Fault::TABLE[0].fault.0 == 0);
+    let mut k = 1;
+    while k < Fault::TABLE.len() {
+        assert!(Fault::TABLE[k - 1].fault.0 < Fault::TABLE[k].fault.0);
+        k += 1;
+    }
+};
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::{format, string::ToString};
+
+    use super::*;
+
+    #[test]
+    fn an_unknown_number_is_shown_as_its_number() {
+        let fault = Fault::from_number(23);
+        assert_eq!(
+            fault.to_string(),
+            "fault 23 (unknown to this version: update ihd)"
+        );
+        assert_eq!(format!("{fault:?}"), "fault 23");
+        assert_eq!((fault.name(), fault.number()), (None, 23));
+    }
+
+    #[test]
+    fn a_known_one_is_shown_with_number_and_text() {
+        assert_eq!(
+            Fault::BUS_OVER_VOLTAGE.to_string(),
+            "fault 5: bus voltage above its limit; check the mains"
+        );
+        assert_eq!(format!("{:?}", Fault::BUS_OVER_VOLTAGE), "BusOverVoltage");
+        assert_eq!(Fault::NONE.to_string(), "no fault");
+        assert_eq!(Fault::default(), Fault::NONE);
+    }
+
+    #[test]
+    fn each_has_a_name_and_a_text_of_its_own() {
+        let names: BTreeSet<&str> = Fault::TABLE.iter().map(|row| row.name).collect();
+        let texts: BTreeSet<&str> = Fault::TABLE.iter().map(|row| row.text).collect();
+        assert_eq!(names.len(), Fault::TABLE.len());
+        assert_eq!(texts.len(), Fault::TABLE.len());
+    }
+
+    /// The bytes of protocol 1.1, where a fault was a closed enumeration: the number in one byte.
+    #[test]
+    fn a_number_below_128_is_one_byte() {
+        for number in 0..128 {
+            let mut bytes = [0; 4];
+            let used = postcard::to_slice(&Fault::from_number(number), &mut bytes);
+            assert_eq!(used, Ok(&mut [number as u8][..]));
+        }
+        for number in [128, 300, u16::MAX] {
+            let mut bytes = [0; 4];
+            let fault = Fault::from_number(number);
+            let used = postcard::to_slice(&fault, &mut bytes).expect("at most three bytes");
+            assert_eq!(postcard::from_bytes(used), Ok(fault));
+        }
     }
 }

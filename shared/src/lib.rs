@@ -1,5 +1,6 @@
 //! What the ihd firmware and its host must agree on, and nothing else: units, ratings of the hob,
-//! the sampling grid, wire messages and frames, the window layout, the RL lookup and fault codes.
+//! the sampling grid, wire messages and frames, the layout of windows and replayed
+//! blocks, the RL lookup and fault codes.
 //!
 //! `no_std`, no allocator, no floating point in anything the firmware calls in its sampling path.
 #![no_std]
@@ -10,6 +11,7 @@ extern crate std;
 pub mod fault;
 pub mod hob;
 pub mod lookup;
+pub mod replay;
 pub mod sampling;
 pub mod units;
 pub mod usb;

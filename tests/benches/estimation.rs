@@ -11,7 +11,7 @@ use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_mai
 use ihd_firmware::demod::{Demodulator, Phasors, correlate};
 use ihd_firmware::ekf::{Ekf, Noise};
 use ihd_firmware::realtime::{Block, Drive, RealTime};
-use ihd_firmware::session::Session;
+use ihd_firmware::transmit_queue::TransmitQueue;
 use ihd_link::incoming::Incoming;
 use ihd_link::{Client, Event};
 use ihd_shared::lookup::prior::prior;
@@ -139,11 +139,11 @@ fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<RealTime> {
 /// Every frame of the recorded window.
 fn transmitted(realtime: &mut RealTime) -> Vec<u8> {
     let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 1, "bench", "bench");
-    let (mut session, lookup) = (Session::new(hello), prior());
+    let (mut queue, lookup) = (TransmitQueue::new(hello), prior());
     let mut frame = [0; MAX_ENCODED];
     let mut stream = Vec::new();
     loop {
-        match session.transmit(realtime, &lookup, &mut frame) {
+        match queue.transmit(realtime, &lookup, &mut frame) {
             0 => return stream,
             length => stream.extend_from_slice(&frame[..length]),
         }

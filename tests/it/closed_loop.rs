@@ -18,7 +18,7 @@ fn watt(t: &Telemetry) -> f64 {
 /// Above resonance by the firmware's own phase and by the true load, and no number is missing.
 fn assert_sound(kitchen: &Kitchen, seen: &[Telemetry]) {
     for t in seen {
-        assert_eq!(t.fault, Fault::None, "{t:?}");
+        assert_eq!(t.fault, Fault::NONE, "{t:?}");
         if t.f_sw_hz > 0 {
             let resonance_hz = kitchen.resonance_hz(t.half_cycle);
             assert!(f64::from(t.f_sw_hz) > resonance_hz, "{resonance_hz}: {t:?}");
@@ -108,9 +108,9 @@ fn assert_faulted(kitchen: &mut Kitchen, fault: Fault) {
 #[test]
 fn what_cannot_be_heated_is_refused_at_switch_on() {
     for (pot, fault) in [
-        (PotKind::None, Fault::NoPot),
-        (PotKind::Aluminium, Fault::UnsuitablePot),
-        (PotKind::Stainless, Fault::UnsuitablePot),
+        (PotKind::None, Fault::NO_POT),
+        (PotKind::Aluminium, Fault::UNSUITABLE_POT),
+        (PotKind::Stainless, Fault::UNSUITABLE_POT),
     ] {
         let mut kitchen = Kitchen::with_pot(pot);
         kitchen.client.set_power(1_500).unwrap();
@@ -151,7 +151,7 @@ fn exchange(power_w: u16, pot: PotKind) -> (Kitchen, Fault, usize) {
     let mut kitchen = Kitchen::heating(power_w);
     kitchen.hob.lock().set_pot(pot);
     let seen = kitchen.watch(20);
-    let after = seen.iter().position(|t| t.fault != Fault::None);
+    let after = seen.iter().position(|t| t.fault != Fault::NONE);
     let after = after.expect("a fault");
     println!("{power_w} W {pot}: {:?} after {after}", seen[after].fault);
     let fault = seen[after].fault;
@@ -162,7 +162,7 @@ fn exchange(power_w: u16, pot: PotKind) -> (Kitchen, Fault, usize) {
 fn a_pot_taken_away_is_noticed_within_a_few_half_cycles() {
     for power_w in [500, 1_500, 2_200] {
         let (mut kitchen, fault, after) = exchange(power_w, PotKind::None);
-        assert_eq!(fault, Fault::PotRemoved, "{power_w} W");
+        assert_eq!(fault, Fault::POT_REMOVED, "{power_w} W");
         assert!(after <= 3, "{power_w} W: after {after} half-cycles");
         assert_faulted(&mut kitchen, fault);
     }
@@ -172,9 +172,9 @@ fn a_pot_taken_away_is_noticed_within_a_few_half_cycles() {
 #[test]
 fn a_pot_exchanged_for_aluminium_stops_the_heating() {
     for (power_w, expected) in [
-        (500, Fault::UnsuitablePot),
-        (1_000, Fault::UnsuitablePot),
-        (2_000, Fault::OverCurrent),
+        (500, Fault::UNSUITABLE_POT),
+        (1_000, Fault::UNSUITABLE_POT),
+        (2_000, Fault::OVER_CURRENT),
     ] {
         let (mut kitchen, fault, after) = exchange(power_w, PotKind::Aluminium);
         assert_eq!(fault, expected, "{power_w} W");

@@ -19,7 +19,7 @@ use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::hello::{CAP_REPLAYING, CAP_SIMULATED};
 use ihd_shared::wire::messages::{Outcome, State};
 use ihd_survey::{Hints, Survey};
@@ -80,15 +80,15 @@ fn free_address() -> String {
 }
 
 impl Board {
-    /// Switches a board on; `mishap` is what mishap.rs of the board understands.
-    fn start(mishap: &str) -> Self {
+    /// Switches a board on; `inject` is what fault_injection.rs of the board understands.
+    fn start(inject: &str) -> Self {
         let (link, monitor) = (free_address(), free_address());
         let port = |address: &str| format!("tcp:{address},server=on,wait=off");
         let qemu = Command::new(&*QEMU)
             .args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
             .args(["-serial", &port(&link), "-monitor", &port(&monitor)])
             .arg("-semihosting-config")
-            .arg(format!("enable=on,target=native,arg={mishap}"))
+            .arg(format!("enable=on,target=native,arg={inject}"))
             .args(["-kernel", &IMAGE])
             .stdin(Stdio::null())
             .spawn()
@@ -147,7 +147,7 @@ impl Board {
 }
 
 /// The host-compiled library on the same blocks.
-fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrackEntry>> {
+fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
     let mut realtime = Box::new(RealTime::new(START.0, START.1));
     realtime.set_replay(true, h.f_sw_hz, START.0, START.1);
     let blocks = h.blocks().enumerate();
@@ -163,7 +163,7 @@ fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrackEntry>> {
         .collect()
 }
 
-fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrackEntry>> {
+fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
     let mut replay = client.start_replay(h.f_sw_hz, START.0, START.1).unwrap();
     let estimates = replay.blocks(&h.pairs, Some(0), BUS_DV).unwrap();
     replay.end().unwrap();
@@ -225,7 +225,7 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
     assert_eq!(client.read_lookup().unwrap(), built.lookup);
 }
 
-fn spread(estimates: &[Option<TrackEntry>]) -> (f64, f64) {
+fn spread(estimates: &[Option<TrajectoryEntry>]) -> (f64, f64) {
     let settled = estimates.iter().flatten().skip(40);
     settled.fold((f64::MAX, 0.0f64), |(low, high), entry| {
         (low.min(entry.r.ohm()), high.max(entry.r.ohm()))
@@ -255,15 +255,19 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
 /// R and L against the amplitude of the current, from a window's own track.
 fn curve(window: &Window) -> LoadCurve {
     let block = ADC_LOCK_P;
-    let points = window.track.iter().enumerate().filter_map(|(k, entry)| {
-        let pairs = window.pairs.get(k * block..(k + 1) * block)?;
-        let peak = pairs.iter().map(|p| p.i.unsigned_abs()).max()?;
-        Some(LoadPoint {
-            i_a: f64::from(peak) * AMPERE_PER_CODE,
-            r_ohm: entry.r.ohm(),
-            l_h: entry.l.henry(),
-        })
-    });
+    let points = window
+        .trajectory
+        .iter()
+        .enumerate()
+        .filter_map(|(k, entry)| {
+            let pairs = window.pairs.get(k * block..(k + 1) * block)?;
+            let peak = pairs.iter().map(|p| p.i.unsigned_abs()).max()?;
+            Some(LoadPoint {
+                i_a: f64::from(peak) * AMPERE_PER_CODE,
+                r_ohm: entry.r.ohm(),
+                l_h: entry.l.henry(),
+            })
+        });
     LoadCurve::from_half_cycle(f64::from(window.f_sw_hz), points)
 }
 
@@ -360,26 +364,26 @@ fn over_current_in_a_replay_ends_the_estimates_and_is_told() {
     let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
     replay.blocks(&loud, None, BUS_DV).unwrap();
     let status = replay.client().status().unwrap();
-    assert_eq!(status.fault, Fault::OverCurrent);
+    assert_eq!(status.fault, Fault::OVER_CURRENT);
     let after = replay.blocks(&loud, None, BUS_DV).unwrap();
     assert_eq!(after, [None]);
 }
 
 #[test]
 fn the_reason_of_a_reset_survives_it() {
-    for (mishap, reason, fault) in [
+    for (inject, reason, fault) in [
         ("", Reason::PowerOn, 0),
         ("panic", Reason::Panic, 4),
         ("stack-overflow", Reason::StackOverflow, 0),
         ("processor-fault", Reason::Panic, 0),
     ] {
-        let board = Board::start(mishap);
+        let board = Board::start(inject);
         let client = board.connect();
         let hello = client.hello();
         assert_eq!(
             (hello.reset_reason, hello.fault_before_reset),
             (reason as u8, fault),
-            "{mishap:?}"
+            "{inject:?}"
         );
     }
 }

@@ -39,7 +39,7 @@ fn the_firmware_regulates_power_into_the_reduced_field_model() {
     let (hob, seen) = heat(LoadKind::Surrogate, 150);
     let last = seen.last().unwrap();
     println!("{last:?}");
-    assert_eq!((last.state, last.fault), (State::Heating, Fault::None));
+    assert_eq!((last.state, last.fault), (State::Heating, Fault::NONE));
     assert_eq!(last.pot, Pot::Ferromagnetic);
     assert!(
         (f64::from(last.power_mw) / 1.2e6 - 1.0).abs() < 0.05,
@@ -62,7 +62,7 @@ fn the_firmware_sees_the_pot_of_the_field_model_and_starts_to_heat() {
     let (_, seen) = heat(LoadKind::Field, 7);
     let last = seen.last().unwrap();
     println!("{last:?}");
-    assert_eq!((last.state, last.fault), (State::Heating, Fault::None));
+    assert_eq!((last.state, last.fault), (State::Heating, Fault::NONE));
     assert_eq!(last.pot, Pot::Ferromagnetic);
     assert!(last.power_mw > 100_000, "{last:?}");
 }

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_link::{Client, Event, LinkError, Transport};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
@@ -15,6 +14,7 @@ use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     AnyMessage, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use proptest::prelude::*;
 
@@ -217,11 +217,11 @@ fn a_missing_pot_is_a_fault_that_blocks_until_cleared() {
     let Some(Event::Fault(fault)) = event else {
         panic!("no fault: {event:?}");
     };
-    assert_eq!(fault.fault, Fault::NoPot);
+    assert_eq!(fault.fault, Fault::NO_POT);
     let refused = refusal(client.set_power(1_000));
     assert_eq!(
         refused,
-        (Outcome::FaultActive, Fault::NoPot.number().into())
+        (Outcome::FaultActive, Fault::NO_POT.number().into())
     );
     client.clear_fault().unwrap();
     link.hob().load_ohm = 4.5;
@@ -375,7 +375,7 @@ fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
     link.hob().run(2);
     let event = second.next_event(Duration::from_millis(50)).unwrap();
     assert!(
-        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::NoPot),
+        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::NO_POT),
         "{event:?}"
     );
     assert_eq!(second.status().unwrap().frames_lost, 0);

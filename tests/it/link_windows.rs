@@ -8,7 +8,7 @@ use ihd_shared::sampling::f_adc_hz;
 use ihd_shared::window::MAX_PAIRS;
 use ihd_shared::wire::frame::{Frame, MAX_ENCODED, decode, encode};
 use ihd_shared::wire::messages::{
-    AnyMessage, Message, Raw, TrackChunk, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, Message, Raw, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_tests::desk_hob::{DeskLink, heating};
 
@@ -55,13 +55,15 @@ fn a_window_arrives_whole() {
         assert!((w.pair_time_s(w.pairs.len() - 1) - 10e-3).abs() < 61.0 * w.dt_s());
         let blocks = w.pairs.len() as f64 / 61.0;
         assert!(
-            (w.track.len() as f64 - blocks).abs() <= 2.0,
+            (w.trajectory.len() as f64 - blocks).abs() <= 2.0,
             "{}",
-            w.track.len()
+            w.trajectory.len()
         );
-        assert!(w.track_time_s(0) >= 0.0 && w.track_time_s(w.track.len() - 1) < 10e-3);
+        assert!(
+            w.trajectory_time_s(0) >= 0.0 && w.trajectory_time_s(w.trajectory.len() - 1) < 10e-3
+        );
         // The load: 4.5 ohm · √(f/45 kHz) and 26 µH, in the middle of the half-cycle.
-        let middle = w.track[w.track.len() / 2];
+        let middle = w.trajectory[w.trajectory.len() / 2];
         let r = 4.5 * (f64::from(w.f_sw_hz) / 45e3).sqrt();
         assert!((middle.r.ohm() / r - 1.0).abs() < 0.02, "{:?}", middle.r);
         assert!((middle.l.henry() / 26e-6 - 1.0).abs() < 0.02);
@@ -147,12 +149,18 @@ fn frames_lost_cut_flipped_or_repeated_reject_the_window_with_the_reason() {
         assert_eq!(reason_after(WindowStart::ID, 0, damage), "no start");
         assert_eq!(reason_after(WindowChunk::ID, 0, damage), "missing chunk");
         assert_eq!(reason_after(WindowChunk::ID, 7, damage), "missing chunk");
-        assert_eq!(reason_after(TrackChunk::ID, 0, damage), "missing chunk");
+        assert_eq!(
+            reason_after(TrajectoryChunk::ID, 0, damage),
+            "missing chunk"
+        );
         assert_eq!(reason_after(WindowEnd::ID, 0, damage), "no end");
     }
     assert_eq!(reason_after(WindowStart::ID, 0, repeated), "repeated start");
     assert_eq!(reason_after(WindowChunk::ID, 3, repeated), "repeated chunk");
-    assert_eq!(reason_after(TrackChunk::ID, 1, repeated), "repeated chunk");
+    assert_eq!(
+        reason_after(TrajectoryChunk::ID, 1, repeated),
+        "repeated chunk"
+    );
 }
 
 #[test]
@@ -211,7 +219,7 @@ fn what_a_frame_crc_cannot_see_the_window_does() {
         "too large"
     );
     assert_eq!(
-        at_start(|f| forged_start(f, |s| s.track = 273)),
+        at_start(|f| forged_start(f, |s| s.trajectory = 273)),
         "too large"
     );
     assert_eq!(at_start(|f| forged_start(f, |s| s.pairs = 0)), "empty");

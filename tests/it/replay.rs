@@ -368,6 +368,6 @@ fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
             break event;
         }
     };
-    assert_eq!(fault.fault, Fault::OverCurrent);
+    assert_eq!(fault.fault, Fault::OVER_CURRENT);
     assert_eq!(fault.half_cycle, now.half_cycles);
 }

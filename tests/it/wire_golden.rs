@@ -2,17 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
+use ihd_link::Event;
+use ihd_link::incoming::{Answer, Incoming};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::CHUNK_BYTES;
-use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode, encode_raw};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, FaultEvent, GetStatus, Hello, LookupBlob, MESSAGES, Message, Outcome,
     Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode,
-    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrackChunk,
+    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrajectoryChunk,
     WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
@@ -67,7 +69,7 @@ fn framed(message: &AnyMessage<'_>, seq: u16) -> Vec<u8> {
         AnyMessage::Telemetry(m) => encode(m, seq, &mut out),
         AnyMessage::WindowStart(m) => encode(m, seq, &mut out),
         AnyMessage::WindowChunk(m) => encode(m, seq, &mut out),
-        AnyMessage::TrackChunk(m) => encode(m, seq, &mut out),
+        AnyMessage::TrajectoryChunk(m) => encode(m, seq, &mut out),
         AnyMessage::WindowEnd(m) => encode(m, seq, &mut out),
         AnyMessage::LookupBlob(m) => encode(m, seq, &mut out),
         AnyMessage::FaultEvent(m) => encode(m, seq, &mut out),
@@ -127,9 +129,9 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             f_sw_hz: 52_345,
             half_cycle_ns: 9_999_500,
             first_pair_ns: -1_234,
-            first_track_ns: 28_656,
+            first_trajectory_ns: 28_656,
             pairs: 10_643,
-            track: 174,
+            trajectory: 174,
             saturated: 3,
             lookup_version: 7,
         }),
@@ -138,7 +140,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             offset: 240,
             data: Raw(chunk),
         }),
-        AnyMessage::TrackChunk(TrackChunk {
+        AnyMessage::TrajectoryChunk(TrajectoryChunk {
             seq: 77,
             offset: 120,
             data: Raw(chunk),
@@ -150,7 +152,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
         AnyMessage::LookupBlob(LookupBlob { blob: Raw(lookup) }),
         AnyMessage::FaultEvent(FaultEvent {
             half_cycle: 3_002,
-            fault: Fault::MainsLost,
+            fault: Fault::MAINS_LOST,
         }),
         AnyMessage::ReplayMode(ReplayMode {
             active: true,
@@ -166,7 +168,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
 fn status() -> Status {
     Status {
         state: State::Heating,
-        fault: Fault::PotRemoved,
+        fault: Fault::POT_REMOVED,
         pot: Pot::Ferromagnetic,
         asked_w: 1_800,
         delivered_mw: 1_795_123,
@@ -188,7 +190,7 @@ fn telemetry() -> Telemetry {
         dropped: 2,
         half_cycle: 3_000,
         state: State::Heating,
-        fault: Fault::None,
+        fault: Fault::NONE,
         pot: Pot::Ferromagnetic,
         f_sw_hz: 52_345,
         r: MicroOhm(4_123_456),
@@ -245,17 +247,71 @@ fn the_names_are_those_of_the_table() {
 fn the_schema_and_its_version_change_together() {
     let pinned: Vec<&str> = GOLDEN
         .lines()
-        .filter(|l| l.starts_with("protocol ") || l.starts_with("schema "))
+        .filter(|l| {
+            ["protocol ", "schema ", "faults "]
+                .iter()
+                .any(|p| l.starts_with(p))
+        })
+        .collect();
+    let faults: Vec<String> = Fault::TABLE
+        .iter()
+        .map(|row| format!("{} {}", row.fault.number(), row.name))
         .collect();
     let now = [
         format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}"),
         format!("schema {SCHEMA_HASH:016x}"),
+        format!("faults {}", faults.join(", ")),
     ];
     assert_eq!(
         pinned, now,
-        "the message table has changed: raise PROTOCOL_MINOR for a new message, PROTOCOL_MAJOR for \
-         anything else, then pin both in tests/fixtures/wire/messages.txt"
+        "the tables have changed: raise PROTOCOL_MINOR for a new message or a new fault, \
+         PROTOCOL_MAJOR for anything else, then pin all three in tests/fixtures/wire/messages.txt"
     );
+}
+
+/// What a newer device sends reaches an older host whole, but for the name of the fault.
+#[test]
+fn a_fault_of_a_newer_device_costs_nothing_else() {
+    let newer = Fault::from_number(23);
+    assert_eq!(newer.name(), None, "take another number");
+    let golden_of = golden(GOLDEN);
+    let with_fault = |id: u8, at: usize| {
+        let mut payload = golden_of[&id].1.clone();
+        payload[at] = 23;
+        payload
+    };
+    let mut incoming = Incoming::default();
+    for (seq, (id, payload)) in [
+        (Status::ID, with_fault(Status::ID, 1)),
+        // Before it: seq 2 bytes, dropped 1, half-cycle 2, state 1; there the half-cycle's 2 alone.
+        (Telemetry::ID, with_fault(Telemetry::ID, 6)),
+        (FaultEvent::ID, with_fault(FaultEvent::ID, 2)),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let mut out = [0; MAX_ENCODED];
+        let length = encode_raw(id, seq as u16, &payload, &mut out).unwrap();
+        for &byte in &out[..length] {
+            incoming.push(byte).unwrap();
+        }
+    }
+    assert_eq!(incoming.counters().messages_malformed, 0);
+    let told = Status {
+        fault: newer,
+        ..status()
+    };
+    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(told)));
+    let told = Telemetry {
+        fault: newer,
+        ..telemetry()
+    };
+    assert_eq!(incoming.events.pop_front(), Some(Event::Telemetry(told)));
+    let Some(Event::Fault(event)) = incoming.events.pop_front() else {
+        panic!("the fault event is missing");
+    };
+    assert_eq!((event.half_cycle, event.fault), (3_002, newer));
+    assert!(event.fault.to_string().starts_with("fault 23 ("));
 }
 
 /// Frozen for ever, so pinned here once more: who changes this array breaks every older peer.
@@ -269,7 +325,7 @@ fn hello_is_frozen() {
     assert_eq!(Hello::ID, 1);
 }
 
-/// The session drops what does not fit a frame, so the longest of each message has to fit.
+/// The transmit queue drops what does not fit a frame, so the longest of each message has to fit.
 #[test]
 fn the_longest_of_every_message_fits_a_frame() {
     let name = "x".repeat(32);
@@ -297,7 +353,7 @@ fn the_longest_of_every_message_fits_a_frame() {
                 m.data = Raw(&[0xFF; BLOCKS_PER_MESSAGE * BLOCK_BYTES]);
             }
             AnyMessage::WindowChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
-            AnyMessage::TrackChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
+            AnyMessage::TrajectoryChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
             // Integers only, at most 14 of at most 5 bytes: far below a frame.
             _ => {}
         }

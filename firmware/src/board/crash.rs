@@ -1,4 +1,5 @@
-//! The end of the program: panic, processor fault, stack overflow. Outputs off, last words, reset.
+//! The end of the program: panic, processor fault, stack overflow, error of flash or RAM. Outputs
+//! off, crash record, reset.
 
 #![cfg_attr(
     feature = "instruction-counts",
@@ -8,59 +9,59 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use ihd_firmware::reset::{LastWords, Reason, WORDS};
+use ihd_firmware::reset::{CrashRecord, Reason, WORDS};
 
 #[cfg(feature = "mps2-an386")]
 use super::mps2_an386::outputs_off;
 #[cfg(feature = "stm32g474")]
-use super::stm32g474::outputs_off;
+use super::stm32g474::{outputs_off, system_fault};
 
 /// Not cleared at start: link.x places `.uninit` outside what start-up code writes.
-#[unsafe(link_section = ".uninit.LAST_WORDS")]
-static LAST_WORDS: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
+#[unsafe(link_section = ".uninit.CRASH_RECORD")]
+static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
 
 /// What the last run left; counts this start.
-pub fn read_last_words() -> Option<LastWords> {
+pub fn read_crash_record() -> Option<CrashRecord> {
     let mut words = [0; WORDS];
-    for (word, kept) in words.iter_mut().zip(&LAST_WORDS) {
+    for (word, kept) in words.iter_mut().zip(&CRASH_RECORD) {
         *word = kept.load(Ordering::Relaxed);
     }
-    let last = LastWords::from_words(words);
-    write(LastWords {
-        starts: last.map_or(0, |words| words.starts.wrapping_add(1)),
-        ..LastWords::default()
+    let last = CrashRecord::from_words(words);
+    write(CrashRecord {
+        starts: last.map_or(0, |record| record.starts.wrapping_add(1)),
+        ..CrashRecord::default()
     });
     last
 }
 
 /// Notes the active fault, for whatever may come.
 pub fn note_fault(number: u16) {
-    let words = LastWords {
+    let record = CrashRecord {
         fault: number,
         ..kept()
     };
-    if words != kept() {
-        write(words);
+    if record != kept() {
+        write(record);
     }
 }
 
-fn kept() -> LastWords {
+fn kept() -> CrashRecord {
     let mut words = [0; WORDS];
-    for (word, kept) in words.iter_mut().zip(&LAST_WORDS) {
+    for (word, kept) in words.iter_mut().zip(&CRASH_RECORD) {
         *word = kept.load(Ordering::Relaxed);
     }
-    LastWords::from_words(words).unwrap_or_default()
+    CrashRecord::from_words(words).unwrap_or_default()
 }
 
-fn write(words: LastWords) {
-    for (kept, word) in LAST_WORDS.iter().zip(words.to_words()) {
+fn write(record: CrashRecord) {
+    for (kept, word) in CRASH_RECORD.iter().zip(record.to_words()) {
         kept.store(word, Ordering::Relaxed);
     }
 }
 
 fn end(reason: Reason) -> ! {
     outputs_off();
-    write(LastWords {
+    write(CrashRecord {
         reason: Some(reason),
         ..kept()
     });
@@ -69,6 +70,18 @@ fn end(reason: Reason) -> ! {
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
+    end(Reason::Panic)
+}
+
+/// An error of flash or RAM that cannot be corrected (RM0440: FLASH, "Error code correction (ECC)";
+/// SYSCFG, SYSCFG_CFGR2). HRTIM's system fault has opened the bridge already; the number is left for
+/// the next start, as no code is to be trusted from here on.
+#[cfg(feature = "stm32g474")]
+#[cortex_m_rt::exception]
+unsafe fn NonMaskableInt() -> ! {
+    if let Some(fault) = system_fault() {
+        note_fault(fault.number());
+    }
     end(Reason::Panic)
 }
 

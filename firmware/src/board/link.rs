@@ -4,7 +4,8 @@
 //! port that was heard last is the one that is answered.
 
 use embassy_futures::select::{Either4, select4};
-use ihd_firmware::housekeeping::{Access, Housekeeping};
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::realtime::Access;
 use ihd_shared::wire::frame::MAX_ENCODED;
 
 use super::crash;

@@ -14,8 +14,7 @@ use core::task::{Context, Poll};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_sync::waitqueue::AtomicWaker;
-use ihd_firmware::housekeeping::Access;
-use ihd_firmware::realtime::{Block, Drive, RealTime};
+use ihd_firmware::realtime::{Access, Block, Drive, RealTime};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 /// The one sampling path. Its window alone is 64 KiB, so it is never moved.

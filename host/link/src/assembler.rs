@@ -1,7 +1,9 @@
 //! Windows put together from their messages, or rejected with the reason.
 
 use ihd_shared::sampling::Pair;
-use ihd_shared::window::{MAX_PAIRS, MAX_TRACK, PAIR_BYTES, TRACK_BYTES, TrackEntry};
+use ihd_shared::window::{
+    MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry,
+};
 use ihd_shared::wire::frame::{CRC32, Digest};
 use ihd_shared::wire::messages::{AnyMessage, WindowEnd, WindowStart};
 
@@ -20,7 +22,7 @@ struct Building {
     start: WindowStart,
     digest: Digest,
     pairs: Vec<Pair>,
-    track: Vec<TrackEntry>,
+    trajectory: Vec<TrajectoryEntry>,
 }
 
 /// Puts windows together. A link keeps the order of frames, so that a window's messages come in
@@ -57,8 +59,8 @@ impl Assembler {
                 let take = |b: &mut Building| b.take_pairs(m.offset, m.data.0).map(|()| None);
                 (m.seq, self.with_building(m.seq, take))
             }
-            AnyMessage::TrackChunk(m) => {
-                let take = |b: &mut Building| b.take_track(m.offset, m.data.0).map(|()| None);
+            AnyMessage::TrajectoryChunk(m) => {
+                let take = |b: &mut Building| b.take_trajectory(m.offset, m.data.0).map(|()| None);
                 (m.seq, self.with_building(m.seq, take))
             }
             AnyMessage::WindowEnd(end) => (
@@ -107,10 +109,10 @@ impl Assembler {
         if self.building.is_some() {
             return Err(WindowDefect::RepeatedStart);
         }
-        if usize::from(start.pairs) > MAX_PAIRS || usize::from(start.track) > MAX_TRACK {
+        if usize::from(start.pairs) > MAX_PAIRS || usize::from(start.trajectory) > MAX_TRAJECTORY {
             return Err(WindowDefect::TooLarge {
                 pairs: start.pairs,
-                track: start.track,
+                trajectory: start.trajectory,
             });
         }
         if start.pairs == 0 || start.f_sw_hz == 0 || start.half_cycle_ns == 0 {
@@ -120,7 +122,7 @@ impl Assembler {
             start: start.clone(),
             digest: CRC32.digest(),
             pairs: Vec::with_capacity(start.pairs.into()),
-            track: Vec::with_capacity(start.track.into()),
+            trajectory: Vec::with_capacity(start.trajectory.into()),
         });
         Ok(())
     }
@@ -152,18 +154,22 @@ impl Building {
         Ok(())
     }
 
-    fn take_track(&mut self, offset: u16, data: &[u8]) -> Result<(), WindowDefect> {
+    fn take_trajectory(&mut self, offset: u16, data: &[u8]) -> Result<(), WindowDefect> {
         self.expect_all_pairs()?;
-        let (entries, rest) = data.as_chunks::<TRACK_BYTES>();
-        let sizes = [self.track.len(), entries.len(), self.start.track.into()];
-        check_chunk(Part::Track, offset, data.len(), rest.len(), sizes)?;
+        let (entries, rest) = data.as_chunks::<TRAJECTORY_ENTRY_BYTES>();
+        let sizes = [
+            self.trajectory.len(),
+            entries.len(),
+            self.start.trajectory.into(),
+        ];
+        check_chunk(Part::Trajectory, offset, data.len(), rest.len(), sizes)?;
         self.digest.update(data);
-        self.track
-            .extend(entries.iter().map(|&b| TrackEntry::from_le_bytes(b)));
+        self.trajectory
+            .extend(entries.iter().map(|&b| TrajectoryEntry::from_le_bytes(b)));
         Ok(())
     }
 
-    /// Pairs come before the track: the CRC takes them in this order.
+    /// Pairs come before the trajectory: the CRC takes them in this order.
     fn expect_all_pairs(&self) -> Result<(), WindowDefect> {
         if self.pairs.len() < usize::from(self.start.pairs) {
             return Err(WindowDefect::MissingChunk {
@@ -176,10 +182,10 @@ impl Building {
 
     fn end(&mut self, end: &WindowEnd) -> Result<Window, WindowDefect> {
         self.expect_all_pairs()?;
-        if self.track.len() < usize::from(self.start.track) {
+        if self.trajectory.len() < usize::from(self.start.trajectory) {
             return Err(WindowDefect::MissingChunk {
-                of: Part::Track,
-                offset: self.start.track,
+                of: Part::Trajectory,
+                offset: self.start.trajectory,
             });
         }
         if self.digest.clone().finalize() != end.crc32 {
@@ -201,8 +207,8 @@ impl Building {
             half_cycle_ns: start.half_cycle_ns,
             first_pair_ns: start.first_pair_ns,
             pairs: std::mem::take(&mut self.pairs),
-            first_track_ns: start.first_track_ns,
-            track: std::mem::take(&mut self.track),
+            first_trajectory_ns: start.first_trajectory_ns,
+            trajectory: std::mem::take(&mut self.trajectory),
             saturated,
             lookup_version: start.lookup_version,
         })

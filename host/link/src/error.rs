@@ -126,10 +126,13 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
         Outcome::FaultActive if detail == 0 => {
             "replay mode locks its power outputs; leave it".into()
         }
-        Outcome::FaultActive => match Fault::ALL.get(detail as usize) {
-            Some(fault) => format!("fault {detail} ({fault:?}) is active; clear it first"),
-            None => format!("fault {detail} is active; clear it first"),
-        },
+        Outcome::FaultActive => {
+            let fault = u16::try_from(detail).map(Fault::from_number);
+            match fault.ok().and_then(Fault::name) {
+                Some(name) => format!("fault {detail} ({name}) is active; clear it first"),
+                None => format!("fault {detail} is active; clear it first"),
+            }
+        }
         Outcome::LookupLength => format!("a lookup has {detail} bytes"),
         Outcome::LookupFormat => format!("it reads lookups of format {detail} only"),
         Outcome::LookupCrc => "the lookup's CRC-32 does not match".into(),

@@ -106,7 +106,7 @@ impl Incoming {
             Ok(
                 ref m @ (AnyMessage::WindowStart(_)
                 | AnyMessage::WindowChunk(_)
-                | AnyMessage::TrackChunk(_)
+                | AnyMessage::TrajectoryChunk(_)
                 | AnyMessage::WindowEnd(_)),
             ) => {
                 if let AnyMessage::WindowStart(start) = m {

@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 
+use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
-use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRACK};
+use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRAJECTORY};
 use ihd_shared::wire::frame::{MAX_BODY, MAX_ENCODED, MAX_PAYLOAD};
 use ihd_shared::wire::messages::{ENUMS, MESSAGES, SCHEMA_HASH};
 use ihd_shared::wire::schema::Entry;
@@ -35,6 +36,7 @@ pub fn markdown() -> String {
         section(&mut doc, e.name, e.doc);
         table(&mut doc, "number", e);
     }
+    faults(&mut doc);
     doc
 }
 
@@ -63,7 +65,7 @@ no frame, counts them, and is in step again at the next zero.
 |---|---|
 | `u8`, enumeration | one byte |
 | `bool` | one byte, 0 or 1 |
-| `u16`, `u32`, `u64` | varint |
+| `u16`, `u32`, `u64`, `Fault` | varint |
 | `i16` | zigzag varint |
 | `MicroOhm`, `PicoHenry` | `i32` in that unit, zigzag varint |
 | `Raw`, `String<N>` | length as varint, then the bytes; a string is UTF-8 of at most N bytes |
@@ -78,20 +80,26 @@ with the reason. A hello makes the device silent: it forgets what was queued, an
 
 ## Evolution
 
-A new message raises the minor version. Any change of a message, an appended field included, raises
-the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every message's bytes.
+A new message or a new fault raises the minor version. Any change of a message, an appended field
+included, raises the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every
+message's bytes.
+
+The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
+given another meaning: an older host keeps the whole message and shows the number. A host of 1.1 does not
+yet: there a fault was an enumeration of 0 to 10, the same bytes, and it drops messages that carry a higher
+one.
 
 ## Windows
 
-A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrackChunk`s,
-`WindowEnd`, in this order, other messages in between. At most {MAX_PAIRS} pairs and {MAX_TRACK} track
+A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrajectoryChunk`s,
+`WindowEnd`, in this order, other messages in between. At most {MAX_PAIRS} pairs and {MAX_TRAJECTORY} trajectory
 entries, {CHUNK_BYTES} bytes a chunk.
 
-    pair         v i16 LE · i i16 LE        ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
-    track entry  R i32 LE · L i32 LE        µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
+    pair              v i16 LE · i i16 LE   ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
+    trajectory entry  R i32 LE · L i32 LE   µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
 
 Chunks follow each other without gap or overlap. `WindowEnd` carries the CRC-32 of all pair bytes, then
-all track bytes. A window's number counts before a buffer is claimed: a gap is a window that was
+all trajectory bytes. A window's number counts before a buffer is claimed: a gap is a window that was
 dropped.
 
 ## Lookup
@@ -131,6 +139,28 @@ fn table(doc: &mut String, kind: &str, entry: &Entry) {
         line(
             doc,
             &format!("| `{}` | `{kind}` | {} |", item.name, prose(item.doc)),
+        );
+    }
+}
+
+fn faults(doc: &mut String) {
+    line(
+        doc,
+        "
+## Faults
+
+The number, as `u16`. The list is open: a number that a host does not know decodes like any other, and
+is shown as \"fault 23 (unknown to this version: update ihd)\". The table is `shared/src/fault.rs`.
+
+| number | name | meaning | what a person reads |
+|---|---|---|---|",
+    );
+    for row in Fault::TABLE {
+        let (number, name) = (row.fault.number(), row.name);
+        let meaning = prose(row.doc);
+        line(
+            doc,
+            &format!("| {number} | `{name}` | {meaning} | {} |", row.text),
         );
     }
 }

@@ -5,10 +5,10 @@
 //! an answer counts only with the number of blocks before it, and after silence the device is asked
 //! which message was its last.
 
-use ihd_firmware::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
+use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::{TRACK_BYTES, TrackEntry};
+use ihd_shared::window::{TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
 use ihd_shared::wire::messages::{Raw, ReplayBlocks, ReplayEnd, ReplayMode, ReplayStart};
 
 use super::incoming::Answer;
@@ -106,7 +106,7 @@ impl Replay<'_> {
         pairs: &[Pair],
         zero_crossing: Option<usize>,
         bus_dv: u16,
-    ) -> Result<Vec<Option<TrackEntry>>, LinkError> {
+    ) -> Result<Vec<Option<TrajectoryEntry>>, LinkError> {
         let mut estimates = Vec::new();
         let whole = &pairs[..pairs.len() - pairs.len() % ADC_LOCK_P];
         for (k, part) in whole.chunks(PAIRS_PER_MESSAGE).enumerate() {
@@ -130,7 +130,7 @@ impl Replay<'_> {
         pairs: &[Pair],
         crossing: Option<usize>,
         bus_dv: u16,
-    ) -> Result<Vec<Option<TrackEntry>>, LinkError> {
+    ) -> Result<Vec<Option<TrajectoryEntry>>, LinkError> {
         let bytes: Vec<u8> = pairs.iter().flat_map(|p| p.to_le_bytes()).collect();
         debug_assert!(bytes.len() <= BLOCKS_PER_MESSAGE * BLOCK_BYTES);
         let blocks = ReplayBlocks {
@@ -138,7 +138,7 @@ impl Replay<'_> {
             bus_dv,
             data: Raw(&bytes),
         };
-        let wanted = pairs.len() / ADC_LOCK_P * TRACK_BYTES;
+        let wanted = pairs.len() / ADC_LOCK_P * TRAJECTORY_ENTRY_BYTES;
         let mut tries = 0;
         let answer = loop {
             tries += 1;
@@ -161,8 +161,13 @@ impl Replay<'_> {
             self.repeats += 1;
         };
         self.unsure = false;
-        self.taken = self.taken.wrapping_add((answer.len() / TRACK_BYTES) as u32);
-        Ok(answer.chunks_exact(TRACK_BYTES).map(entry).collect())
+        self.taken = self
+            .taken
+            .wrapping_add((answer.len() / TRAJECTORY_ENTRY_BYTES) as u32);
+        Ok(answer
+            .chunks_exact(TRAJECTORY_ENTRY_BYTES)
+            .map(entry)
+            .collect())
     }
 
     /// Sends a message; only an answer to these very blocks counts.
@@ -197,7 +202,8 @@ impl Replay<'_> {
                     Some(Last::Same(bytes))
                 }
                 Answer::ReplayEstimates(first, bytes)
-                    if first.wrapping_add((bytes.len() / TRACK_BYTES) as u32) == taken =>
+                    if first.wrapping_add((bytes.len() / TRAJECTORY_ENTRY_BYTES) as u32)
+                        == taken =>
                 {
                     Some(Last::Before)
                 }
@@ -249,9 +255,9 @@ fn mode(answer: Answer) -> Option<ReplayMode> {
     }
 }
 
-fn entry(bytes: &[u8]) -> Option<TrackEntry> {
-    let bytes: [u8; TRACK_BYTES] = bytes.try_into().ok()?;
-    let entry = TrackEntry::from_le_bytes(bytes);
+fn entry(bytes: &[u8]) -> Option<TrajectoryEntry> {
+    let bytes: [u8; TRAJECTORY_ENTRY_BYTES] = bytes.try_into().ok()?;
+    let entry = TrajectoryEntry::from_le_bytes(bytes);
     // No load has both at zero: it is the mark of a block without an estimate.
-    (entry != TrackEntry::default()).then_some(entry)
+    (entry != TrajectoryEntry::default()).then_some(entry)
 }

@@ -1,7 +1,7 @@
 //! A window as the host uses it, and what can be wrong with one.
 
 use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, f_adc_hz};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 use ihd_signal::Segment;
 
 /// Most saturated pairs of a usable window, as a fraction of its pairs: 0.1 %.
@@ -26,10 +26,10 @@ pub struct Window {
     pub first_pair_ns: i32,
     /// Sample pairs, equally spaced by [`Window::dt_s`].
     pub pairs: Vec<Pair>,
-    /// Time of the first track entry after the mains zero crossing, in nanoseconds.
-    pub first_track_ns: i32,
+    /// Time of the first trajectory entry after the mains zero crossing, in nanoseconds.
+    pub first_trajectory_ns: i32,
     /// The device's R and L, one entry per block of samples.
-    pub track: Vec<TrackEntry>,
+    pub trajectory: Vec<TrajectoryEntry>,
     /// Pairs at the end of the ADC's range.
     pub saturated: u16,
     /// Version of the lookup that was active.
@@ -77,9 +77,9 @@ impl Window {
         f64::from(self.first_pair_ns) * 1e-9 + k as f64 * self.dt_s()
     }
 
-    /// Time of track entry `k` after the mains zero crossing, in seconds.
-    pub fn track_time_s(&self, k: usize) -> f64 {
-        f64::from(self.first_track_ns) * 1e-9
+    /// Time of trajectory entry `k` after the mains zero crossing, in seconds.
+    pub fn trajectory_time_s(&self, k: usize) -> f64 {
+        f64::from(self.first_trajectory_ns) * 1e-9
             + k as f64 * f64::from(ADC_LOCK_Q) / f64::from(self.f_sw_hz)
     }
 }
@@ -97,17 +97,19 @@ pub enum WindowDefect {
     #[error("its end is missing")]
     NoEnd,
     /// The start declares more than a window may hold.
-    #[error("it declares {pairs} pairs and {track} track entries, more than fit a window")]
+    #[error(
+        "it declares {pairs} pairs and {trajectory} trajectory entries, more than fit a window"
+    )]
     TooLarge {
         /// Pairs declared.
         pairs: u16,
-        /// Track entries declared.
-        track: u16,
+        /// Trajectory entries declared.
+        trajectory: u16,
     },
     /// The start declares no pairs, or a frequency or duration of zero.
     #[error("it declares no pairs, no frequency or no duration")]
     Empty,
-    /// Pairs or track entries are missing before `offset`.
+    /// Pairs or trajectory entries are missing before `offset`.
     #[error("a chunk is missing before {of} {offset}")]
     MissingChunk {
         /// What the chunk would have held.
@@ -176,15 +178,15 @@ impl WindowDefect {
 pub enum Part {
     /// Sample pairs.
     Pair,
-    /// Track entries.
-    Track,
+    /// Trajectory entries.
+    Trajectory,
 }
 
 impl std::fmt::Display for Part {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Pair => "pair",
-            Self::Track => "track",
+            Self::Trajectory => "trajectory",
         })
     }
 }

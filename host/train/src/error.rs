@@ -13,7 +13,7 @@ pub enum TrainerError {
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The device went to its safe state.
-    #[error("fault {number} on the device at {point}: {text}", number = .fault.number(), text = fault_text(*.fault))]
+    #[error("fault {number} on the device at {point}: {text}", number = .fault.number(), text = .fault.text())]
     Fault {
         /// The fault.
         fault: Fault,
@@ -67,23 +67,4 @@ pub enum TrainerError {
         /// What the operating system says.
         source: std::io::Error,
     },
-}
-
-/// A fault in words, with what to do about it.
-pub fn fault_text(fault: Fault) -> &'static str {
-    match fault {
-        Fault::None => "no fault",
-        Fault::NoPot => "no pot on the coil; put one on and start again",
-        Fault::UnsuitablePot => {
-            "the load cannot be heated by induction (aluminium, copper, bare stainless)"
-        }
-        Fault::PotRemoved => "the pot was taken away while heating",
-        Fault::OverCurrent => "coil current at the trip level",
-        Fault::BusOverVoltage => "bus voltage above its limit; check the mains",
-        Fault::SamplesLost => "sample blocks were lost; check the ADC trigger and DMA",
-        Fault::SensorSaturated => "samples at the end of the ADC's range; check probes and gains",
-        Fault::BelowResonance => "the inverter was about to run below resonance",
-        Fault::EstimatorDiverged => "the R, L estimate left its plausible range",
-        Fault::MainsLost => "no mains zero crossing for 30 ms",
-    }
 }

@@ -65,8 +65,8 @@ pub fn crest(identified: &Identified) -> (f64, f64) {
 
 /// The firmware filter's track: (time, R, L) in seconds, ohm, henry.
 pub fn track(window: &Window) -> impl Iterator<Item = (f64, f64, f64)> {
-    let entries = window.track.iter().enumerate();
-    entries.map(|(k, e)| (window.track_time_s(k), e.r.ohm(), e.l.henry()))
+    let entries = window.trajectory.iter().enumerate();
+    entries.map(|(k, e)| (window.trajectory_time_s(k), e.r.ohm(), e.l.henry()))
 }
 
 /// Largest standard deviation of R or L, relative to it, at which a point may teach: where the current

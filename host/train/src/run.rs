@@ -100,7 +100,7 @@ pub fn run(
     }
     let device = format!("{} ({})", client.describe(), client.hello().build);
     let status = client.status()?;
-    if status.fault != ihd_shared::fault::Fault::None {
+    if status.fault != ihd_shared::fault::Fault::NONE {
         client.clear_fault()?;
     }
     let version = status.lookup_version;

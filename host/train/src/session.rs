@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use ihd_firmware::housekeeping::HOST_UNHEARD_HALF_CYCLES;
 use ihd_link::{Client, Event, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{State, Telemetry};
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_signal::truth::Truth;
 
 use super::{OperatingPoint, Recorded, TrainerError};
@@ -146,7 +146,7 @@ impl<'a> Session<'a> {
         match self.next_event("telemetry")? {
             Event::Telemetry(t) => {
                 self.last = Some(t.clone());
-                if t.fault != Fault::None {
+                if t.fault != Fault::NONE {
                     return Err(TrainerError::Fault {
                         fault: t.fault,
                         point,
@@ -154,7 +154,7 @@ impl<'a> Session<'a> {
                 }
                 Ok(Some(t))
             }
-            Event::Fault(f) if f.fault != Fault::None => Err(TrainerError::Fault {
+            Event::Fault(f) if f.fault != Fault::NONE => Err(TrainerError::Fault {
                 fault: f.fault,
                 point,
             }),
@@ -188,7 +188,7 @@ impl<'a> Session<'a> {
                     });
                 }
                 Event::Telemetry(t) => self.last = Some(t),
-                Event::Fault(f) if f.fault != Fault::None => {
+                Event::Fault(f) if f.fault != Fault::NONE => {
                     return Err(TrainerError::Fault {
                         fault: f.fault,
                         point,

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn each_mismatch_is_told() {
+    fn each_mismatch_is_reported() {
         let (host, device) = pair();
         let with = |change: fn(&mut Hello)| {
             let mut d = device.clone();

@@ -309,12 +309,12 @@ message_table! { 'a;
         half_cycle_ns: u32,
         /// Time of the first pair after the mains zero crossing, in nanoseconds.
         first_pair_ns: i32,
-        /// Time of the first track entry after the mains zero crossing, in nanoseconds.
-        first_track_ns: i32,
+        /// Time of the first trajectory entry after the mains zero crossing, in nanoseconds.
+        first_trajectory_ns: i32,
         /// Pairs in the window.
         pairs: u16,
-        /// Track entries in the window.
-        track: u16,
+        /// Trajectory entries in the window.
+        trajectory: u16,
         /// Pairs at the end of the ADC's range.
         saturated: u16,
         /// Version of the lookup that was active.
@@ -330,13 +330,13 @@ message_table! { 'a;
         #[serde(borrow)]
         data: Raw<'a>,
     }
-    /// A run of a window's track.
-    0x85 "from device" TrackChunk<'a> {
+    /// A run of a window's trajectory.
+    0x85 "from device" TrajectoryChunk<'a> {
         /// Window.
         seq: u32,
         /// Index of the first entry.
         offset: u16,
-        /// Whole entries, [`crate::window::TrackEntry::to_le_bytes`] each.
+        /// Whole entries, [`crate::window::TrajectoryEntry::to_le_bytes`] each.
         #[serde(borrow)]
         data: Raw<'a>,
     }
@@ -344,7 +344,7 @@ message_table! { 'a;
     0x86 "from device" WindowEnd {
         /// Window.
         seq: u32,
-        /// CRC-32 of all pair bytes, then all track bytes.
+        /// CRC-32 of all pair bytes, then all trajectory bytes.
         crc32: u32,
     }
     /// The active lookup.
@@ -353,7 +353,7 @@ message_table! { 'a;
         #[serde(borrow)]
         blob: Raw<'a>,
     }
-    /// Sent when a fault trips, and with [`Fault::None`] when it is cleared.
+    /// Sent when a fault trips, and with [`Fault::NONE`] when it is cleared.
     0x88 "from device" FaultEvent {
         /// Half-cycle since boot in which the fault tripped, or was cleared.
         half_cycle: u32,
@@ -371,7 +371,7 @@ message_table! { 'a;
     0x8a "from device" ReplayEstimates<'a> {
         /// Blocks replayed before these.
         first: u32,
-        /// One [`crate::window::TrackEntry::to_le_bytes`] a block; zeros where a block gave no
+        /// One [`crate::window::TrajectoryEntry::to_le_bytes`] a block; zeros where a block gave no
         /// estimate.
         #[serde(borrow)]
         data: Raw<'a>,
@@ -379,9 +379,10 @@ message_table! { 'a;
 }
 
 /// Every enumeration that messages use.
-pub const ENUMS: &[Entry] = &[State::ENTRY, Pot::ENTRY, Outcome::ENTRY, Fault::ENTRY];
+pub const ENUMS: &[Entry] = &[State::ENTRY, Pot::ENTRY, Outcome::ENTRY];
 
-/// Hash of the whole table: names, ids, fields, types and enumeration numbers.
+/// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they
+/// are open ([`crate::fault`]).
 pub const SCHEMA_HASH: u64 = {
     let mut hash = FNV_BASIS;
     let mut k = 0;

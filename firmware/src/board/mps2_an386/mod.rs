@@ -10,7 +10,7 @@ mod float_filter;
 #[cfg(not(feature = "instruction-counts"))]
 mod blocks;
 #[cfg(not(feature = "instruction-counts"))]
-mod mishap;
+mod fault_injection;
 #[cfg(not(feature = "instruction-counts"))]
 mod start;
 #[cfg(not(feature = "instruction-counts"))]

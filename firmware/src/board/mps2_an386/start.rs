@@ -13,7 +13,7 @@ use static_cell::StaticCell;
 
 use super::blocks::SilentAdc;
 use super::vectors::Interrupt;
-use super::{mishap, uart};
+use super::{fault_injection, uart};
 use crate::board::link::{self, NoPort};
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
 use crate::board::{crash, sampling::InterruptSide};
@@ -32,8 +32,8 @@ extern "C" fn SAMPLING() {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let last = crash::read_last_words();
-    mishap::if_asked(last);
+    let last = crash::read_crash_record();
+    fault_injection::if_asked(last);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
     let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
@@ -47,18 +47,18 @@ fn main() -> ! {
     })
 }
 
-fn hello(last: Option<reset::LastWords>) -> Hello {
-    // The board tells power-on by the absence of last words; every other start follows a reset
+fn hello(last: Option<reset::CrashRecord>) -> Hello {
+    // The absence of a crash record indicates power-on; every other start follows a reset
     // that this program asked for.
     let flags = Flags {
         software: last.is_some(),
         ..Flags::default()
     };
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-    let boot_id = last.map_or(0, |words| u32::from(words.starts) + 1);
+    let boot_id = last.map_or(0, |record| u32::from(record.starts) + 1);
     let mut hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "mps2-an386");
     hello.reset_reason = reset::reason(flags, last) as u8;
-    hello.fault_before_reset = last.map_or(0, |words| words.fault);
+    hello.fault_before_reset = last.map_or(0, |record| record.fault);
     hello
 }
 

@@ -3,6 +3,7 @@
 use core::cell::UnsafeCell;
 use core::ptr;
 
+use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use ihd_firmware::mains::ZeroCrossing;
 use ihd_firmware::pwm::Periods;
@@ -11,7 +12,6 @@ use ihd_firmware::ring::Ring;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
 use super::registers;
-use super::start::SAMPLING_EXECUTOR;
 use crate::board::sampling::{SAMPLES_READY, SampleSource};
 
 /// Channels of the pins in the module's table.
@@ -33,6 +33,9 @@ unsafe impl<T> Sync for DmaMemory<T> {}
 
 static PAIRS: DmaMemory<[u32; WORDS]> = DmaMemory(UnsafeCell::new([0; WORDS]));
 static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
+
+/// Polls the sampling task, in the DMA's own interrupt.
+pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 /// Half or all of the double block is filled. The executor runs in this interrupt, so nothing else
 /// of its priority comes between the flag and the task.

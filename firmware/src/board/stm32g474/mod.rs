@@ -16,13 +16,20 @@
 //! This module is compiled and its image linked and measured; it has not run on hardware yet.
 
 mod adc;
+mod nonvolatile;
 mod registers;
 mod serial;
-mod slots;
 mod start;
 mod usb;
+
+use ihd_shared::fault::Fault;
 
 /// Both switches off, at once, whatever else goes on.
 pub fn outputs_off() {
     registers::bridge_off();
+}
+
+/// Which of the chip's system faults has left a flag.
+pub fn system_fault() -> Option<Fault> {
+    registers::system_fault()
 }

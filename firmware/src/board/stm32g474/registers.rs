@@ -22,6 +22,7 @@ use embassy_stm32::pac::hrtim::vals::Fault as FaultState;
 use ihd_firmware::pwm::{DEAD_TIME_NS, Periods};
 use ihd_firmware::reset::Flags;
 use ihd_firmware::ring::Filled;
+use ihd_shared::fault::Fault;
 
 /// Indices of the timers in HRTIM.
 const BRIDGE: usize = 0;
@@ -37,6 +38,9 @@ const TRIGGER: u8 = 21;
 /// DMAMUX inputs (DMAMUX, table "DMAMUX: assignment of multiplexer inputs to resources").
 const REQUEST_ADC1: u8 = 5;
 const REQUEST_ADC3: u8 = 37;
+
+/// EXTI line of the supply's detector (EXTI, table "EXTI lines connections").
+const PVD_LINE: usize = 16;
 
 /// Middle of the range: codes are signed from here on.
 const MIDDLE: u16 = 2_048;
@@ -56,16 +60,41 @@ pub fn bridge_on() {
         w.set_flt(3, true);
         w.set_sysflt(true);
     });
+    // EXTI_PR1: cleared by writing 1.
+    pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
     pac::HRTIM1.oenr().modify(|w| {
         w.set_t1oen(BRIDGE, true);
         w.set_t2oen(BRIDGE, true);
     });
 }
 
-/// Whether a fault input has switched the bridge off (HRTIM, HRTIM_ISR).
-pub fn hardware_tripped() -> bool {
+/// What has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
+pub fn hardware_fault() -> Option<Fault> {
     let isr = pac::HRTIM1.isr().read();
-    isr.flt(0) || isr.flt(3) || isr.sysflt()
+    if isr.sysflt() {
+        // Of the four causes only lock-up leaves no flag.
+        Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
+    } else if isr.flt(0) || isr.flt(3) {
+        Some(Fault::HARDWARE_OVER_CURRENT)
+    } else {
+        None
+    }
+}
+
+/// Which of the causes of HRTIM's system fault has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two
+/// wrong bits in either half of a word of two banks); SYSCFG, SYSCFG_CFGR2 (SPF); PWR, PWR_SR2
+/// (PVDO, which goes when the supply is back) and EXTI, EXTI_PR1 ([`PVD_LINE`], which stays).
+pub fn system_fault() -> Option<Fault> {
+    let ecc = pac::FLASH.eccr().read();
+    if ecc.eccd() || ecc.eccd2() {
+        Some(Fault::FLASH_ECC)
+    } else if pac::SYSCFG.cfgr2().read().spf() {
+        Some(Fault::RAM_PARITY)
+    } else if pac::PWR.sr2().read().pvdo() || pac::EXTI.pr(0).read().line(PVD_LINE) {
+        Some(Fault::SUPPLY_LOW)
+    } else {
+        None
+    }
 }
 
 /// HRTIM, "HRTIM initialization": DLL, both timers, outputs, faults. HRTIM is clocked and reset
@@ -125,8 +154,9 @@ pub fn start_timers(periods: Periods) {
 }
 
 /// HRTIM, HRTIM_FLTINR1 and HRTIM_FLTAR: COMP2 on input 1, COMP1 on input 4, active high,
-/// unfiltered; locked until reset. SYSCFG, SYSCFG_CFGR2: lock-up, RAM parity and ECC errors and a sagging
-/// supply reach HRTIM's system fault.
+/// unfiltered; locked until reset. SYSCFG, SYSCFG_CFGR2: lock-up, RAM parity and ECC errors and a
+/// sagging supply reach HRTIM's system fault. EXTI, EXTI_RTSR1 and EXTI_IMR1: a sag of the supply is
+/// kept; its interrupt stays masked in the NVIC.
 fn start_faults() {
     let hrtim = pac::HRTIM1;
     for input in [0, 3] {
@@ -145,6 +175,8 @@ fn start_faults() {
         w.set_pvdl(true);
         w.set_eccl(true);
     });
+    pac::EXTI.rtsr(0).modify(|w| w.set_line(PVD_LINE, true));
+    pac::EXTI.imr(0).modify(|w| w.set_line(PVD_LINE, true));
 }
 
 /// New periods for both timers, at the same moment: HRTIM, HRTIM_PERxR, HRTIM_CMP1xR, then

@@ -1,7 +1,7 @@
 //! The link over LPUART1, which is the ST-LINK's serial port on a NUCLEO-G474RE.
 //!
 //! 921 600 baud carry 92 kB/s: telemetry of every half-cycle takes 5 kB/s, a window of 12 200 pairs
-//! and its track 51 kB, so a window every second fits with room for commands; every tenth of a
+//! and its trajectory 51 kB, so a window every second fits with room for commands; every tenth of a
 //! second does not.
 
 use embassy_stm32::usart::{BufferedUartRx, BufferedUartTx};

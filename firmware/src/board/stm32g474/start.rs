@@ -2,7 +2,7 @@
 
 use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
-use embassy_executor::{Executor, InterruptExecutor, Spawner};
+use embassy_executor::{Executor, Spawner};
 use embassy_stm32::dac::{Dac, Value};
 use embassy_stm32::flash::Flash;
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
@@ -16,18 +16,18 @@ use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
-use ihd_firmware::housekeeping::{Access, Housekeeping};
+use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::protection::TRIP_CODE;
-use ihd_firmware::{pwm, reset, store};
-use ihd_shared::fault::Fault;
+use ihd_firmware::realtime::Access;
+use ihd_firmware::{nonvolatile, pwm, reset};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Hello, State};
 use static_cell::StaticCell;
 
-use super::adc::Adc;
-use super::slots::Slots;
+use super::adc::{Adc, SAMPLING_EXECUTOR};
+use super::nonvolatile::LookupPages;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -42,7 +42,6 @@ bind_interrupts!(struct Irqs {
 /// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
-pub(super) static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
 static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
@@ -53,7 +52,7 @@ type UsbDriver = Driver<'static, USB>;
 struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     heartbeat: Heartbeat,
-    slots: Slots,
+    pages: LookupPages,
     kept_version: u32,
 }
 
@@ -84,7 +83,7 @@ fn clocks() -> Config {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let flags = registers::reset_flags();
-    let last = crash::read_last_words();
+    let last = crash::read_crash_record();
     let p = embassy_stm32::init(clocks());
     defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
@@ -98,16 +97,16 @@ fn main() -> ! {
     })
 }
 
-fn hello(flags: reset::Flags, last: Option<reset::LastWords>) -> Hello {
+fn hello(flags: reset::Flags, last: Option<reset::CrashRecord>) -> Hello {
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-    // Starts since power-on, told apart from other boards by the chip's number.
-    let starts = last.map_or(0, |words| u32::from(words.starts) + 1);
+    // Starts since power-on, made different from other boards' by the chip's number.
+    let starts = last.map_or(0, |record| u32::from(record.starts) + 1);
     let boot_id = uid::uid().iter().fold(starts, |id, &byte| {
         id.wrapping_mul(0x0100_0193) ^ u32::from(byte)
     });
     let mut hello = ours(ROLE_DEVICE, 0, boot_id, build, "stm32g474");
     hello.reset_reason = reset::reason(flags, last) as u8;
-    hello.fault_before_reset = last.map_or(0, |words| words.fault);
+    hello.fault_before_reset = last.map_or(0, |record| record.fault);
     hello
 }
 
@@ -119,9 +118,9 @@ fn start(
     thread_side: ThreadSide,
 ) {
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
-    let mut slots = Slots(Flash::new_blocking(p.FLASH));
+    let mut pages = LookupPages(Flash::new_blocking(p.FLASH));
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
-    if let Some(lookup) = store::load(&mut slots) {
+    if let Some(lookup) = nonvolatile::load(&mut pages) {
         housekeeping.restore(lookup);
     }
     // The thresholds first, then what compares with them, then what could switch on.
@@ -154,7 +153,7 @@ fn start(
         watchdog,
         heartbeat: Heartbeat::default(),
         kept_version: housekeeping.lookup().version,
-        slots,
+        pages,
     };
     if let Ok(token) = usb_task(device) {
         spawner.spawn(token);
@@ -237,11 +236,13 @@ async fn link_task(
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
-        let tripped = registers::hardware_tripped();
+        let tripped = registers::hardware_fault();
         let blocks = path.with(|rt| {
             // A trip counts while the bridge should run: switching on clears what is left of it.
-            if tripped && rt.drive().on {
-                rt.raise(Fault::OverCurrent);
+            if let Some(fault) = tripped
+                && rt.drive().on
+            {
+                rt.raise(fault);
             }
             rt.blocks()
         });
@@ -252,7 +253,7 @@ impl Board {
         if version != self.kept_version && housekeeping.control().state() == State::Idle {
             // Not tried again when it fails: the lookup is still active, and is pushed again.
             self.kept_version = version;
-            if store::save(&mut self.slots, housekeeping.lookup()).is_err() {
+            if nonvolatile::save(&mut self.pages, housekeeping.lookup()).is_err() {
                 defmt::warn!("lookup {=u32} was not kept", version);
             }
         }

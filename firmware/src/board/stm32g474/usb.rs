@@ -88,7 +88,7 @@ impl Receive for Receiver {
 }
 
 impl Send for Sender {
-    /// One packet, never a full one: the short packet tells the host at once that it is all there
+    /// One packet, never a full one: the short packet indicates at once that it is all there
     /// is for now, without a zero-length packet behind a full one.
     async fn send(&mut self, bytes: &[u8]) -> usize {
         self.endpoint.wait_enabled().await;

@@ -1,6 +1,7 @@
 //! What a device says, as the file's JSON messages: SI units and words in place of codes.
 
 use ihd_link::{Counters, Window, WindowDefect};
+use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
@@ -9,6 +10,13 @@ use ihd_shared::wire::messages;
 
 use super::topics::{FaultNote, LinkCounters, Lookup, Telemetry, WholeWindow, WindowNote};
 
+/// A fault's name, or its number where it is newer than this version.
+fn fault_name(fault: Fault) -> String {
+    fault
+        .name()
+        .map_or_else(|| fault.number().to_string(), str::to_owned)
+}
+
 /// A telemetry.
 pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
     Telemetry {
@@ -16,7 +24,7 @@ pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
         dropped: t.dropped,
         half_cycle: t.half_cycle,
         state: format!("{:?}", t.state),
-        fault: format!("{:?}", t.fault),
+        fault: fault_name(t.fault),
         pot: format!("{:?}", t.pot),
         f_sw_hz: t.f_sw_hz,
         r_ohm: t.r.ohm(),
@@ -33,7 +41,7 @@ pub fn fault(f: &messages::FaultEvent) -> FaultNote {
     FaultNote {
         half_cycle: f.half_cycle,
         number: f.fault.number(),
-        fault: format!("{:?}", f.fault),
+        fault: fault_name(f.fault),
     }
 }
 
@@ -59,10 +67,10 @@ pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
             pairs: w.pairs.len(),
             saturated: w.saturated,
             lookup_version: w.lookup_version,
-            track_t0_s: zero_crossing_s + w.track_time_s(0),
+            track_t0_s: zero_crossing_s + w.trajectory_time_s(0),
             track_dt_s: f64::from(ADC_LOCK_Q) / f64::from(w.f_sw_hz),
-            track_r_ohm: w.track.iter().map(|e| e.r.ohm()).collect(),
-            track_l_h: w.track.iter().map(|e| e.l.henry()).collect(),
+            track_r_ohm: w.trajectory.iter().map(|e| e.r.ohm()).collect(),
+            track_l_h: w.trajectory.iter().map(|e| e.l.henry()).collect(),
         }),
     }
 }
@@ -99,5 +107,22 @@ pub fn link_counters(c: &Counters) -> LinkCounters {
         windows_missing: c.windows.missing,
         windows_dropped: c.windows.dropped_by_device,
         windows_rejected: c.windows_rejected_total(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_is_noted_by_its_name_or_else_its_number() {
+        let note = |number| {
+            fault(&messages::FaultEvent {
+                half_cycle: 7,
+                fault: Fault::from_number(number),
+            })
+        };
+        assert_eq!(note(3).fault, "PotRemoved");
+        assert_eq!((note(23).number, note(23).fault.as_str()), (23, "23"));
     }
 }

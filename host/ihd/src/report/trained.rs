@@ -52,11 +52,11 @@ pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
 }
 
 fn filter(window: &Window, value: fn((f64, f64)) -> f64) -> Vec<(f64, f64)> {
-    let entries = window.track.iter().enumerate();
+    let entries = window.trajectory.iter().enumerate();
     entries
         .map(|(k, e)| {
             (
-                window.track_time_s(k) * 1e3,
+                window.trajectory_time_s(k) * 1e3,
                 value((e.r.ohm(), e.l.henry())),
             )
         })

@@ -93,7 +93,7 @@ impl Outcome {
                 w.f_sw_hz,
                 w.half_cycle_ns,
                 w.first_pair_ns,
-                w.first_track_ns,
+                w.first_trajectory_ns,
                 w.saturated,
             )
         };
@@ -113,13 +113,13 @@ impl Outcome {
             let text = unequal(device.pairs.len(), host.pairs.len(), at);
             self.value(t_s, "window pairs", text, String::new(), Clone::clone);
         }
-        if device.track != host.track {
+        if device.trajectory != host.trajectory {
             let at = device
-                .track
+                .trajectory
                 .iter()
-                .zip(&host.track)
+                .zip(&host.trajectory)
                 .position(|(a, b)| a != b);
-            let text = unequal(device.track.len(), host.track.len(), at);
+            let text = unequal(device.trajectory.len(), host.trajectory.len(), at);
             self.value(t_s, "window track", text, String::new(), Clone::clone);
         }
     }

@@ -9,7 +9,7 @@ use ihd_link::{Client, Event, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
-use ihd_shared::window::TrackEntry;
+use ihd_shared::window::TrajectoryEntry;
 
 use super::compare::Outcome;
 use super::reference::ReferenceDevice;
@@ -126,7 +126,7 @@ impl Run<'_> {
     /// A fault that the last stretch led to must not keep the next one from beginning.
     fn clear_faults(&mut self) -> Result<(), LinkError> {
         for client in [&mut self.device, &mut self.host] {
-            if persist(|| client.status())?.fault != Fault::None {
+            if persist(|| client.status())?.fault != Fault::NONE {
                 persist(|| client.clear_fault())?;
             }
         }
@@ -193,7 +193,7 @@ impl Run<'_> {
         &mut self,
         part: &Part<'_>,
         taken: &mut u32,
-    ) -> Result<Vec<Option<TrackEntry>>, LinkError> {
+    ) -> Result<Vec<Option<TrajectoryEntry>>, LinkError> {
         let mut replay = self.device.continue_replay(*taken);
         loop {
             let answer = replay.message(part.pairs, part.crossing, BUS_DV);
@@ -224,12 +224,12 @@ impl Run<'_> {
         &mut self,
         stretch: &Stretch,
         first: usize,
-        device: &[Option<TrackEntry>],
-        host: &[Option<TrackEntry>],
+        device: &[Option<TrajectoryEntry>],
+        host: &[Option<TrajectoryEntry>],
     ) {
         for (k, (device, host)) in device.iter().zip(host).enumerate() {
             let t_s = stretch.block_s(first + k);
-            let number = |part: fn(&TrackEntry) -> i32| {
+            let number = |part: fn(&TrajectoryEntry) -> i32| {
                 [device, host].map(|e| e.as_ref().map(|e| i64::from(part(e))))
             };
             let words = |x: &Option<i64>| x.map_or("none".to_owned(), |x| x.to_string());
@@ -280,7 +280,7 @@ impl Run<'_> {
             }
             Event::Fault(f) => {
                 self.outcome
-                    .value(t_s, "fault", f.fault, Fault::None, |f| format!("{f:?}"));
+                    .value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
             }
             Event::Window(_) | Event::Telemetry(_) => {}
         }

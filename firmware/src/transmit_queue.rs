@@ -1,4 +1,5 @@
-//! The link's outgoing side: what is queued, in which order it leaves, and what is counted.
+//! The transmit queue, the link's outgoing side: what waits, in which order it leaves, and what is
+//! counted.
 //!
 //! Nothing waits for the link. Answers go first, then faults, telemetry and windows. Telemetry and
 //! windows take their sequence number before they look for room, so that what is dropped shows as
@@ -9,11 +10,11 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
-    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry, TrackChunk,
-    WindowChunk, WindowEnd, WindowStart,
+    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
+    TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 
-use crate::housekeeping::Access;
+use crate::realtime::Access;
 use crate::recorder::Header;
 use crate::replay::Estimates;
 
@@ -52,12 +53,12 @@ struct Cursor {
 enum Stage {
     Start,
     Pairs(u16),
-    Track(u16),
+    Trajectory(u16),
     End,
 }
 
 /// Queues and counters of the outgoing side.
-pub struct Session {
+pub struct TransmitQueue {
     hello: Hello,
     frame_seq: u16,
     answers: Deque<Answer, ANSWERS>,
@@ -67,7 +68,7 @@ pub struct Session {
     cursor: Option<Cursor>,
 }
 
-impl Session {
+impl TransmitQueue {
     /// Nothing queued.
     pub fn new(hello: Hello) -> Self {
         Self {
@@ -101,9 +102,9 @@ impl Session {
         self.answers.len() + 2 > ANSWERS
     }
 
-    /// Queues an answer; callers keep [`Session::is_full`] false first.
+    /// Queues an answer; callers keep [`TransmitQueue::is_full`] false first.
     pub fn answer(&mut self, answer: Answer) {
-        // A fault event on top of a full queue is lost here, not in Status, which still tells it.
+        // A fault event on top of a full queue is lost here, not in Status, which still reports it.
         let _ = self.answers.push_back(answer);
     }
 
@@ -193,9 +194,9 @@ impl Session {
                     f_sw_hz: h.f_sw_hz,
                     half_cycle_ns: h.half_cycle_ns,
                     first_pair_ns: h.first_pair_ns,
-                    first_track_ns: h.first_track_ns,
+                    first_trajectory_ns: h.first_trajectory_ns,
                     pairs: h.pairs,
-                    track: h.track,
+                    trajectory: h.trajectory,
                     saturated: h.saturated,
                     lookup_version: h.lookup_version,
                 };
@@ -212,8 +213,8 @@ impl Session {
                 };
                 (self.frame(&chunk, out), Stage::Pairs(offset + n.max(1)))
             }
-            Stage::Pairs(_) => return self.track_frame(cursor, 0, access, out),
-            Stage::Track(offset) => return self.track_frame(cursor, offset, access, out),
+            Stage::Pairs(_) => return self.trajectory_frame(cursor, 0, access, out),
+            Stage::Trajectory(offset) => return self.trajectory_frame(cursor, offset, access, out),
             Stage::End => {
                 let end = WindowEnd {
                     seq: h.seq,
@@ -228,7 +229,7 @@ impl Session {
         length
     }
 
-    fn track_frame(
+    fn trajectory_frame(
         &mut self,
         mut cursor: Cursor,
         offset: u16,
@@ -236,23 +237,23 @@ impl Session {
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
         let h = cursor.header;
-        if offset >= h.track {
+        if offset >= h.trajectory {
             cursor.stage = Stage::End;
             return self.window_frame(cursor, access, out);
         }
         let mut raw = [0; CHUNK_BYTES];
-        let n = access.with(|rt| rt.recorder().read_track(offset, &mut raw));
-        let data = &raw[..usize::from(n) * ihd_shared::window::TRACK_BYTES];
+        let n = access.with(|rt| rt.recorder().read_trajectory(offset, &mut raw));
+        let data = &raw[..usize::from(n) * ihd_shared::window::TRAJECTORY_ENTRY_BYTES];
         cursor.digest.update(data);
         let length = self.frame(
-            &TrackChunk {
+            &TrajectoryChunk {
                 seq: h.seq,
                 offset,
                 data: Raw(data),
             },
             out,
         );
-        cursor.stage = Stage::Track(offset + n.max(1));
+        cursor.stage = Stage::Trajectory(offset + n.max(1));
         self.cursor = Some(cursor);
         length
     }

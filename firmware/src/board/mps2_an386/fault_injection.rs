@@ -1,7 +1,7 @@
-//! Accidents on demand, named by QEMU's `-semihosting-config arg=`: so that a test sees what the
-//! next start says about them. Only at power-on, or they would repeat for ever.
+//! Fault injection: accidents on demand, named by QEMU's `-semihosting-config arg=`, so that a test
+//! sees what the next start reports. Only at power-on, or they would repeat for ever.
 
-use ihd_firmware::reset::LastWords;
+use ihd_firmware::reset::CrashRecord;
 
 use crate::board::crash;
 
@@ -9,7 +9,7 @@ use crate::board::crash;
 const LENGTH: usize = 64;
 
 /// Has the accident that the command line asks for.
-pub fn if_asked(last: Option<LastWords>) {
+pub fn if_asked(last: Option<CrashRecord>) {
     if last.is_some() {
         return;
     }

@@ -1,12 +1,12 @@
-//! The last good lookup, kept through the loss of power: two slots of flash, of which one is always
-//! whole.
+//! Non-volatile pages: the last good lookup, kept through the loss of power in two pages of flash, of
+//! which one is always whole.
 //!
 //! ```text
-//! slot: sequence u32 · !sequence u32 · lookup (its own CRC-32 at the end) · padding to 8 bytes
+//! record: sequence u32 · !sequence u32 · lookup (its own CRC-32 at the end) · padding to 8 bytes
 //! ```
 //!
-//! A save erases the older slot, writes the lookup, and its sequence last. Wherever the power goes,
-//! the other slot still holds what it held.
+//! A save erases the older page, writes the lookup, and its sequence last. Wherever the power goes,
+//! the other page still holds what it held.
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::LEN;
@@ -14,31 +14,31 @@ use ihd_shared::lookup::blob::LEN;
 /// Bytes that the flash writes at a time.
 pub const WORD: usize = 8;
 
-/// Bytes of a slot in use.
-pub const SLOT_BYTES: usize = WORD + LEN.div_ceil(WORD) * WORD;
+/// Bytes of a record, at the beginning of its page.
+pub const RECORD_BYTES: usize = WORD + LEN.div_ceil(WORD) * WORD;
 
-/// Two slots of at least [`SLOT_BYTES`], each erased on its own.
+/// Two pages of at least [`RECORD_BYTES`], each erased on its own.
 pub trait Flash {
     /// What the hardware reports.
     type Error;
-    /// Reads a slot from its beginning.
-    fn read(&mut self, slot: usize, out: &mut [u8; SLOT_BYTES]);
-    /// Sets every bit of a slot.
+    /// Reads a page's record.
+    fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]);
+    /// Sets every bit of a page.
     ///
     /// # Errors
     /// What the hardware reports.
-    fn erase(&mut self, slot: usize) -> Result<(), Self::Error>;
+    fn erase(&mut self, page: usize) -> Result<(), Self::Error>;
     /// Writes whole words at an offset that is one's multiple, once after each erasure.
     ///
     /// # Errors
     /// What the hardware reports.
-    fn write(&mut self, slot: usize, offset: usize, bytes: &[u8]) -> Result<(), Self::Error>;
+    fn write(&mut self, page: usize, offset: usize, bytes: &[u8]) -> Result<(), Self::Error>;
 }
 
-/// What a slot holds, if it is whole.
-fn read<F: Flash>(flash: &mut F, slot: usize) -> Option<(u32, RlLookup)> {
-    let mut bytes = [0; SLOT_BYTES];
-    flash.read(slot, &mut bytes);
+/// What a page holds, if it is whole.
+fn read<F: Flash>(flash: &mut F, page: usize) -> Option<(u32, RlLookup)> {
+    let mut bytes = [0; RECORD_BYTES];
+    flash.read(page, &mut bytes);
     let [a, b, c, d, e, f, g, h, rest @ ..] = &bytes;
     let sequence = u32::from_le_bytes([*a, *b, *c, *d]);
     if u32::from_le_bytes([*e, *f, *g, *h]) != !sequence {
@@ -48,7 +48,7 @@ fn read<F: Flash>(flash: &mut F, slot: usize) -> Option<(u32, RlLookup)> {
     Some((sequence, lookup))
 }
 
-/// Slot and content of the newer whole one.
+/// Page and content of the newer whole one.
 fn newest<F: Flash>(flash: &mut F) -> Option<(usize, u32, RlLookup)> {
     match (read(flash, 0), read(flash, 1)) {
         (Some((a, lookup)), Some((b, _))) if a.wrapping_sub(b) < 1 << 31 => Some((0, a, lookup)),
@@ -68,18 +68,18 @@ pub fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
 /// # Errors
 /// What the flash reports; the lookup kept before is still there.
 pub fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), F::Error> {
-    let (slot, sequence) = match newest(flash) {
-        Some((slot, sequence, _)) => (1 - slot, sequence.wrapping_add(1)),
+    let (page, sequence) = match newest(flash) {
+        Some((page, sequence, _)) => (1 - page, sequence.wrapping_add(1)),
         None => (0, 0),
     };
-    let mut bytes = [0xFF; SLOT_BYTES - WORD];
+    let mut bytes = [0xFF; RECORD_BYTES - WORD];
     bytes[..LEN].copy_from_slice(&lookup.to_bytes());
-    flash.erase(slot)?;
-    flash.write(slot, WORD, &bytes)?;
+    flash.erase(page)?;
+    flash.write(page, WORD, &bytes)?;
     let mut head = [0; WORD];
     head[..4].copy_from_slice(&sequence.to_le_bytes());
     head[4..].copy_from_slice(&(!sequence).to_le_bytes());
-    flash.write(slot, 0, &head)
+    flash.write(page, 0, &head)
 }
 
 #[cfg(test)]
@@ -89,7 +89,7 @@ mod tests {
 
     /// Flash whose power goes after some words; what is being erased or written then is damaged.
     struct CutFlash {
-        slots: [[u8; SLOT_BYTES]; 2],
+        pages: [[u8; RECORD_BYTES]; 2],
         words_left: usize,
     }
 
@@ -105,27 +105,27 @@ mod tests {
 
     impl Flash for CutFlash {
         type Error = PowerGone;
-        fn read(&mut self, slot: usize, out: &mut [u8; SLOT_BYTES]) {
-            *out = self.slots[slot];
+        fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) {
+            *out = self.pages[page];
         }
-        fn erase(&mut self, slot: usize) -> Result<(), PowerGone> {
-            for word in 0..SLOT_BYTES / WORD {
+        fn erase(&mut self, page: usize) -> Result<(), PowerGone> {
+            for word in 0..RECORD_BYTES / WORD {
                 if self.spend().is_err() {
                     // Half erased: some bits set, some not.
-                    self.slots[slot][word * WORD] |= 0xA5;
+                    self.pages[page][word * WORD] |= 0xA5;
                     return Err(PowerGone);
                 }
-                self.slots[slot][word * WORD..][..WORD].fill(0xFF);
+                self.pages[page][word * WORD..][..WORD].fill(0xFF);
             }
             Ok(())
         }
-        fn write(&mut self, slot: usize, offset: usize, bytes: &[u8]) -> Result<(), PowerGone> {
+        fn write(&mut self, page: usize, offset: usize, bytes: &[u8]) -> Result<(), PowerGone> {
             for (k, word) in bytes.chunks(WORD).enumerate() {
-                let place = &mut self.slots[slot][offset + k * WORD..][..WORD];
+                let place = &mut self.pages[page][offset + k * WORD..][..WORD];
                 assert!(place.iter().all(|&b| b == 0xFF), "written twice");
                 place[..WORD / 2].copy_from_slice(&word[..WORD / 2]);
                 self.spend()?;
-                self.slots[slot][offset + k * WORD..][..WORD].copy_from_slice(word);
+                self.pages[page][offset + k * WORD..][..WORD].copy_from_slice(word);
             }
             Ok(())
         }
@@ -137,7 +137,7 @@ mod tests {
 
     fn blank() -> CutFlash {
         CutFlash {
-            slots: [[0xFF; SLOT_BYTES]; 2],
+            pages: [[0xFF; RECORD_BYTES]; 2],
             words_left: usize::MAX,
         }
     }
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_cut_at_any_word_leaves_the_old_or_the_new() {
-        let words = 2 * SLOT_BYTES / WORD;
+        let words = 2 * RECORD_BYTES / WORD;
         let mut kept = [0; 3];
         for cut in 0..=words {
             let mut flash = blank();
@@ -180,11 +180,11 @@ mod tests {
     #[test]
     fn the_sequence_may_wrap() {
         let mut flash = blank();
-        for (slot, sequence) in [(0, u32::MAX), (1, 0u32)] {
-            let bytes = &mut flash.slots[slot];
+        for (page, sequence) in [(0, u32::MAX), (1, 0u32)] {
+            let bytes = &mut flash.pages[page];
             bytes[..4].copy_from_slice(&sequence.to_le_bytes());
             bytes[4..8].copy_from_slice(&(!sequence).to_le_bytes());
-            bytes[8..8 + LEN].copy_from_slice(&lookup(slot as u32 + 1).to_bytes());
+            bytes[8..8 + LEN].copy_from_slice(&lookup(page as u32 + 1).to_bytes());
         }
         assert_eq!(load(&mut flash), Some(lookup(2)));
     }
@@ -193,7 +193,7 @@ mod tests {
     fn a_damaged_lookup_is_not_loaded() {
         let mut flash = blank();
         save(&mut flash, &lookup(1)).unwrap();
-        flash.slots[0][100] ^= 1;
+        flash.pages[0][100] ^= 1;
         assert_eq!(load(&mut flash), None);
     }
 }
