@@ -4,6 +4,7 @@ mod budget;
 mod call_graph;
 mod cycles;
 mod emulator;
+mod fuzz;
 mod images;
 mod licences;
 mod setup;
@@ -19,7 +20,7 @@ use setup::Wanted;
 use steps::{Session, Step};
 use workspace::Workspace;
 
-/// ihd's chores: set-up, tests, the firmware's images and what they may take.
+/// ihd's chores: set-up, tests, fuzzing, the firmware's images and what they may take.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask", version)]
 #[command(after_help = "Example:\n  cargo xtask test")]
@@ -75,6 +76,21 @@ enum Chore {
         #[arg(long)]
         write: bool,
     },
+    /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
+    ///
+    /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
+    /// target/fuzz-corpus, what fails in target/fuzz-artifacts; the committed corpus stays as it is.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask fuzz\n  \
+        cargo xtask fuzz 60\n  \
+        cargo xtask fuzz csv 300")]
+    Fuzz {
+        /// The target; every one in turn without it
+        target: Option<String>,
+        /// Seconds for each target, 0 until interrupted
+        #[arg(default_value_t = 10)]
+        seconds: u64,
+    },
 }
 
 fn main() -> ExitCode {
@@ -98,5 +114,10 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Firmware => session.images(),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
+        // A number alone is the time: no target's name is one.
+        Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
+            Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),
+            _ => fuzz::fuzz(&session.workspace, target.as_deref(), Some(seconds)),
+        },
     }
 }

@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{budget, cycles, emulator, licences};
+use crate::{budget, cycles, emulator, fuzz, licences};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
@@ -43,6 +43,8 @@ pub enum Step {
     Cycles,
     /// The image on an emulated Cortex-M4F, talked to by the host's own client
     Emulator,
+    /// Each fuzz target for some seconds
+    Fuzz,
 }
 
 /// What the steps share.
@@ -73,6 +75,7 @@ impl Session {
             Step::Budget => self.budget(),
             Step::Cycles => self.cycles(false),
             Step::Emulator => self.emulator(),
+            Step::Fuzz => fuzz::fuzz(&self.workspace, None, None),
         }
     }
 
