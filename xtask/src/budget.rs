@@ -1,5 +1,4 @@
-//! `cargo xtask budget`: what the board's image takes, module by module, and whether the sampling
-//! path can panic.
+//! `cargo xtask budget`: what the board's image takes, module by module, and whether the sampling path can panic.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,9 +6,10 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use serde::Deserialize;
 
 use crate::call_graph::CallGraph;
-use crate::limits::{Limits, verdict};
+use crate::workspace::Workspace;
 
 /// Sections that are in flash, and those that are in RAM; what is in both is copied at start.
 const FLASH: [&str; 4] = [".vector_table", ".text", ".rodata", ".data"];
@@ -23,6 +23,40 @@ const TASK: &str = "SamplingTask";
 /// What a panic looks like in a symbol.
 const PANIC: [&str; 4] = ["panicking", "rust_begin_unwind", "_fail", "panic_"];
 
+/// The ceilings of firmware/budget.toml.
+#[derive(Debug, Deserialize)]
+pub struct Limits {
+    /// Bytes: `flash`, `static_ram`, `stack`.
+    pub memory: BTreeMap<String, f64>,
+    /// Instructions by subject.
+    pub instructions: BTreeMap<String, f64>,
+}
+
+impl Limits {
+    /// Reads the file.
+    pub fn read(workspace: &Workspace) -> anyhow::Result<Self> {
+        let path = workspace.root.join("firmware/budget.toml");
+        let text = fs::read_to_string(&path).with_context(|| format!("{}", path.display()))?;
+        toml::from_str(&text).with_context(|| format!("{}", path.display()))
+    }
+}
+
+/// What is wrong with a figure, if anything: above its ceiling, or so far below that the ceiling
+/// no longer says anything.
+pub fn verdict(what: &str, figure: f64, ceiling: Option<&f64>) -> Option<String> {
+    let file = "firmware/budget.toml";
+    match ceiling {
+        None => Some(format!("{file} has no ceiling for {what}")),
+        Some(most) if figure > *most => {
+            Some(format!("{what}: {figure}, more than the {most} of {file}"))
+        }
+        Some(most) if figure < most / 2.0 => Some(format!(
+            "{what}: {figure}, less than half of {most}: lower the ceiling in {file}"
+        )),
+        Some(_) => None,
+    }
+}
+
 /// Bytes of one module.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Bytes {
@@ -30,82 +64,64 @@ struct Bytes {
     ram: u64,
 }
 
+impl Bytes {
+    /// Counts `size` bytes of a section where that section lies.
+    fn add(&mut self, section: &str, size: u64) {
+        self.flash += size * u64::from(FLASH.contains(&section));
+        self.ram += size * u64::from(RAM.contains(&section));
+    }
+}
+
 /// Prints the table; returns what is wrong.
 pub fn check(image: &Path, limits: &Limits) -> anyhow::Result<Vec<String>> {
     let data = fs::read(image).with_context(|| format!("{}", image.display()))?;
     let elf = object::File::parse(&*data)?;
-    let (sections, modules) = (by_section(&elf), by_module(&elf)?);
-    let sum = |names: &[&str]| -> u64 { names.iter().filter_map(|n| sections.get(*n)).sum() };
-    let total = Bytes {
-        flash: sum(&FLASH),
-        ram: sum(&RAM),
-    };
-    print!("{}", table(&modules, total));
-    let mut broken = Vec::new();
-    for (key, what, figure) in [
-        ("flash", "bytes of flash", total.flash),
-        ("static_ram", "bytes of static RAM", total.ram),
-    ] {
-        let ceiling = limits.memory.get(key).copied();
-        let ceiling = ceiling.with_context(|| format!("no {key} in firmware/budget.toml"))?;
-        broken.extend(verdict(what, figure as f64, ceiling));
+    let mut total = Bytes::default();
+    for section in elf.sections() {
+        total.add(section.name()?, section.size());
     }
-    broken.extend(panic_path(&CallGraph::read(&elf)?)?);
-    Ok(broken)
+    print!("{}", table(&by_module(&elf)?, total));
+    let memory = |what, bytes, key| verdict(what, bytes as f64, limits.memory.get(key));
+    let flash = memory("bytes of flash", total.flash, "flash");
+    let ram = memory("bytes of static RAM", total.ram, "static_ram");
+    let panics = panic_path(&CallGraph::read(&elf)?)?;
+    Ok([flash, ram, panics].into_iter().flatten().collect())
 }
 
 /// Shows that no call from the sampling path leads to a panic, or the calls that do.
 fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
+    let holds = |part: &'static str| move |name: &str| name.contains(part);
     // Without these the search below would find nothing whatever the code does.
-    if graph.named("rust_begin_unwind").next().is_none() {
+    let handler = graph.starts(holds("rust_begin_unwind"));
+    if handler.is_empty() {
         bail!("the image has no panic handler by name; are its symbols stripped?");
     }
-    let is_panic = |name: &str| PANIC.iter().any(|part| name.contains(part));
     // By the readable name: compilers differ in how they write the other.
-    let polls = graph
-        .named(TASK)
-        .filter(|name| readable(name).ends_with("::poll"));
-    let polls: Vec<_> = polls.collect();
-    let callers: Vec<_> = graph.callers(&polls).collect();
-    if graph.named(INTERRUPT).next().is_none() || polls.is_empty() || callers.is_empty() {
+    let polls = graph.starts(|name| holds(TASK)(name) && readable(name).ends_with("::poll"));
+    let interrupt = graph.starts(|name| name == INTERRUPT);
+    let callers = graph.callers(&polls);
+    if interrupt.is_empty() || callers.is_empty() {
         bail!("the image has no {INTERRUPT}, no {TASK}, or nobody who polls it");
     }
-    let roots = [&[INTERRUPT], &polls[..], &callers[..]].concat();
-    let (way, functions) = graph.path(&roots, is_panic);
-    if let Some(way) = way {
-        let way: Vec<_> = way.iter().map(|name| readable(name)).collect();
-        return Ok(Some(format!(
-            "the sampling path can panic: {}",
-            way.join(" -> ")
-        )));
+    let panics = graph.starts(|name| PANIC.iter().any(|part| name.contains(part)));
+    let (way, functions) = graph.path(&(&interrupt | &polls) | &callers, &panics);
+    if way.is_empty() {
+        println!("no panic in the {functions} functions of the sampling path\n");
+        return Ok(None);
     }
-    println!("no panic in the {functions} functions of the sampling path\n");
-    Ok(None)
-}
-
-fn by_section(elf: &object::File<'_>) -> BTreeMap<String, u64> {
-    elf.sections()
-        .filter_map(|section| Some((section.name().ok()?.to_owned(), section.size())))
-        .collect()
+    let way: Vec<_> = way.into_iter().map(readable).collect();
+    let way = way.join(" -> ");
+    Ok(Some(format!("the sampling path can panic: {way}")))
 }
 
 fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, Bytes>> {
-    let mut modules: BTreeMap<String, Bytes> = BTreeMap::new();
+    let mut modules = BTreeMap::<_, Bytes>::new();
     for symbol in elf.symbols() {
-        let Some(index) = symbol.section_index().filter(|_| symbol.size() > 0) else {
-            continue;
-        };
-        if !matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data) {
-            continue;
-        }
-        let section = elf.section_by_index(index)?;
-        let name = section.name()?;
-        let bytes = modules.entry(module(symbol.name()?)).or_default();
-        if FLASH.contains(&name) {
-            bytes.flash += symbol.size();
-        }
-        if RAM.contains(&name) {
-            bytes.ram += symbol.size();
+        let sized = symbol.size() > 0;
+        let kept = sized && matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data);
+        if let Some(index) = symbol.section_index().filter(|_| kept) {
+            let bytes = modules.entry(module(symbol.name()?)).or_default();
+            bytes.add(elf.section_by_index(index)?.name()?, symbol.size());
         }
     }
     Ok(modules)
@@ -139,16 +155,12 @@ fn table(modules: &BTreeMap<String, Bytes>, total: Bytes) -> String {
     let mut line = |name: &str, bytes: Bytes| {
         text += &format!("{name:<36} {:>8} {:>8}\n", bytes.flash, bytes.ram);
     };
-    let mut named = Bytes::default();
+    let mut rest = total;
     for (name, bytes) in rows {
-        named.flash += bytes.flash;
-        named.ram += bytes.ram;
+        rest.flash = rest.flash.saturating_sub(bytes.flash);
+        rest.ram = rest.ram.saturating_sub(bytes.ram);
         line(name, *bytes);
     }
-    let rest = Bytes {
-        flash: total.flash.saturating_sub(named.flash),
-        ram: total.ram.saturating_sub(named.ram),
-    };
     line("(constants without a name, padding)", rest);
     line("total", total);
     text
@@ -159,33 +171,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn ceilings_are_two_sided() {
+        let broken = |figure| verdict("x", figure, Some(&100.0)).unwrap_or_default();
+        assert_eq!((broken(100.0), broken(50.0)), Default::default());
+        assert!(broken(100.1).contains("more than"));
+        assert!(broken(49.0).contains("lower the ceiling"));
+        assert!(verdict("x", 1.0, None).is_some());
+    }
+
+    #[test]
     fn symbols_belong_to_their_module() {
-        for (symbol, expected) in [
-            (
-                "_ZN12ihd_firmware3ekf3Ekf4step17h227e24941cab6cc4E",
-                "ihd_firmware::ekf",
-            ),
-            (
-                "_ZN8cortex_m10peripheral3scb4gone17h126bd0e12633cd5dE",
-                "cortex_m",
-            ),
-            ("__aeabi_memcpy", "(start-up, vectors, compiler)"),
-        ] {
-            assert_eq!(module(symbol), expected);
-        }
+        let ekf = "_ZN12ihd_firmware3ekf3Ekf4step17h227e24941cab6cc4E";
+        assert_eq!(module(ekf), "ihd_firmware::ekf");
         let in_impl = "_ZN12ihd_firmware3ekf6update40_$LT$impl$u20$ihd_firmware..ekf..Ekf$GT$16\
                        update_component17h9b69f08c63572c3cE";
         assert_eq!(module(in_impl), "ihd_firmware::ekf");
+        let foreign = "_ZN8cortex_m10peripheral3scb4gone17h126bd0e12633cd5dE";
+        assert_eq!(module(foreign), "cortex_m");
+        assert_eq!(module("__aeabi_memcpy"), "(start-up, vectors, compiler)");
     }
 
     #[test]
     fn what_has_no_name_is_still_counted() {
         let modules = BTreeMap::from([("a".to_owned(), Bytes { flash: 10, ram: 1 })]);
         let text = table(&modules, Bytes { flash: 25, ram: 1 });
-        let line = text
-            .lines()
-            .find(|line| line.starts_with("(constants"))
-            .unwrap();
-        assert!(line.split_whitespace().any(|word| word == "15"), "{text}");
+        let rest = "(constants without a name, padding)        15        0\n";
+        assert!(text.contains(rest), "{text}");
     }
 }

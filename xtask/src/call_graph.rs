@@ -2,15 +2,13 @@
 //! reaches another one.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::iter::successors;
 
 use anyhow::Context;
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 
-/// A function of the image.
-#[derive(Debug)]
 struct Function {
     name: String,
-    start: u64,
     end: u64,
 }
 
@@ -32,115 +30,91 @@ impl CallGraph {
             if name.starts_with("$t") || name.starts_with("$d") {
                 marks.insert(start, name.starts_with("$t"));
             } else if symbol.kind() == SymbolKind::Text && symbol.size() > 0 {
-                let end = start + symbol.size();
-                let name = name.to_owned();
-                functions.insert(start, Function { name, start, end });
+                let (name, end) = (name.to_owned(), start + symbol.size());
+                functions.insert(start, Function { name, end });
             }
         }
         let section = elf.section_by_name(".text").context("no .text")?;
         let (base, code) = (section.address(), section.data()?);
-        let mut graph = Self {
-            functions,
-            calls: BTreeMap::new(),
-        };
         let at = |address: u64| -> Option<u16> {
             let offset = usize::try_from(address.checked_sub(base)?).ok()?;
             let bytes = code.get(offset..offset + 2)?;
             Some(u16::from_le_bytes([bytes[0], bytes[1]]))
         };
+        // Start of the function that an address lies in.
+        let containing = |address: u64| {
+            let (start, function) = functions.range(..=address).next_back()?;
+            (address < function.end).then_some(*start)
+        };
         let mut calls = BTreeMap::new();
-        for function in graph.functions.values() {
-            let targets = targets(function, &marks, at);
-            let called = targets.filter_map(|target| graph.containing(target));
-            calls.insert(function.start, called.collect());
+        for (&start, function) in &functions {
+            let called = targets(start, function.end, &marks, at).into_iter();
+            calls.insert(start, called.filter_map(containing).collect());
         }
-        graph.calls = calls;
-        Ok(graph)
+        Ok(Self { functions, calls })
     }
 
-    /// Start of the function that an address lies in.
-    fn containing(&self, address: u64) -> Option<u64> {
-        let (_, function) = self.functions.range(..=address).next_back()?;
-        (address < function.end).then_some(function.start)
+    /// Starts of the functions whose name `is` picks.
+    pub fn starts(&self, is: impl Fn(&str) -> bool) -> BTreeSet<u64> {
+        let picked = self.functions.iter().filter(|(_, f)| is(&f.name));
+        picked.map(|(start, _)| *start).collect()
     }
 
-    /// Functions whose name holds `part`.
-    pub fn named<'a>(&'a self, part: &'a str) -> impl Iterator<Item = &'a str> {
-        let names = self.functions.values().map(|f| f.name.as_str());
-        names.filter(move |name| name.contains(part))
+    /// Functions that call one of those.
+    pub fn callers(&self, of: &BTreeSet<u64>) -> BTreeSet<u64> {
+        let calls = self.calls.iter();
+        let calls = calls.filter(|(_, called)| !called.is_disjoint(of));
+        calls.map(|(caller, _)| *caller).collect()
     }
 
-    /// Functions that call one of those named.
-    pub fn callers<'a>(&'a self, named: &'a [&str]) -> impl Iterator<Item = &'a str> {
-        let calls = self.calls.iter().filter(move |(_, called)| {
-            let mut called = called
-                .iter()
-                .map(|start| self.functions[start].name.as_str());
-            called.any(|name| named.contains(&name))
-        });
-        calls.map(|(caller, _)| self.functions[caller].name.as_str())
-    }
-
-    /// A way from one of the functions named to one that `bad` picks, by their names; and how many
-    /// functions were looked at.
-    pub fn path(&self, named: &[&str], bad: impl Fn(&str) -> bool) -> (Option<Vec<String>>, usize) {
-        let roots = self.functions.values();
-        let roots = roots.filter(|f| named.contains(&f.name.as_str()));
-        let mut queue: VecDeque<u64> = roots.map(|f| f.start).collect();
-        let mut from: BTreeMap<u64, Option<u64>> = queue.iter().map(|&f| (f, None)).collect();
+    /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
+    /// looked at.
+    pub fn path(&self, roots: BTreeSet<u64>, bad: &BTreeSet<u64>) -> (Vec<&str>, usize) {
+        let mut from: BTreeMap<_, _> = roots.iter().map(|&root| (root, None)).collect();
+        let mut queue = VecDeque::from_iter(roots);
         while let Some(at) = queue.pop_front() {
-            if bad(&self.functions[&at].name) {
-                let mut way = Vec::new();
-                let mut step = Some(at);
-                while let Some(function) = step {
-                    way.push(self.functions[&function].name.clone());
-                    step = from[&function];
-                }
+            if bad.contains(&at) {
+                let back = successors(Some(at), |function| from[function]);
+                let mut way: Vec<_> = back.map(|f| self.functions[&f].name.as_str()).collect();
                 way.reverse();
-                return (Some(way), from.len());
+                return (way, from.len());
             }
-            for &next in self.calls.get(&at).into_iter().flatten() {
-                if let std::collections::btree_map::Entry::Vacant(new) = from.entry(next) {
-                    new.insert(Some(at));
+            for &next in &self.calls[&at] {
+                from.entry(next).or_insert_with(|| {
                     queue.push_back(next);
-                }
+                    Some(at)
+                });
             }
         }
-        (None, from.len())
+        (Vec::new(), from.len())
     }
 }
 
 /// Where the branches of a function lead that leave it or call: BL, and B in its four encodings.
 fn targets(
-    function: &Function,
+    start: u64,
+    end: u64,
     marks: &BTreeMap<u64, bool>,
     at: impl Fn(u64) -> Option<u16>,
-) -> impl Iterator<Item = u64> {
-    let (start, end) = (function.start, function.end);
+) -> Vec<u64> {
+    // Without its start: a branch there is a call of itself.
+    let inside = start + 1..end;
     let mut found = Vec::new();
     let mut address = start;
     while address < end {
         let is_code = marks.range(..=address).next_back().is_none_or(|(_, t)| *t);
-        let Some(first) = at(address).filter(|_| is_code) else {
-            address += 2;
-            continue;
-        };
+        // Data is stepped over as an instruction that does not branch.
+        let first = at(address).filter(|_| is_code).unwrap_or(0);
         // 11101, 11110 and 11111 begin an instruction of two halves (Armv7-M, A5.1).
         let wide = first >> 11 >= 0b11101;
-        let second = if wide {
-            at(address + 2).unwrap_or(0)
-        } else {
-            0
-        };
+        let second = at(address + 2).filter(|_| wide).unwrap_or(0);
         if let Some(offset) = branch(first, second) {
             let target = address.wrapping_add(4).wrapping_add_signed(offset);
-            if !(start..end).contains(&target) || target == start {
-                found.push(target);
-            }
+            found.extend((!inside.contains(&target)).then_some(target));
         }
         address += if wide { 4 } else { 2 };
     }
-    found.into_iter()
+    found
 }
 
 /// Offset of a branch from its own address plus 4 (Armv7-M, A7.7.12 and A7.7.18).

@@ -6,12 +6,13 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 
-use crate::limits::{Limits, verdict};
+use crate::budget::{Limits, verdict};
 use crate::workspace::{Workspace, spelled};
 
-/// The part of docs/performance.md that this writes.
+/// What this writes, and into which part of it.
+const DOCUMENT: &str = "docs/performance.md";
 const BEGIN: &str = "<!-- cargo xtask cycles: begin -->\n";
 const END: &str = "<!-- cargo xtask cycles: end -->\n";
 
@@ -19,19 +20,14 @@ const END: &str = "<!-- cargo xtask cycles: end -->\n";
 const BLOCK_CYCLES: f64 = 3.0 / 70e3 * 170e6;
 
 /// Subjects, in the order of the table, and what one count of each is.
+#[rustfmt::skip]
 const SUBJECTS: [(&str, &str); 8] = [
     ("pair", "demodulating one sample pair"),
     ("boxcars", "both boxcars, per phasor pair"),
     ("ekf", "one EKF update, fixed point"),
     ("ekf-f32", "one EKF update, f32 (comparison only)"),
-    (
-        "block",
-        "the whole sampling path, per block, window recorded",
-    ),
-    (
-        "block-at-crossing",
-        "the same for the block with the zero crossing",
-    ),
+    ("block", "the whole sampling path, per block, window recorded"),
+    ("block-at-crossing", "the same for the block with the zero crossing"),
     ("lookup", "one lookup, bilinear"),
     ("window-chunk", "encoding one window chunk of 960 bytes"),
 ];
@@ -47,114 +43,85 @@ pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<Counts> {
         .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
         .arg(image)
         .stdin(Stdio::null());
-    let output = qemu
-        .output()
-        .with_context(|| format!("could not start `{}`", spelled(&qemu)))?;
-    let text = String::from_utf8_lossy(&output.stdout).into_owned()
-        + &String::from_utf8_lossy(&output.stderr);
-    if !output.status.success() {
-        bail!("`{}` failed ({}):\n{text}", spelled(&qemu), output.status);
-    }
+    let line = spelled(&qemu);
+    let output = qemu.output();
+    let output = output.with_context(|| format!("could not start `{line}`"))?;
+    let printed = [output.stdout, output.stderr].concat();
+    let text = String::from_utf8_lossy(&printed);
+    let status = output.status;
+    ensure!(status.success(), "`{line}` failed ({status}):\n{text}");
     let counts = parse(&text);
     for (subject, _) in SUBJECTS {
-        if !counts.contains_key(subject) {
-            bail!("the image did not count {subject}:\n{text}");
-        }
+        let counted = counts.contains_key(subject);
+        ensure!(counted, "the image did not count {subject}:\n{text}");
     }
     agree(&text)?;
     Ok(counts)
 }
 
 fn parse(text: &str) -> Counts {
-    text.lines()
-        .filter_map(|line| {
-            let (name, count) = line.strip_prefix("count ")?.split_once(' ')?;
-            Some((name.to_owned(), count.parse().ok()?))
-        })
-        .collect()
+    let count = |line: &str| {
+        let (name, count) = line.strip_prefix("count ")?.split_once(' ')?;
+        Some((name.to_owned(), count.parse().ok()?))
+    };
+    text.lines().filter_map(count).collect()
 }
 
 /// What is compared must do the same work: both filters have to end at the same load, within 0.1 %.
 fn agree(text: &str) -> anyhow::Result<()> {
-    let mut compared = 0;
-    for line in text.lines().filter_map(|line| line.strip_prefix("check ")) {
-        let values: Vec<f64> = line.split(' ').filter_map(|v| v.parse().ok()).collect();
-        if let [fixed, float] = values[..] {
-            compared += 1;
-            if (float / fixed - 1.0).abs() > 1e-3 {
-                bail!("the f32 filter ends elsewhere than the fixed-point one: {line}");
-            }
-        }
-    }
-    if compared != 2 {
-        bail!("the image did not compare its filters");
+    let ratio = |line: &str| {
+        let mut words = line.strip_prefix("check ")?.split(' ').skip(1);
+        let mut value = || words.next()?.parse::<f64>().ok();
+        Some(value()? / value()?)
+    };
+    let ratios: Vec<f64> = text.lines().filter_map(ratio).collect();
+    ensure!(ratios.len() == 2, "the image did not compare its filters");
+    if !ratios.iter().all(|ratio| (ratio - 1.0).abs() <= 1e-3) {
+        bail!("the f32 filter ends elsewhere than the fixed-point one:\n{text}");
     }
     Ok(())
 }
 
 /// Every count outside its limits.
 pub fn check(counts: &Counts, limits: &Limits) -> Vec<String> {
-    SUBJECTS
-        .iter()
-        .filter_map(|(subject, _)| {
-            let ceiling = limits.instructions.get(*subject).copied();
-            match ceiling {
-                Some(ceiling) => verdict(
-                    &format!("{subject} instructions"),
-                    counts[*subject],
-                    ceiling,
-                ),
-                None => Some(format!("firmware/budget.toml has no ceiling for {subject}")),
-            }
-        })
-        .collect()
+    let verdict = |(subject, _): &(&str, _)| {
+        let what = format!("{subject} instructions");
+        verdict(&what, counts[*subject], limits.instructions.get(*subject))
+    };
+    SUBJECTS.iter().filter_map(verdict).collect()
 }
 
 /// The table in docs/performance.md.
 pub fn table(counts: &Counts, limits: &Limits) -> String {
+    let short = |count: f64| format!("{count:.*}", usize::from(count < 100.0));
     let mut table = String::from("| subject | instructions | ceiling |\n|---|---:|---:|\n");
     for (subject, what) in SUBJECTS {
         let ceiling = limits.instructions.get(subject).copied().unwrap_or(0.0);
-        table += &format!(
-            "| {what} | {} | {} |\n",
-            short(counts[subject]),
-            short(ceiling)
-        );
+        let (count, ceiling) = (short(counts[subject]), short(ceiling));
+        table += &format!("| {what} | {count} | {ceiling} |\n");
     }
-    let share = |count: f64| 100.0 * count / BLOCK_CYCLES;
     let block = counts["block"];
     table += &format!(
         "\nA block of 61 pairs at f_sw = 70 kHz has {BLOCK_CYCLES:.0} cycles of 170 MHz. The sampling \
          path takes {block:.0} instructions of it: {:.1} % at one instruction a cycle.\n",
-        share(block),
+        100.0 * block / BLOCK_CYCLES,
     );
     table
 }
 
-fn short(count: f64) -> String {
-    if count < 100.0 {
-        format!("{count:.1}")
-    } else {
-        format!("{count:.0}")
-    }
-}
-
 /// Puts the table into the document, or says that it is not the one there.
 pub fn document(workspace: &Workspace, table: &str, write: bool) -> anyhow::Result<Option<String>> {
-    let path = workspace.root().join("docs/performance.md");
-    let text = fs::read_to_string(&path).with_context(|| format!("{}", path.display()))?;
-    let Some((before, rest)) = text.split_once(BEGIN) else {
-        bail!("docs/performance.md has no line {}", BEGIN.trim());
-    };
-    let Some((kept, after)) = rest.split_once(END) else {
-        bail!("docs/performance.md has no line {}", END.trim());
-    };
+    let path = workspace.root.join(DOCUMENT);
+    let text = fs::read_to_string(&path).context(DOCUMENT)?;
+    let lacks = || format!("{DOCUMENT} has no lines\n{BEGIN}{END}");
+    let (before, rest) = text.split_once(BEGIN).with_context(lacks)?;
+    let (kept, after) = rest.split_once(END).with_context(lacks)?;
     if write {
-        fs::write(&path, format!("{before}{BEGIN}{table}{END}{after}"))?;
+        fs::write(&path, [before, BEGIN, table, END, after].concat())?;
         return Ok(None);
     }
-    Ok(stale(kept, table)
-        .map(|line| format!("docs/performance.md says {line:?}: run `cargo xtask cycles --write`")))
+    let stale = stale(kept, table);
+    Ok(stale.map(|line| format!("{DOCUMENT} says {line:?}: run `cargo xtask cycles --write`")))
 }
 
 /// How far another compiler's counts may be from those of the document: Debian's needs 18 % less for
@@ -163,25 +130,21 @@ const TOLERANCE: f64 = 0.25;
 
 /// The first line of the kept table that no longer describes the one just made.
 fn stale(kept: &str, made: &str) -> Option<String> {
-    let rows = |text: &str| -> Vec<Vec<String>> {
-        let lines = text.lines().filter(|line| line.starts_with("| "));
-        lines
-            .map(|line| line.split('|').map(|cell| cell.trim().to_owned()).collect())
+    fn rows(text: &str) -> Vec<Vec<&str>> {
+        let rows = text.lines().filter(|line| line.starts_with("| "));
+        rows.map(|row| row.split('|').map(str::trim).collect())
             .collect()
-    };
+    }
     let (kept, made) = (rows(kept), rows(made));
     if kept.len() != made.len() {
         return Some(format!("{} rows", kept.len()));
     }
-    let same = |(kept, made): &(&Vec<String>, &Vec<String>)| {
-        kept.iter()
-            .zip(*made)
-            .all(|(a, b)| match (a.parse::<f64>(), b.parse::<f64>()) {
-                (Ok(a), Ok(b)) => (a / b - 1.0).abs() <= TOLERANCE,
-                _ => a == b,
-            })
+    let same_cell = |(a, b): (&&str, &&str)| match (a.parse::<f64>(), b.parse::<f64>()) {
+        (Ok(a), Ok(b)) => (a / b - 1.0).abs() <= TOLERANCE,
+        _ => a == b,
     };
-    let differs = kept.iter().zip(&made).find(|rows| !same(rows));
+    let mut pairs = kept.iter().zip(&made);
+    let differs = pairs.find(|(kept, made)| !kept.iter().zip(*made).all(same_cell));
     differs.map(|(kept, _)| kept.join(" | "))
 }
 
@@ -193,10 +156,12 @@ mod tests {
                            check l 25010061 25010060\n";
 
     #[test]
-    fn counts_are_read() {
+    fn counts_are_read_and_filters_that_disagree_are_no_comparison() {
         let counts = parse(PRINTED);
         assert_eq!((counts["pair"], counts["ekf"]), (15.6, 1471.0));
         assert!(agree(PRINTED).is_ok());
+        assert!(agree("check r 100 200\ncheck l 1 1\n").is_err());
+        assert!(agree("check r 100 100\n").is_err());
     }
 
     #[test]
@@ -207,11 +172,5 @@ mod tests {
         assert!(stale(kept, &kept.replace("16.1", "22.0")).is_some());
         assert!(stale(kept, &kept.replace("pair", "block")).is_some());
         assert!(stale(kept, "").is_some());
-    }
-
-    #[test]
-    fn filters_that_disagree_are_no_comparison() {
-        assert!(agree("check r 100 200\ncheck l 1 1\n").is_err());
-        assert!(agree("check r 100 100\n").is_err());
     }
 }

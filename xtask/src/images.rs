@@ -4,73 +4,55 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 
 use crate::toolchain::{FirmwareToolchain, TARGET};
-use crate::workspace::{Workspace, spelled};
+use crate::workspace::{Workspace, run};
 
 /// An image of the firmware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Image {
-    /// For the controller board.
-    Stm32g474,
-    /// The controller on QEMU's mps2-an386.
-    Mps2An386,
-    /// Counts instructions on the same machine, and ends.
-    InstructionCounts,
+#[derive(Clone, Copy)]
+pub struct Image {
+    /// Name of its file.
+    pub name: &'static str,
+    features: &'static str,
 }
 
-impl Image {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Stm32g474, Self::Mps2An386, Self::InstructionCounts];
+/// For the controller board.
+pub const STM32G474: Image = Image::new("stm32g474", "stm32g474");
+/// The controller on QEMU's mps2-an386.
+pub const MPS2_AN386: Image = Image::new("mps2-an386", "mps2-an386");
+/// Counts instructions on the same machine, and ends.
+pub const COUNTS: Image = Image::new("instruction-counts", "mps2-an386,instruction-counts");
 
-    /// Name of its file.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Stm32g474 => "stm32g474",
-            Self::Mps2An386 => "mps2-an386",
-            Self::InstructionCounts => "instruction-counts",
-        }
+impl Image {
+    const fn new(name: &'static str, features: &'static str) -> Self {
+        Self { name, features }
     }
 
-    fn features(self) -> &'static str {
-        match self {
-            Self::Stm32g474 => "stm32g474",
-            Self::Mps2An386 => "mps2-an386",
-            Self::InstructionCounts => "mps2-an386,instruction-counts",
-        }
+    /// `cargo <subcommand>` on what this image compiles.
+    fn cargo(self, subcommand: &str, on: &Workspace, toolchain: &FirmwareToolchain) -> Command {
+        let mut command = toolchain.cargo(on, subcommand);
+        command.args(["--package", "ihd-firmware", "--bin", "ihd-firmware"]);
+        command.args(["--features", self.features]);
+        command
     }
 
     /// Clippy on what only this image compiles.
-    pub fn lint(self, workspace: &Workspace, toolchain: &FirmwareToolchain) -> Command {
-        let mut clippy = toolchain.cargo(workspace, "clippy");
-        clippy
-            .args(["--package", "ihd-firmware", "--bin", "ihd-firmware"])
-            .args(["--features", self.features(), "--", "-D", "warnings"]);
-        clippy
+    pub fn lint(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<()> {
+        let mut clippy = self.cargo("clippy", on, toolchain);
+        run(clippy.args(["--", "-D", "warnings"]))
     }
 
     /// Builds it; returns where the ELF file is.
-    pub fn build(
-        self,
-        workspace: &Workspace,
-        toolchain: &FirmwareToolchain,
-    ) -> anyhow::Result<PathBuf> {
-        let mut build = toolchain.cargo(workspace, "build");
-        build
-            .args(["--package", "ihd-firmware", "--bin", "ihd-firmware"])
-            .args(["--profile", "firmware", "--features", self.features()]);
-        println!("$ {}", spelled(&build));
-        let status = build.status().context("could not start cargo")?;
-        if !status.success() {
-            bail!("`{}` failed ({status}); see above", spelled(&build));
-        }
+    pub fn build(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<PathBuf> {
+        let mut build = self.cargo("build", on, toolchain);
+        run(build.args(["--profile", "firmware"]))?;
         // Each image has the same name where cargo puts it.
-        let target = workspace.target_dir().join("firmware");
+        let target = on.target.join("firmware");
         let built = target.join(TARGET).join("firmware/ihd-firmware");
-        let images = target.join("images");
-        fs::create_dir_all(&images)?;
-        let kept = images.join(format!("{}.elf", self.name()));
+        let kept = target.join("images").join(self.name);
+        let kept = kept.with_extension("elf");
+        fs::create_dir_all(target.join("images"))?;
         fs::copy(&built, &kept).with_context(|| format!("could not copy {}", built.display()))?;
         Ok(kept)
     }

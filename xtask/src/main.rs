@@ -1,153 +1,123 @@
 //! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
 
-mod arrows;
 mod budget;
 mod call_graph;
-mod count;
 mod cycles;
 mod emulator;
-mod house;
+mod fuzz;
 mod images;
 mod licences;
-mod limits;
 mod setup;
-mod source;
 mod steps;
-mod stream;
-mod summary;
 mod toolchain;
 mod workspace;
 
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 
-use images::Image;
 use setup::Wanted;
 use steps::{Session, Step};
 use workspace::Workspace;
 
-/// ihd's chores: set-up, tests, the firmware's images and what they may take.
+/// ihd's chores: set-up, tests, fuzzing, the firmware's images and what they may take.
 #[derive(Parser)]
-#[command(
-    name = "cargo xtask",
-    bin_name = "cargo xtask",
-    version,
-    after_help = "Example:\n  cargo xtask test"
-)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", version)]
+#[command(after_help = "Example:\n  cargo xtask test")]
 struct Cli {
     #[command(subcommand)]
     chore: Chore,
+    /// Which compiler builds the firmware
+    #[arg(long, global = true, value_name = "WHICH", default_value = "auto")]
+    toolchain: Wanted,
 }
 
 #[derive(Subcommand)]
 enum Chore {
-    Test(TestArgs),
-    Setup(SetupArgs),
+    /// Run every check of the project; CI runs exactly this.
+    ///
+    /// Installs what it needs first. All steps run even when one fails; a table of them comes last. How many tests
+    /// passed stands where the tests ran.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask test\n  \
+        cargo xtask test --only fmt --only clippy\n  \
+        cargo xtask test --skip firmware --fail-fast")]
+    Test {
+        /// Run only this step (repeatable)
+        #[arg(long, value_name = "STEP")]
+        only: Vec<Step>,
+        /// Leave this step out (repeatable)
+        #[arg(long, value_name = "STEP", hide_possible_values = true)]
+        skip: Vec<Step>,
+        /// Stop at the first step that fails
+        #[arg(long)]
+        fail_fast: bool,
+    },
+    /// Find or install what the build needs, and say what was done.
+    ///
+    /// The firmware is built by rustup's toolchain with the target thumbv7em-none-eabihf; where rustup cannot download
+    /// that target, by Debian's rustc-web and rust-web-src, which are installed when this runs as root on Debian.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask setup\n  \
+        cargo xtask setup --toolchain debian-web")]
+    Setup,
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
     #[command(after_help = "Example:\n  cargo xtask firmware")]
-    Firmware(SetupArgs),
+    Firmware,
     /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
     ///
     /// Also shows that no call from the sampling path leads to a panic.
     #[command(after_help = "Example:\n  cargo xtask budget")]
-    Budget(SetupArgs),
-    Cycles(CyclesArgs),
-}
-
-/// Count the firmware's instructions on an emulated Cortex-M4F, against firmware/budget.toml.
-#[derive(Args)]
-#[command(after_help = "Example:\n  cargo xtask cycles --write")]
-struct CyclesArgs {
-    /// Put the table into docs/performance.md
-    #[arg(long)]
-    write: bool,
-    #[command(flatten)]
-    firmware: SetupArgs,
-}
-
-/// Run every check of the project; CI runs exactly this.
-///
-/// Installs what it needs first. All steps run even when one fails; the last line printed is `N passed, N failed`, and
-/// a step that fails for another reason than a failing test counts there as one failure.
-#[derive(Args)]
-#[command(after_help = "Examples:\n  \
-    cargo xtask test\n  \
-    cargo xtask test --only fmt --only clippy\n  \
-    cargo xtask test --skip firmware --fail-fast")]
-struct TestArgs {
-    /// Run only this step (repeatable)
-    #[arg(long, value_name = "STEP")]
-    only: Vec<Step>,
-    /// Leave this step out (repeatable)
-    #[arg(long, value_name = "STEP", hide_possible_values = true)]
-    skip: Vec<Step>,
-    /// Stop at the first step that fails
-    #[arg(long)]
-    fail_fast: bool,
-    #[command(flatten)]
-    firmware: SetupArgs,
-}
-
-/// Find or install what the build needs, and say what was done.
-///
-/// The firmware is built by rustup's toolchain with the target thumbv7em-none-eabihf; where rustup cannot download
-/// that target, by Debian's rustc-web and rust-web-src, which are installed when this runs as root on Debian.
-#[derive(Args)]
-#[command(after_help = "Examples:\n  \
-    cargo xtask setup\n  \
-    cargo xtask setup --toolchain debian-web")]
-struct SetupArgs {
-    /// Which compiler builds the firmware
-    #[arg(long, value_name = "WHICH", default_value = "auto")]
-    toolchain: Wanted,
+    Budget,
+    /// Count the firmware's instructions on an emulated Cortex-M4F, against firmware/budget.toml.
+    #[command(after_help = "Example:\n  cargo xtask cycles --write")]
+    Cycles {
+        /// Put the table into docs/performance.md
+        #[arg(long)]
+        write: bool,
+    },
+    /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
+    ///
+    /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
+    /// target/fuzz-corpus, what fails in target/fuzz-artifacts; the committed corpus stays as it is.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask fuzz\n  \
+        cargo xtask fuzz 60\n  \
+        cargo xtask fuzz csv 300")]
+    Fuzz {
+        /// The target; every one in turn without it
+        target: Option<String>,
+        /// Seconds for each target, 0 until interrupted
+        #[arg(default_value_t = 10)]
+        seconds: u64,
+    },
 }
 
 fn main() -> ExitCode {
-    let done = match Cli::parse().chore {
-        Chore::Test(args) => test(&args),
-        Chore::Setup(args) => set_up(&args),
-        Chore::Firmware(args) => build_firmware(&args),
-        Chore::Budget(args) => check_budget(&args),
-        Chore::Cycles(args) => count_cycles(&args),
+    let Err(error) = run(Cli::parse()) else {
+        return ExitCode::SUCCESS;
     };
-    match done {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
+    eprintln!("error: {error:#}");
+    ExitCode::FAILURE
+}
+
+fn run(cli: Cli) -> anyhow::Result<()> {
+    let (workspace, wanted) = (Workspace::find()?, cli.toolchain);
+    let session = Session { workspace, wanted };
+    match cli.chore {
+        Chore::Test {
+            only,
+            skip,
+            fail_fast,
+        } => steps::run_all(&session, &steps::select(&only, &skip)?, fail_fast),
+        Chore::Setup => session.set_up(),
+        Chore::Firmware => session.images(),
+        Chore::Budget => session.budget(),
+        Chore::Cycles { write } => session.cycles(write),
+        // A number alone is the time: no target's name is one.
+        Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
+            Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),
+            _ => fuzz::fuzz(&session.workspace, target.as_deref(), Some(seconds)),
+        },
     }
-}
-
-fn test(args: &TestArgs) -> anyhow::Result<bool> {
-    let chosen = steps::select(&args.only, &args.skip)?;
-    let mut session = Session::new(Workspace::find()?, args.firmware.toolchain);
-    let outcomes = steps::run_all(&mut session, &chosen, args.fail_fast);
-    print!("{}", summary::render(&outcomes));
-    Ok(outcomes.iter().all(|outcome| !outcome.failed()))
-}
-
-fn build_firmware(args: &SetupArgs) -> anyhow::Result<bool> {
-    let mut session = Session::new(Workspace::find()?, args.toolchain);
-    for image in Image::ALL {
-        println!("{}: {}", image.name(), session.image(image)?.display());
-    }
-    Ok(true)
-}
-
-fn check_budget(args: &SetupArgs) -> anyhow::Result<bool> {
-    Session::new(Workspace::find()?, args.toolchain).budget()?;
-    Ok(true)
-}
-
-fn count_cycles(args: &CyclesArgs) -> anyhow::Result<bool> {
-    Session::new(Workspace::find()?, args.firmware.toolchain).cycles(args.write)?;
-    Ok(true)
-}
-
-fn set_up(args: &SetupArgs) -> anyhow::Result<bool> {
-    setup::run(&Workspace::find()?, args.toolchain)?;
-    Ok(true)
 }

@@ -7,8 +7,8 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 
 use crate::emulator;
-use crate::toolchain::{FirmwareToolchain, Found, TARGET, first_line, on_path};
-use crate::workspace::{Workspace, spelled};
+use crate::toolchain::{FirmwareToolchain, TARGET};
+use crate::workspace::{Workspace, first_line, run};
 
 const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
 
@@ -23,26 +23,18 @@ pub enum Wanted {
     DebianWeb,
 }
 
-/// Prepares everything; returns the compiler that builds the firmware.
-pub fn run(workspace: &Workspace, wanted: Wanted) -> anyhow::Result<FirmwareToolchain> {
+/// Finds or installs everything but the firmware's compiler.
+pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     let components = ["fmt", "clippy"].map(|tool| component(workspace, tool));
-    let nextest = has_nextest(workspace);
-    say(if nextest {
+    say(if has_nextest(workspace) {
         "tests: cargo-nextest"
     } else {
         "tests: cargo test (faster with `cargo install cargo-nextest --locked`)"
     });
+    // A missing formatter must not keep the emulator from being looked for.
     let qemu = emulator::find(workspace);
-    let firmware = firmware_toolchain(wanted);
-    if let Ok(toolchain) = &firmware {
-        say(&format!("firmware: {}", toolchain.describe()));
-    }
-    // A missing formatter must not keep the firmware's compiler from being looked for.
-    components
-        .into_iter()
-        .collect::<anyhow::Result<Vec<()>>>()?;
-    qemu?;
-    firmware
+    components.into_iter().collect::<Result<Vec<()>, _>>()?;
+    qemu.map(drop)
 }
 
 /// Whether `cargo nextest` is installed.
@@ -52,36 +44,33 @@ pub fn has_nextest(workspace: &Workspace) -> bool {
 
 /// The firmware's compiler, installed if need be: first rustup's target, because it is the smaller and the official one.
 pub fn firmware_toolchain(wanted: Wanted) -> anyhow::Result<FirmwareToolchain> {
-    let mut tried = Vec::new();
+    let mut tried = String::new();
     if wanted != Wanted::DebianWeb {
-        match find_or_install(Found::rustup, add_target) {
+        let found = FirmwareToolchain::rustup().or_else(|lacks| {
+            let mut rustup = Command::new("rustup");
+            install(rustup.args(["target", "add", TARGET])).context(lacks)?;
+            FirmwareToolchain::rustup()
+        });
+        match found {
             Ok(toolchain) => return Ok(toolchain),
-            Err(why) => tried.push(format!("rustup: {why:#}")),
+            Err(why) => tried += &format!("  rustup: {why:#}\n"),
         }
     }
     if wanted != Wanted::Rustup {
-        match find_or_install(Found::debian_web, install_debian) {
+        let found = FirmwareToolchain::debian_web().or_else(|lacks| {
+            apt_get(&DEBIAN_PACKAGES).context(lacks)?;
+            FirmwareToolchain::debian_web()
+        });
+        match found {
             Ok(toolchain) => return Ok(toolchain),
-            Err(why) => tried.push(format!("Debian: {why:#}")),
+            Err(why) => tried += &format!("  Debian: {why:#}\n"),
         }
     }
     bail!(
-        "no compiler for {TARGET}, so the firmware cannot be built.\n  {}\nDo one of these by hand, then run `cargo \
+        "no compiler for {TARGET}, so the firmware cannot be built.\n{tried}Do one of these by hand, then run `cargo \
          xtask setup` again:\n  rustup target add {TARGET}\n  (Debian, as root) apt-get install {}",
-        tried.join("\n  "),
         DEBIAN_PACKAGES.join(" ")
     );
-}
-
-fn find_or_install(
-    choose: impl Fn(&Found) -> Result<FirmwareToolchain, String>,
-    install: impl Fn() -> anyhow::Result<()>,
-) -> anyhow::Result<FirmwareToolchain> {
-    if let Ok(toolchain) = choose(&Found::on_this_machine()) {
-        return Ok(toolchain);
-    }
-    install()?;
-    choose(&Found::on_this_machine()).map_err(anyhow::Error::msg)
 }
 
 /// Makes sure that `cargo fmt` or `cargo clippy` is there. rust-toolchain.toml names both, but rustup does not
@@ -97,47 +86,25 @@ fn component(workspace: &Workspace, tool: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn add_target() -> anyhow::Result<()> {
-    install(Command::new("rustup").args(["target", "add", TARGET]))
-}
-
-fn install_debian() -> anyhow::Result<()> {
-    let why_not = Found::on_this_machine().debian_web();
-    let lacks = why_not.err().unwrap_or_default();
-    apt_get(&DEBIAN_PACKAGES).with_context(|| lacks)
-}
-
 /// Installs Debian packages, removing none: some conflict with what may be somebody's choice.
 pub fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
-    let has_apt = on_path("apt-get").iter().any(|path| path.is_file());
-    if !has_apt || !Path::new("/etc/debian_version").exists() {
+    let apt = first_line(Command::new("apt-get").arg("--version"));
+    if apt.is_none() || !Path::new("/etc/debian_version").exists() {
         bail!("this is not Debian, so nothing was installed");
     }
     if first_line(Command::new("id").arg("-u")).as_deref() != Some("0") {
         bail!("only root may run `apt-get install {}`", packages.join(" "));
     }
     install(Command::new("apt-get").arg("update"))?;
-    let mut apt = Command::new("apt-get");
-    apt.args(["install", "--yes", "--no-install-recommends", "--no-remove"])
-        .args(packages)
-        .env("DEBIAN_FRONTEND", "noninteractive");
-    install(&mut apt)
+    let options = ["install", "--yes", "--no-install-recommends", "--no-remove"];
+    install(Command::new("apt-get").args(options).args(packages))
 }
 
-/// Runs an installer in sight of the user; its own words say why it failed.
+/// Runs an installer in sight of the user.
 pub fn install(command: &mut Command) -> anyhow::Result<()> {
-    let line = spelled(command);
-    say(&format!("running `{line}`"));
     // rustup shows a backtrace of itself under RUST_BACKTRACE, which explains nothing here.
-    let status = command
-        .env_remove("RUST_BACKTRACE")
-        .stdin(Stdio::null())
-        .status()
-        .with_context(|| format!("`{line}` could not be started"))?;
-    if !status.success() {
-        bail!("`{line}` failed ({status})");
-    }
-    Ok(())
+    command.env_remove("RUST_BACKTRACE").stdin(Stdio::null());
+    run(command.env("DEBIAN_FRONTEND", "noninteractive"))
 }
 
 /// One line about what set-up found or does.

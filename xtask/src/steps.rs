@@ -1,21 +1,22 @@
 //! The steps of `cargo xtask test`, in the order in which they run: the cheap ones first.
 
-use std::fmt;
 use std::path::PathBuf;
-use std::process::{Command, ExitStatus};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::{bail, ensure};
 use clap::ValueEnum;
 
-use crate::count::{Counts, Runner};
-use crate::images::Image;
-use crate::limits::Limits;
-use crate::setup::{self, Wanted};
-use crate::stream::run_and_count;
-use crate::toolchain::FirmwareToolchain;
-use crate::workspace::{Workspace, spelled};
-use crate::{arrows, budget, cycles, emulator, house, licences};
+use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
+use crate::setup::{self, Wanted, say};
+use crate::workspace::{Workspace, run};
+use crate::{budget, cycles, emulator, fuzz, licences};
+
+const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
+/// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
+/// serves here too.
+const EMULATED_BOARD: &str =
+    "test --workspace --features ihd-tests/emulator --test emulated_board --no-fail-fast";
+const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// One check of the project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -24,9 +25,7 @@ pub enum Step {
     Setup,
     /// Formatting, by rustfmt
     Fmt,
-    /// The house's own rules: no unsafe outside the board, names, arrows between crates
-    House,
-    /// The licence of every dependency against deny.toml
+    /// The licence of every dependency against deny.toml; all of deny.toml where cargo-deny is installed
     Licences,
     /// Clippy, every warning an error
     Clippy,
@@ -44,306 +43,150 @@ pub enum Step {
     Cycles,
     /// The image on an emulated Cortex-M4F, talked to by the host's own client
     Emulator,
-}
-
-impl fmt::Display for Step {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let value = self.to_possible_value();
-        f.write_str(value.as_ref().map_or("", |value| value.get_name()))
-    }
-}
-
-/// How a step ended.
-#[derive(Debug)]
-pub enum Ended {
-    Passed,
-    /// And why.
-    Failed(String),
-    /// An earlier step failed under `--fail-fast`.
-    NotRun,
-}
-
-/// A step and what came of it.
-#[derive(Debug)]
-pub struct Outcome {
-    pub step: Step,
-    pub ended: Ended,
-    pub elapsed: Duration,
-    /// For the steps that run tests.
-    pub counts: Option<Counts>,
-}
-
-impl Outcome {
-    pub fn failed(&self) -> bool {
-        matches!(self.ended, Ended::Failed(_))
-    }
+    /// Each fuzz target for some seconds
+    Fuzz,
 }
 
 /// What the steps share.
 pub struct Session {
-    workspace: Workspace,
-    wanted: Wanted,
-    /// Chosen once, by the set-up or by the first step that needs it.
-    firmware: Option<Result<FirmwareToolchain, String>>,
+    /// The checkout.
+    pub workspace: Workspace,
+    /// Which compiler builds the firmware.
+    pub wanted: Wanted,
 }
 
 impl Session {
-    pub fn new(workspace: Workspace, wanted: Wanted) -> Self {
-        Self {
-            workspace,
-            wanted,
-            firmware: None,
-        }
-    }
-
-    fn run(&mut self, step: Step) -> (anyhow::Result<()>, Option<Counts>) {
-        let result = match step {
+    fn run(&self, step: Step) -> anyhow::Result<()> {
+        match step {
             Step::Setup => self.set_up(),
-            Step::Fmt => self.cargo(&["fmt", "--all", "--check"]),
-            Step::House => self.house(),
+            Step::Fmt => self.cargo("fmt --all --check"),
             Step::Licences => licences::check(&self.workspace),
-            Step::Clippy => self.cargo(&[
-                "clippy",
-                "--workspace",
-                "--all-targets",
-                "--features",
-                "ihd-tests/emulator",
-                "--",
-                "-D",
-                "warnings",
-            ]),
-            Step::Tests => return self.tests(),
-            Step::Doctests => return self.doctests(),
-            Step::Rustdoc => self.rustdoc(),
+            Step::Clippy => self.cargo(CLIPPY),
+            Step::Tests if setup::has_nextest(&self.workspace) => {
+                self.cargo("nextest run --workspace --no-fail-fast")
+            }
+            Step::Tests => self.cargo("test --workspace --lib --bins --tests --no-fail-fast"),
+            Step::Doctests => self.cargo("test --workspace --doc --no-fail-fast"),
+            Step::Rustdoc => {
+                let mut doc = self.workspace.cargo(["doc", "--workspace", "--no-deps"]);
+                run(doc.env("RUSTDOCFLAGS", "-D warnings"))
+            }
             Step::Firmware => self.firmware(),
             Step::Budget => self.budget(),
             Step::Cycles => self.cycles(false),
-            Step::Emulator => return self.emulator(),
-        };
-        (result, None)
-    }
-
-    fn cargo(&self, args: &[&str]) -> anyhow::Result<()> {
-        succeed(&mut self.workspace.cargo(args))
-    }
-
-    fn set_up(&mut self) -> anyhow::Result<()> {
-        let toolchain = setup::run(&self.workspace, self.wanted);
-        self.firmware = Some(as_text(&toolchain));
-        toolchain.map(drop)
-    }
-
-    fn house(&self) -> anyhow::Result<()> {
-        let mut broken = house::check(self.workspace.root())?;
-        broken.extend(arrows::check(&self.workspace)?);
-        if !broken.is_empty() {
-            bail!(
-                "{} of the house's rules broken:\n  {}",
-                broken.len(),
-                broken.join("\n  ")
-            );
-        }
-        Ok(())
-    }
-
-    fn tests(&self) -> (anyhow::Result<()>, Option<Counts>) {
-        if setup::has_nextest(&self.workspace) {
-            let args = ["nextest", "run", "--workspace", "--no-fail-fast"];
-            self.run_tests(&args, Runner::Nextest)
-        } else {
-            let args = [
-                "test",
-                "--workspace",
-                "--lib",
-                "--bins",
-                "--tests",
-                "--no-fail-fast",
-            ];
-            self.run_tests(&args, Runner::Libtest)
+            Step::Emulator => self.emulator(),
+            Step::Fuzz => fuzz::fuzz(&self.workspace, None, None),
         }
     }
 
-    fn doctests(&self) -> (anyhow::Result<()>, Option<Counts>) {
-        let args = ["test", "--workspace", "--doc", "--no-fail-fast"];
-        self.run_tests(&args, Runner::Libtest)
+    fn cargo(&self, line: &str) -> anyhow::Result<()> {
+        run(&mut self.workspace.cargo(line.split(' ')))
     }
 
-    fn run_tests(&self, args: &[&str], runner: Runner) -> (anyhow::Result<()>, Option<Counts>) {
-        self.run_command(self.workspace.cargo(args), runner)
+    /// Finds or installs what the other steps need.
+    pub fn set_up(&self) -> anyhow::Result<()> {
+        let tools = setup::tools(&self.workspace);
+        // A missing tool must not keep the firmware's compiler from being looked for.
+        let firmware = setup::firmware_toolchain(self.wanted)?;
+        say(&format!("firmware: {}", firmware.describe()));
+        tools
     }
 
-    fn run_command(
-        &self,
-        mut command: Command,
-        runner: Runner,
-    ) -> (anyhow::Result<()>, Option<Counts>) {
-        announce(&command);
-        match run_and_count(&mut command, runner) {
-            Ok((status, counts)) => (check(status, &command), Some(counts)),
-            Err(why) => (Err(why), None),
-        }
-    }
-
-    fn rustdoc(&self) -> anyhow::Result<()> {
-        let mut command = self.workspace.cargo(["doc", "--workspace", "--no-deps"]);
-        succeed(command.env("RUSTDOCFLAGS", "-D warnings"))
-    }
-
-    fn toolchain(&mut self) -> anyhow::Result<FirmwareToolchain> {
-        let wanted = self.wanted;
-        let toolchain = self
-            .firmware
-            .get_or_insert_with(|| as_text(&setup::firmware_toolchain(wanted)));
-        toolchain.clone().map_err(anyhow::Error::msg)
-    }
-
-    /// The file of an image, built in this session.
-    pub fn image(&mut self, image: Image) -> anyhow::Result<PathBuf> {
-        let toolchain = self.toolchain()?;
+    fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
+        let toolchain = setup::firmware_toolchain(self.wanted)?;
         image.build(&self.workspace, &toolchain)
     }
 
-    fn firmware(&mut self) -> anyhow::Result<()> {
-        let toolchain = self.toolchain()?;
+    /// Builds every image and says where it is.
+    pub fn images(&self) -> anyhow::Result<()> {
+        let toolchain = setup::firmware_toolchain(self.wanted)?;
         println!("built by {}", toolchain.describe());
-        for image in Image::ALL {
-            self.image(image)?;
-            // Clippy of the host's workspace does not see what only a board compiles.
-            succeed(&mut image.lint(&self.workspace, &toolchain))?;
+        for image in IMAGES {
+            let built = image.build(&self.workspace, &toolchain)?;
+            println!("{}: {}", image.name, built.display());
         }
         Ok(())
     }
 
+    fn firmware(&self) -> anyhow::Result<()> {
+        self.images()?;
+        let toolchain = setup::firmware_toolchain(self.wanted)?;
+        // Clippy of the host's workspace does not see what only a board compiles.
+        let lint = |image: &Image| image.lint(&self.workspace, &toolchain);
+        IMAGES.iter().try_for_each(lint)
+    }
+
     /// Prints what the board's image takes; an error where it takes more than it may.
-    pub fn budget(&mut self) -> anyhow::Result<()> {
-        let limits = Limits::read(&self.workspace)?;
-        let image = self.image(Image::Stm32g474)?;
-        none_broken(budget::check(&image, &limits)?)
+    pub fn budget(&self) -> anyhow::Result<()> {
+        let limits = budget::Limits::read(&self.workspace)?;
+        let image = self.image(STM32G474)?;
+        none_broken(&budget::check(&image, &limits)?)
     }
 
     /// Counts instructions; `write` puts them into docs/performance.md.
-    pub fn cycles(&mut self, write: bool) -> anyhow::Result<()> {
+    pub fn cycles(&self, write: bool) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace)?;
-        let limits = Limits::read(&self.workspace)?;
-        let counts = cycles::count(&qemu, &self.image(Image::InstructionCounts)?)?;
+        let limits = budget::Limits::read(&self.workspace)?;
+        let counts = cycles::count(&qemu, &self.image(COUNTS)?)?;
         let table = cycles::table(&counts, &limits);
         println!("{table}");
         let mut broken = cycles::check(&counts, &limits);
         broken.extend(cycles::document(&self.workspace, &table, write)?);
-        none_broken(broken)
+        none_broken(&broken)
     }
 
-    fn emulator(&mut self) -> (anyhow::Result<()>, Option<Counts>) {
-        let found = emulator::find(&self.workspace)
-            .and_then(|qemu| Ok((qemu, self.image(Image::Mps2An386)?)));
-        let (qemu, image) = match found {
-            Ok(found) => found,
-            Err(why) => return (Err(why), None),
-        };
-        // The whole workspace's features, as the tests before: what they built serves here too.
-        let args = [
-            "test",
-            "--workspace",
-            "--features",
-            "ihd-tests/emulator",
-            "--test",
-            "emulated_board",
-            "--no-fail-fast",
-        ];
-        let mut command = self.workspace.cargo(args);
-        command
-            .env("IHD_EMULATED_IMAGE", image)
-            .env("IHD_QEMU", qemu);
-        self.run_command(command, Runner::Libtest)
+    fn emulator(&self) -> anyhow::Result<()> {
+        let qemu = emulator::find(&self.workspace)?;
+        let image = self.image(MPS2_AN386)?;
+        let mut test = self.workspace.cargo(EMULATED_BOARD.split(' '));
+        run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", qemu))
     }
 }
 
-fn none_broken(broken: Vec<String>) -> anyhow::Result<()> {
-    if !broken.is_empty() {
-        bail!("outside firmware/budget.toml:\n  {}", broken.join("\n  "));
-    }
+fn none_broken(broken: &[String]) -> anyhow::Result<()> {
+    let list = broken.join("\n  ");
+    ensure!(broken.is_empty(), "outside firmware/budget.toml:\n  {list}");
     Ok(())
 }
 
 /// The steps to run: those of `only`, or all, without those of `skip`; always in their own order.
 pub fn select(only: &[Step], skip: &[Step]) -> anyhow::Result<Vec<Step>> {
     let all = Step::value_variants().iter().copied();
-    let chosen: Vec<_> = all
-        .filter(|step| only.is_empty() || only.contains(step))
-        .filter(|step| !skip.contains(step))
-        .collect();
-    if chosen.is_empty() {
-        bail!("--only and --skip leave no step to run");
-    }
+    let asked = all.filter(|step| only.is_empty() || only.contains(step));
+    let chosen: Vec<_> = asked.filter(|step| !skip.contains(step)).collect();
+    ensure!(!chosen.is_empty(), "--only and --skip leave no step to run");
     Ok(chosen)
 }
 
-/// Runs `steps` one after the other, each under a heading.
-pub fn run_all(session: &mut Session, steps: &[Step], fail_fast: bool) -> Vec<Outcome> {
-    let mut outcomes: Vec<Outcome> = Vec::with_capacity(steps.len());
-    for (index, &step) in steps.iter().enumerate() {
-        if fail_fast && outcomes.iter().any(Outcome::failed) {
-            outcomes.push(Outcome {
-                step,
-                ended: Ended::NotRun,
-                elapsed: Duration::ZERO,
-                counts: None,
-            });
+/// Runs `steps` one after the other, each under a heading, and closes with a table; an error where one failed.
+pub fn run_all(session: &Session, steps: &[Step], fail_fast: bool) -> anyhow::Result<()> {
+    let (mut table, mut failed) = (String::new(), Vec::new());
+    for (index, step) in steps.iter().enumerate() {
+        // As it is typed.
+        let name = format!("{step:?}").to_lowercase();
+        if fail_fast && !failed.is_empty() {
+            table += &format!("{name:<10} not run\n");
             continue;
         }
-        println!("\n━━ {}/{} {step}", index + 1, steps.len());
-        let outcome = run_one(session, step);
-        let verdict = if outcome.failed() { "FAILED" } else { "ok" };
-        println!(
-            "━━ {step} {verdict} in {:.1} s",
-            outcome.elapsed.as_secs_f64()
-        );
-        outcomes.push(outcome);
-    }
-    outcomes
-}
-
-fn run_one(session: &mut Session, step: Step) -> Outcome {
-    let started = Instant::now();
-    let (result, counts) = session.run(step);
-    let ended = match result {
-        Ok(()) => Ended::Passed,
-        Err(why) => {
-            let why = format!("{why:#}");
+        println!("\n━━ {}/{} {name}", index + 1, steps.len());
+        let started = Instant::now();
+        let result = session.run(*step);
+        let seconds = started.elapsed().as_secs_f64();
+        let verdict = if result.is_ok() { "ok" } else { "FAILED" };
+        println!("━━ {name} {verdict} in {seconds:.1} s");
+        table += &format!("{name:<10} {verdict:<8} {seconds:>8.1}\n");
+        if let Err(why) = result {
+            let why = format!("\n{name}: {why:#}");
             eprintln!("{why}");
-            Ended::Failed(why)
+            failed.push(why);
         }
-    };
-    Outcome {
-        step,
-        ended,
-        elapsed: started.elapsed(),
-        counts,
     }
-}
-
-fn succeed(command: &mut Command) -> anyhow::Result<()> {
-    announce(command);
-    let status = command
-        .status()
-        .with_context(|| format!("could not start `{}`", spelled(command)))?;
-    check(status, command)
-}
-
-fn announce(command: &Command) {
-    println!("$ {}", spelled(command));
-}
-
-fn check(status: ExitStatus, command: &Command) -> anyhow::Result<()> {
-    if !status.success() {
-        bail!("`{}` failed ({status}); see above", spelled(command));
+    println!("\n━━ summary\nstep       result    seconds\n{table}");
+    if !failed.is_empty() {
+        let (number, why) = (failed.len(), failed.concat());
+        bail!("{number} of {} steps failed{why}", steps.len());
     }
     Ok(())
-}
-
-/// Kept for a later step, which needs the reason again.
-fn as_text<T: Clone>(result: &anyhow::Result<T>) -> Result<T, String> {
-    result.as_ref().cloned().map_err(|why| format!("{why:#}"))
 }
 
 #[cfg(test)]
@@ -358,10 +201,5 @@ mod tests {
         let chosen = select(&[Step::Clippy, Step::Fmt], &[Step::Fmt]).unwrap();
         assert_eq!(chosen, [Step::Clippy]);
         assert!(select(&[Step::Fmt], &[Step::Fmt]).is_err());
-    }
-
-    #[test]
-    fn a_step_is_named_as_it_is_typed() {
-        assert_eq!(Step::Licences.to_string(), "licences");
     }
 }

@@ -4,12 +4,16 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::workspace::Workspace;
+use anyhow::{Context, bail, ensure};
+
+use crate::workspace::{Workspace, first_line};
 
 /// What the controller board runs.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 /// Where Debian's rustc-web puts its compiler.
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+/// Where cargo's build-std looks under a compiler's root.
+const LIBRARY_SOURCE: &str = "lib/rustlib/src/rust/library";
 /// The oldest compiler that the workspace builds with.
 const OLDEST: &str = env!("CARGO_PKG_RUST_VERSION");
 
@@ -19,24 +23,58 @@ pub enum FirmwareToolchain {
     /// The active toolchain has the target's libraries.
     Rustup,
     /// Debian's rustc-web, which builds the target's libraries from rust-web-src.
-    DebianWeb { rustc: PathBuf, linker: PathBuf },
+    DebianWeb { linker: PathBuf },
 }
 
 impl FirmwareToolchain {
+    /// The active toolchain, if it has the target's libraries.
+    pub fn rustup() -> anyhow::Result<Self> {
+        let mut rustc = Command::new("rustc");
+        let folder = first_line(rustc.args(["--print", "target-libdir", "--target", TARGET]));
+        // The folder is named even when it is missing.
+        if folder.is_some_and(|folder| Path::new(&folder).is_dir()) {
+            return Ok(Self::Rustup);
+        }
+        bail!("the active toolchain has no {TARGET}");
+    }
+
+    /// Debian's compiler, if it can; else what it lacks.
+    pub fn debian_web() -> anyhow::Result<Self> {
+        let printed = first_line(Command::new(DEBIAN_RUSTC).arg("-V"));
+        let printed = printed.with_context(|| format!("there is no {DEBIAN_RUSTC}"))?;
+        let version = printed.split_whitespace().nth(1).unwrap_or_default();
+        let sysroot = first_line(Command::new(DEBIAN_RUSTC).args(["--print", "sysroot"]));
+        // Its Cargo.lock pins what the library itself depends on.
+        let library = Path::new(&sysroot.unwrap_or_default()).join(LIBRARY_SOURCE);
+        let has_source = library.join("Cargo.lock").is_file() && library.join("core").is_dir();
+        Self::of_debian(version, has_source, find_linker())
+    }
+
+    fn of_debian(version: &str, source: bool, linker: Option<PathBuf>) -> anyhow::Result<Self> {
+        ensure!(
+            version_parts(version) >= version_parts(OLDEST),
+            "{DEBIAN_RUSTC} is {version}, older than the {OLDEST} that this workspace needs"
+        );
+        ensure!(source, "{DEBIAN_RUSTC} has no {LIBRARY_SOURCE}");
+        let lacks = "there is no rust-lld in the active toolchain and no lld on the PATH";
+        linker
+            .map(|linker| Self::DebianWeb { linker })
+            .context(lacks)
+    }
+
     /// `cargo <subcommand>` set up for the board; the caller adds packages and what else it wants.
     pub fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
         let mut command = workspace.cargo([subcommand, "--target", TARGET]);
-        command
-            .arg("--target-dir")
-            .arg(workspace.target_dir().join("firmware"));
+        command.arg("--target-dir");
+        command.arg(workspace.target.join("firmware"));
         // Either would silently replace the linker arguments of .cargo/config.toml.
-        command
-            .env_remove("RUSTFLAGS")
-            .env_remove("CARGO_ENCODED_RUSTFLAGS");
-        if let Self::DebianWeb { rustc, linker } = self {
+        command.env_remove("RUSTFLAGS");
+        command.env_remove("CARGO_ENCODED_RUSTFLAGS");
+        if let Self::DebianWeb { linker } = self {
             command.args(["-Z", "build-std=core,alloc"]);
             // BOOTSTRAP: -Z on a stable compiler. The linker: Debian's compiler comes without rust-lld.
-            command.env("RUSTC", rustc).env("RUSTC_BOOTSTRAP", "1");
+            command.env("RUSTC", DEBIAN_RUSTC);
+            command.env("RUSTC_BOOTSTRAP", "1");
             command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
             // `cargo run` points it at rustup's libraries, which are another compiler's.
             command.env_remove("LD_LIBRARY_PATH");
@@ -48,131 +86,21 @@ impl FirmwareToolchain {
     pub fn describe(&self) -> String {
         match self {
             Self::Rustup => format!("the active toolchain, which has {TARGET}"),
-            Self::DebianWeb { rustc, linker } => format!(
-                "Debian's compiler {} with its library source, linked by {}",
-                rustc.display(),
-                linker.display()
-            ),
+            Self::DebianWeb { linker } => format!("Debian's {DEBIAN_RUSTC}, linked by {linker:?}"),
         }
     }
 }
 
-/// What is on this machine that could build the firmware.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Found {
-    /// The active toolchain has the target's libraries.
-    pub target_installed: bool,
-    /// Debian's compiler, if there is one.
-    pub debian: Option<DebianRust>,
-    /// rustup's rust-lld, or another lld on the PATH.
-    pub linker: Option<PathBuf>,
-}
-
-/// Debian's compiler as found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DebianRust {
-    pub rustc: PathBuf,
-    /// `1.96.0`
-    pub version: String,
-    pub has_library_source: bool,
-}
-
-impl Found {
-    /// Looks at the active toolchain and at Debian's.
-    pub fn on_this_machine() -> Self {
-        Self {
-            target_installed: target_installed(),
-            debian: DebianRust::find(),
-            linker: find_linker(),
-        }
-    }
-
-    /// The active toolchain, if it can.
-    pub fn rustup(&self) -> Result<FirmwareToolchain, String> {
-        if self.target_installed {
-            Ok(FirmwareToolchain::Rustup)
-        } else {
-            Err(format!("the active toolchain has no {TARGET}"))
-        }
-    }
-
-    /// Debian's compiler, if it can; else what it lacks.
-    pub fn debian_web(&self) -> Result<FirmwareToolchain, String> {
-        let Some(debian) = &self.debian else {
-            return Err(format!("there is no {DEBIAN_RUSTC}"));
-        };
-        let rustc = debian.rustc.display();
-        if version_parts(&debian.version) < version_parts(OLDEST) {
-            return Err(format!(
-                "{rustc} is {}, older than the {OLDEST} that this workspace needs",
-                debian.version
-            ));
-        }
-        if !debian.has_library_source {
-            return Err(format!(
-                "{rustc} has no library source (lib/rustlib/src/rust/library)"
-            ));
-        }
-        let Some(linker) = &self.linker else {
-            return Err(
-                "there is no rust-lld in the active toolchain and no lld on the PATH".into(),
-            );
-        };
-        Ok(FirmwareToolchain::DebianWeb {
-            rustc: debian.rustc.clone(),
-            linker: linker.clone(),
-        })
-    }
-}
-
-impl DebianRust {
-    fn find() -> Option<Self> {
-        let rustc = PathBuf::from(DEBIAN_RUSTC);
-        let printed = first_line(Command::new(&rustc).arg("-V"))?;
-        let sysroot = first_line(Command::new(&rustc).args(["--print", "sysroot"]))?;
-        // Where cargo's build-std looks; its Cargo.lock pins what the library itself depends on.
-        let library = Path::new(&sysroot).join("lib/rustlib/src/rust/library");
-        Some(Self {
-            rustc,
-            version: printed.split_whitespace().nth(1)?.to_owned(),
-            has_library_source: library.join("Cargo.lock").is_file()
-                && library.join("core").is_dir(),
-        })
-    }
-}
-
-fn target_installed() -> bool {
-    let printed =
-        first_line(Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]));
-    // The folder is named even when it is missing.
-    printed.is_some_and(|folder| Path::new(&folder).is_dir())
-}
-
+/// rustup's rust-lld, or another lld on the PATH.
 fn find_linker() -> Option<PathBuf> {
     let sysroot = first_line(Command::new("rustc").args(["--print", "sysroot"]))?;
     let libraries = Path::new(&sysroot).join("lib/rustlib");
     let of_hosts = libraries.read_dir().into_iter().flatten().flatten();
-    of_hosts
-        .map(|host| host.path().join("bin/rust-lld"))
-        .chain(on_path("rust-lld"))
-        .chain(on_path("ld.lld"))
-        .find(|linker| linker.is_file())
-}
-
-/// Where `program` could be, by the PATH.
-pub fn on_path(program: &str) -> Vec<PathBuf> {
-    let folders = env::var_os("PATH").unwrap_or_default();
-    env::split_paths(&folders)
-        .map(|folder| folder.join(program))
-        .collect()
-}
-
-/// The first line that a command prints, if it succeeds.
-pub fn first_line(command: &mut Command) -> Option<String> {
-    let output = command.output().ok()?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    let line = text.lines().next()?.trim();
-    (output.status.success() && !line.is_empty()).then(|| line.to_owned())
+    let of_hosts = of_hosts.map(|host| host.path().join("bin/rust-lld"));
+    let path = env::var_os("PATH").unwrap_or_default();
+    let on_path = env::split_paths(&path);
+    let on_path = on_path.flat_map(|dir| [dir.join("rust-lld"), dir.join("ld.lld")]);
+    of_hosts.chain(on_path).find(|linker| linker.is_file())
 }
 
 /// `1.96.0-nightly` as numbers that compare: `[1, 96, 0]`.
@@ -185,55 +113,30 @@ fn version_parts(version: &str) -> Vec<u32> {
 mod tests {
     use super::*;
 
-    fn debian(version: &str, has_library_source: bool) -> Found {
-        Found {
-            target_installed: false,
-            debian: Some(DebianRust {
-                rustc: DEBIAN_RUSTC.into(),
-                version: version.into(),
-                has_library_source,
-            }),
-            linker: Some("/lld".into()),
-        }
-    }
-
-    #[test]
-    fn the_active_toolchain_needs_only_the_target() {
-        let found = Found {
-            target_installed: true,
-            ..Found::default()
-        };
-        assert_eq!(found.rustup(), Ok(FirmwareToolchain::Rustup));
-        assert!(Found::default().rustup().is_err());
+    fn debian(version: &str, source: bool, linker: Option<&str>) -> Result<(), String> {
+        let found = FirmwareToolchain::of_debian(version, source, linker.map(PathBuf::from));
+        found.map(drop).map_err(|why| why.to_string())
     }
 
     #[test]
     fn debian_needs_a_new_compiler_its_source_and_a_linker() {
-        let whole = debian("1.96.0", true);
-        assert!(whole.debian_web().is_ok());
-        let why = |found: Found| found.debian_web().unwrap_err();
-        assert!(why(debian("1.63.0", true)).contains("older than"));
-        assert!(why(debian("1.96.0", false)).contains("no library source"));
-        let linker = None;
-        assert!(why(Found { linker, ..whole }).contains("lld"));
-        assert!(why(Found::default()).contains(DEBIAN_RUSTC));
-    }
-
-    #[test]
-    fn versions_compare_by_number() {
-        assert!(version_parts("1.100.0") > version_parts("1.95"));
-        assert!(version_parts("1.95.0-nightly") >= version_parts("1.95"));
+        assert_eq!(debian("1.100.0-nightly", true, Some("/lld")), Ok(()));
+        let old = debian("1.63.0", true, Some("/lld"));
+        assert!(old.unwrap_err().contains("older than"));
+        let bare = debian("1.96.0", false, Some("/lld"));
+        assert!(bare.unwrap_err().contains("library"));
+        assert!(debian("1.96.0", true, None).unwrap_err().contains("lld"));
     }
 
     #[test]
     fn debian_builds_the_library_too() {
         let workspace = Workspace::find().unwrap();
-        let toolchain = debian("1.96.0", true).debian_web().unwrap();
-        let command = toolchain.cargo(&workspace, "build");
-        let words: Vec<_> = command.get_args().collect();
-        assert!(words.iter().any(|word| *word == "build-std=core,alloc"));
-        let rustc = command.get_envs().find(|(name, _)| *name == "RUSTC");
-        assert_eq!(rustc.unwrap().1, Some(DEBIAN_RUSTC.as_ref()));
+        let linker = PathBuf::from("/lld");
+        let command = FirmwareToolchain::DebianWeb { linker }.cargo(&workspace, "build");
+        let mut words = command.get_args();
+        assert!(words.any(|word| word == "build-std=core,alloc"));
+        let mut variables = command.get_envs();
+        assert!(variables.any(|set| set == ("RUSTC".as_ref(), Some(DEBIAN_RUSTC.as_ref()))));
         let plain = FirmwareToolchain::Rustup.cargo(&workspace, "build");
         assert!(plain.get_args().all(|word| word != "-Z"));
     }

@@ -1,65 +1,42 @@
-//! Where the workspace is, and how xtask calls cargo in it.
+//! Where the workspace is, and how xtask starts cargo and other programs.
 
 use std::env;
-use std::ffi::OsString;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, bail};
-use serde_json::Value;
-
-/// What `cargo run` tells the program it starts about that program. Handed on to a nested cargo it would describe the
-/// wrong package, and build scripts that watch it would rebuild for nothing.
-const ABOUT_XTASK: [&str; 5] = [
-    "CARGO_MANIFEST_DIR",
-    "CARGO_MANIFEST_PATH",
-    "CARGO_BIN_NAME",
-    "CARGO_CRATE_NAME",
-    "CARGO_PRIMARY_PACKAGE",
-];
+use anyhow::{Context, ensure};
+use cargo_metadata::MetadataCommand;
 
 /// The checkout that xtask was started in.
 pub struct Workspace {
-    root: PathBuf,
-    cargo: OsString,
+    /// The folder of the workspace's Cargo.toml.
+    pub root: PathBuf,
+    /// Where host builds go.
+    pub target: PathBuf,
 }
 
 impl Workspace {
     /// The workspace that holds xtask's manifest.
     pub fn find() -> anyhow::Result<Self> {
         // At run time first: a built xtask may have moved together with its checkout.
-        let manifest_dir = env::var_os("CARGO_MANIFEST_DIR")
-            .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
-        let root = manifest_dir
-            .parent()
-            .filter(|root| root.join("Cargo.toml").is_file());
-        let Some(root) = root else {
-            bail!(
-                "no workspace above {}: start this with `cargo xtask` inside the checkout",
-                manifest_dir.display()
-            );
-        };
+        let xtask = env::var_os("CARGO_MANIFEST_DIR");
+        let xtask = xtask.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
+        let root = Path::new(&xtask).parent().filter(|dir| dir.is_dir());
+        let root = root.context("no workspace: start this with `cargo xtask` in the checkout")?;
+        // In the root, like every later cargo: a relative CARGO_TARGET_DIR then means the same folder.
+        let mut metadata = MetadataCommand::new();
+        let metadata = metadata.current_dir(root).no_deps().exec()?;
         Ok(Self {
-            root: root.to_path_buf(),
-            cargo: env::var_os("CARGO").unwrap_or_else(|| "cargo".into()),
+            root: metadata.workspace_root.into(),
+            target: metadata.target_directory.into(),
         })
     }
 
-    /// The folder of the workspace's Cargo.toml.
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
-    /// Where host builds go.
-    pub fn target_dir(&self) -> PathBuf {
-        let chosen = env::var_os("CARGO_TARGET_DIR").filter(|dir| !dir.is_empty());
-        self.root
-            .join(chosen.unwrap_or_else(|| OsString::from("target")))
-    }
-
     /// A cargo that starts in the workspace root and knows nothing of xtask's own package.
-    pub fn cargo<S: AsRef<std::ffi::OsStr>>(&self, args: impl IntoIterator<Item = S>) -> Command {
-        let mut command = Command::new(&self.cargo);
+    pub fn cargo<S: AsRef<OsStr>>(&self, args: impl IntoIterator<Item = S>) -> Command {
+        let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut command = Command::new(cargo);
         command.current_dir(&self.root).args(args);
         for (name, _) in env::vars_os() {
             if name.to_str().is_some_and(describes_xtask) {
@@ -68,39 +45,43 @@ impl Workspace {
         }
         command
     }
-
-    /// `cargo metadata` with these further arguments.
-    pub fn metadata(&self, args: &[&str]) -> anyhow::Result<Value> {
-        let mut command = self.cargo(["metadata", "--format-version", "1"]);
-        let output = command
-            .args(args)
-            .output()
-            .context("could not start `cargo metadata`")?;
-        if !output.status.success() {
-            bail!(
-                "`cargo metadata` failed:\n{}",
-                String::from_utf8_lossy(&output.stderr)
-            );
-        }
-        serde_json::from_slice(&output.stdout).context("`cargo metadata` printed no valid JSON")
-    }
 }
 
+/// What `cargo run` tells the program it starts about that program. Handed on to a nested cargo it would describe the
+/// wrong package, and build scripts that watch it would rebuild for nothing.
 fn describes_xtask(variable: &str) -> bool {
-    variable.starts_with("CARGO_PKG_") || ABOUT_XTASK.contains(&variable)
+    let named = [
+        "CARGO_BIN_NAME",
+        "CARGO_CRATE_NAME",
+        "CARGO_PRIMARY_PACKAGE",
+    ];
+    let mut groups = ["CARGO_PKG_", "CARGO_MANIFEST_"].into_iter();
+    named.contains(&variable) || groups.any(|start| variable.starts_with(start))
+}
+
+/// Runs a command in sight of the user; its own words say why it failed.
+pub fn run(command: &mut Command) -> anyhow::Result<()> {
+    let line = spelled(command);
+    println!("$ {line}");
+    let status = command.status();
+    let status = status.with_context(|| format!("could not start `{line}`"))?;
+    ensure!(status.success(), "`{line}` failed ({status}); see above");
+    Ok(())
+}
+
+/// The first line that a command prints, if it succeeds.
+pub fn first_line(command: &mut Command) -> Option<String> {
+    let output = command.output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let line = text.lines().next()?.trim();
+    (output.status.success() && !line.is_empty()).then(|| line.to_owned())
 }
 
 /// How a command looks when typed: what a failure message names.
 pub fn spelled(command: &Command) -> String {
-    let program = Path::new(command.get_program())
-        .file_stem()
-        .unwrap_or_default();
-    let mut words = vec![program.to_string_lossy().into_owned()];
-    words.extend(
-        command
-            .get_args()
-            .map(|word| word.to_string_lossy().into_owned()),
-    );
+    let program = Path::new(command.get_program()).file_stem();
+    let words = program.into_iter().chain(command.get_args());
+    let words: Vec<_> = words.map(OsStr::to_string_lossy).collect();
     words.join(" ")
 }
 
@@ -110,11 +91,10 @@ mod tests {
 
     #[test]
     fn only_variables_about_xtask_are_kept_from_children() {
-        assert!(describes_xtask("CARGO_PKG_NAME"));
-        assert!(describes_xtask("CARGO_MANIFEST_DIR"));
-        assert!(!describes_xtask("CARGO_HOME"));
-        assert!(!describes_xtask("CARGO_TARGET_DIR"));
-        assert!(!describes_xtask("RUSTUP_TOOLCHAIN"));
+        let about = ["CARGO_PKG_NAME", "CARGO_MANIFEST_DIR"];
+        assert!(about.into_iter().all(describes_xtask));
+        let others = ["CARGO_HOME", "CARGO_TARGET_DIR", "RUSTUP_TOOLCHAIN"];
+        assert!(!others.into_iter().any(describes_xtask));
     }
 
     #[test]

@@ -1,0 +1,109 @@
+//! `cargo xtask fuzz`: coverage-guided fuzzing of the targets in fuzz/, on stable Rust and without cargo-fuzz.
+//!
+//! Inputs that reach new code go to `fuzz-corpus/` in the target folder, so that the committed corpus in fuzz/corpus/
+//! grows only by somebody's choice; inputs that fail go to `fuzz-artifacts/` beside it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{self, Command};
+
+use anyhow::{Context, ensure};
+use cargo_metadata::MetadataCommand;
+
+use crate::workspace::{Workspace, first_line, run};
+
+/// What `cargo xtask test` gives to all targets together.
+const SMOKE_SECONDS: u64 = 75;
+
+/// What cargo-fuzz passes too: counters at every edge for libFuzzer, and the operands of comparisons.
+const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+     -Cllvm-args=-sanitizer-coverage-trace-compares";
+
+/// Seconds and MiB for one input, and its bytes: more than any committed seed has.
+const LIMITS: [&str; 3] = ["-timeout=10", "-rss_limit_mb=2048", "-max_len=16384"];
+
+/// Fuzzes one target, or all of them in turn; `seconds` each, 0 for no end. Without `seconds` a smoke, of which
+/// little is shown.
+pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: Option<u64>) -> anyhow::Result<()> {
+    let mut metadata = MetadataCommand::new();
+    metadata.current_dir(on.root.join("fuzz")).no_deps();
+    let package = metadata.exec()?.packages.pop();
+    let package = package.context("fuzz/Cargo.toml has no package")?;
+    let targets = package.targets.iter().filter(|target| target.is_bin());
+    let mut targets: Vec<_> = targets.map(|target| target.name.as_str()).collect();
+    if let Some(name) = only {
+        let all = targets.join(", ");
+        targets.retain(|target| *target == name);
+        ensure!(!targets.is_empty(), "no target {name}; there are {all}");
+    }
+    let programs = build(on, &targets)?;
+    let smoke = (SMOKE_SECONDS / targets.len().max(1) as u64).max(1);
+    let time = seconds.unwrap_or(smoke);
+    let mut failed = Vec::new();
+    for &target in &targets {
+        let mut fuzzer = Command::new(programs.join(target));
+        fuzzer.args(LIMITS).arg(format!("-max_total_time={time}"));
+        // libFuzzer writes into the first folder only.
+        fuzzer.arg(on.target.join("fuzz-corpus").join(target));
+        let seeds = package.metadata["seeds"][target].as_array();
+        let seeds = seeds.into_iter().flatten();
+        fuzzer.args(seeds.filter_map(|folder| folder.as_str()));
+        let done = fuzz_one(on, target, &mut fuzzer, seconds.is_none());
+        failed.extend(done.err().map(|why| format!("{why:#}")));
+    }
+    ensure!(failed.is_empty(), "{}", failed.join("\n"));
+    println!("{} fuzz targets, none failed", targets.len());
+    Ok(())
+}
+
+/// Builds the targets with coverage; returns the folder that they are in.
+fn build(on: &Workspace, targets: &[&str]) -> anyhow::Result<PathBuf> {
+    // What is shipped: fuzz/Cargo.lock starts as a copy of the workspace's, and cargo adds libFuzzer to it.
+    let (shipped, fuzzed) = (on.root.join("Cargo.lock"), on.root.join("fuzz/Cargo.lock"));
+    let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
+    if changed(&fuzzed) < changed(&shipped) {
+        fs::copy(&shipped, &fuzzed).context("could not copy Cargo.lock to fuzz/")?;
+    }
+    let host = first_line(Command::new("rustc").args(["--print", "host-tuple"]));
+    let host = host.context("`rustc --print host-tuple` failed")?;
+    let folder = on.target.join("fuzz");
+    let mut build = on.cargo(["build", "--release", "--manifest-path", "fuzz/Cargo.toml"]);
+    // A target named, even this one, keeps the flags from build scripts and macros.
+    build.args(["--target", &host, "--target-dir"]).arg(&folder);
+    build.args(targets.iter().flat_map(|target| ["--bin", target]));
+    build.env("RUSTFLAGS", RUSTFLAGS);
+    run(build.env_remove("CARGO_ENCODED_RUSTFLAGS"))?;
+    Ok(folder.join(host).join("release"))
+}
+
+fn fuzz_one(on: &Workspace, name: &str, fuzzer: &mut Command, smoke: bool) -> anyhow::Result<()> {
+    let artifacts = on.target.join("fuzz-artifacts");
+    fs::create_dir_all(&artifacts)?;
+    fs::create_dir_all(on.target.join("fuzz-corpus").join(name))?;
+    let prefix = format!("{}/{name}-{}-", artifacts.display(), process::id());
+    fuzzer.arg(format!("-artifact_prefix={prefix}"));
+    let corpus = Path::new("fuzz/corpus").join(name);
+    fuzzer.args(on.root.join(&corpus).is_dir().then_some(corpus));
+    fuzzer.current_dir(&on.root);
+    let log = artifacts.join(name).with_extension("log");
+    let done = if smoke {
+        run_briefly(fuzzer, &log)
+    } else {
+        run(fuzzer)
+    };
+    let program = Path::new(fuzzer.get_program()).display();
+    let rerun = format!("run it again with `{program} {prefix}*`");
+    done.with_context(|| format!("fuzz target {name} failed; its input is {prefix}*; {rerun}"))
+}
+
+/// Runs libFuzzer and shows of its long report what it covered at the start and the end; all of it after a failure.
+fn run_briefly(fuzzer: &mut Command, log: &Path) -> anyhow::Result<()> {
+    let done = run(fuzzer.stderr(fs::File::create(log)?));
+    let report = fs::read(log)?;
+    let report = String::from_utf8_lossy(&report);
+    let mut lines = report.lines().collect::<Vec<_>>();
+    lines.retain(|line| done.is_err() || line.contains("\tINITED") || line.contains("\tDONE"));
+    eprintln!("{}", lines.join("\n"));
+    done
+}
