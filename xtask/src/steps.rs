@@ -15,7 +15,7 @@ const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- 
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
 /// serves here too.
 const EMULATED_BOARD: &str =
-    "test --workspace --features ihd-tests/emulator --test emulated_board --no-fail-fast";
+    "test --workspace --features ihd-tests/emulator --test it emulated_board --no-fail-fast";
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// One check of the project.
