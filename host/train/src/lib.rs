@@ -1,35 +1,24 @@
-//! The trainer: asks a hob for power, identifies its load from the windows it streams, and teaches
-//! it the lookup.
+//! The trainer: asks a hob for power, identifies its load from the windows it streams, and updates its
+//! lookup; and replay, which runs recorded samples through a device's own firmware.
+//!
+//! ```text
+//! device ─► Window ─► Segment ─► network ─► gate ─► LoadCurve ─► Observations ─► lookup ─► device
+//!           (link)    (link)                trainer/  network.rs  gate.rs point.rs  observations.rs  device.rs
+//! ```
 //!
 //! One operating point after the other: ask for power, wait until the frequency stays, take a
-//! window, identify R(t) and L(t) with the PINN, let the gate decide, add the load curve to the
-//! lookup, push it, wait until the device says it is active. Recorded half-cycles can stand for the
-//! heating: they are replayed through the device, which records its windows from them.
+//! window, identify R(t) and L(t) with the PINN, let the gate decide, add the load curve to what was
+//! observed, build the lookup, push it, wait until the device reports it active. Recorded half-cycles
+//! can stand for the heating: they are replayed through the device, which records its windows from
+//! them.
 
-#[cfg(feature = "pinn")]
-mod error;
-#[cfg(feature = "pinn")]
-mod gate;
 pub mod lookup;
-#[cfg(feature = "pinn")]
-mod point;
 pub mod replay;
 #[cfg(feature = "pinn")]
-mod run;
-#[cfg(feature = "pinn")]
-mod session;
-#[cfg(feature = "pinn")]
-mod source;
+mod trainer;
 
 #[cfg(feature = "pinn")]
-pub use ihd_pinn::Config as NetworkConfig;
-
-#[cfg(feature = "pinn")]
-pub use self::{
-    error::TrainerError,
-    gate::{GateVerdict, judge},
-    point::Point,
-    run::{Report, Settings, run},
-    session::{Progress, TruthSource},
-    source::{OperatingPoint, Recorded, Source},
+pub use trainer::{
+    GateVerdict, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, Settings,
+    Source, TrainerError, TruthSource, judge, run,
 };

@@ -215,7 +215,7 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             step.iteration, step.loss, step.change
         )),
         Progress::Rejected { seq, why } => bar.println(format!("window {seq} not used: {why}")),
-        Progress::Taught {
+        Progress::LookupActive {
             version,
             observed_cells,
         } => {

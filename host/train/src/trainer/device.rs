@@ -1,4 +1,5 @@
-//! The trainer's side of the conversation with a device: power that settles, windows that count.
+//! A device as the trainer uses it: power that settles, windows that count, a lookup that becomes
+//! active.
 
 use std::time::Duration;
 
@@ -10,7 +11,7 @@ use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_signal::truth::Truth;
 
-use super::{OperatingPoint, Recorded, TrainerError};
+use super::{OperatingPoint, Progress, Recorded, TrainerError};
 
 /// Half-cycles at one frequency after which it counts as settled.
 const SETTLED_AFTER: u32 = 5;
@@ -32,53 +33,15 @@ const PATIENCE_S: u64 = 10;
 /// nobody does, as on a real hob.
 pub type TruthSource = Option<Box<dyn Fn(u32) -> Option<Truth>>>;
 
-/// What the trainer is doing, for whoever watches.
-#[derive(Clone, Copy, Debug)]
-pub enum Progress<'a> {
-    /// A half-cycle of an operating point that is not settled yet.
-    Settling {
-        /// Power asked for, in watt.
-        asked_w: u16,
-        /// The half-cycle.
-        telemetry: &'a Telemetry,
-    },
-    /// Settled; a window is on its way.
-    AwaitingWindow {
-        /// Where.
-        point: OperatingPoint,
-    },
-    /// The network trains.
-    Training {
-        /// Window.
-        seq: u32,
-        /// The optimiser's state.
-        step: &'a ihd_pinn::Progress,
-    },
-    /// A window was not used.
-    Rejected {
-        /// Window.
-        seq: u32,
-        /// Why.
-        why: &'a str,
-    },
-    /// A lookup is active on the device.
-    Taught {
-        /// Its version.
-        version: u32,
-        /// Cells that rest on observations.
-        observed_cells: u32,
-    },
-}
-
-/// The conversation.
-pub struct Session<'a> {
+/// A device that is being trained on.
+pub struct Device<'a> {
     pub(super) client: Client,
     truth: TruthSource,
     progress: &'a mut dyn FnMut(Progress<'_>),
     pub(super) last: Option<Telemetry>,
 }
 
-impl<'a> Session<'a> {
+impl<'a> Device<'a> {
     /// Starts the streams.
     pub fn start(
         mut client: Client,
@@ -94,7 +57,7 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Tells whoever watches.
+    /// Reports to whoever watches.
     pub fn report(&mut self, progress: Progress<'_>) {
         (self.progress)(progress);
     }
@@ -249,12 +212,15 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Pushes a lookup and waits until the device says that it is active.
-    pub fn teach(&mut self, lookup: &ihd_shared::lookup::RlLookup) -> Result<(), TrainerError> {
+    /// Pushes a lookup and waits until the device reports it active.
+    pub fn update_lookup(
+        &mut self,
+        lookup: &ihd_shared::lookup::RlLookup,
+    ) -> Result<(), TrainerError> {
         self.client.push_lookup(lookup)?;
         for _ in 0..20 {
             if self.client.status()?.lookup_version == lookup.version {
-                self.report(Progress::Taught {
+                self.report(Progress::LookupActive {
                     version: lookup.version,
                     observed_cells: lookup.observed_cells(),
                 });
