@@ -37,6 +37,7 @@
 mod adam;
 mod backend;
 mod config;
+mod dense;
 mod embedding;
 mod error;
 mod harmonic_branch;

@@ -104,10 +104,10 @@ fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Descending,
                 detail: "a parameter has no gradient".to_owned(),
             })
         };
-        let weights = layer.weight.val().grad(&gradients);
+        let weights = layer.weight.grad(&gradients);
         let weights = weights.map(|g| read(g, tensors.backend)).transpose()?;
         gradient.extend(tracked(weights)?);
-        let biases = layer.bias.as_ref().and_then(|b| b.val().grad(&gradients));
+        let biases = layer.bias.grad(&gradients);
         let biases = biases.map(|g| read(g, tensors.backend)).transpose()?;
         gradient.extend(tracked(biases)?);
     }

@@ -1,22 +1,21 @@
-//! Both networks as a burn module; the gradient by burn's reverse mode, d/dt as a tangent beside the
-//! values, since burn has no forward mode.
+//! Eq. (7) of both networks in burn tensors: the gradient by burn's reverse mode, d/dt as a tangent
+//! beside the values, since burn has no forward mode.
 
 use std::ops::Range;
 
-use burn::module::{Module, Param};
-use burn::nn::Linear;
 use burn::tensor::activation::softplus;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::LayerPlace;
+use crate::dense::Dense;
 use crate::{Backend, PinnError};
 
 /// VI-MLP (sine) and RL-MLP (hyperbolic tangent, softplus).
-#[derive(Module, Debug)]
+#[derive(Debug)]
 struct Networks {
-    vi: Vec<Linear>,
-    rl: Vec<Linear>,
+    vi: Vec<Dense>,
+    rl: Vec<Dense>,
 }
 
 /// The points of a batch as tensors, a row a point.
@@ -29,8 +28,8 @@ struct Batch {
     i: Tensor<2>,
 }
 
-/// What the networks say: columns.
-struct Said {
+/// Outputs of both networks and the tangent of i, a column each.
+struct Outputs {
     v: Tensor<2>,
     i: Tensor<2>,
     i_rate: Tensor<2>,
@@ -75,31 +74,21 @@ impl Burn {
         )
     }
 
-    fn linear(&self, place: &LayerPlace, theta: &[f32]) -> Linear {
-        let bias = TensorData::new(theta[place.biases.clone()].to_vec(), [place.outputs]);
-        Linear {
-            weight: Param::from_tensor(self.matrix(&theta[place.weights.clone()], place.outputs)),
-            bias: Some(Param::from_tensor(Tensor::from_data(
-                bias,
-                (&self.device, self.dtype),
-            ))),
-        }
-    }
-
     fn networks(&self, problem: &Problem<'_>, theta: &[f32]) -> Networks {
-        let module = |places: &[LayerPlace]| {
-            let layers = places.iter().map(|place| self.linear(place, theta));
-            layers.collect()
+        let dense = |place: &LayerPlace| {
+            let (weights, biases) = (&theta[place.weights.clone()], &theta[place.biases.clone()]);
+            Dense::new(weights.to_vec(), biases.to_vec(), &self.device, self.dtype)
         };
+        let layers = |places: &[LayerPlace]| places.iter().map(dense).collect();
         Networks {
-            vi: module(&problem.shape.vi),
-            rl: module(&problem.shape.rl),
+            vi: layers(&problem.shape.vi),
+            rl: layers(&problem.shape.rl),
         }
     }
 
     fn batch(&mut self, problem: &Problem<'_>, range: &Range<usize>) -> Batch {
-        if let Some((known, batch)) = &self.batch
-            && known == range
+        if let Some((cached, batch)) = &self.batch
+            && cached == range
         {
             return batch.clone();
         }
@@ -138,11 +127,11 @@ impl Burn {
 }
 
 impl Networks {
-    fn say(&self, batch: &Batch, problem: &Problem<'_>) -> Said {
+    fn outputs(&self, batch: &Batch, problem: &Problem<'_>) -> Outputs {
         let (mut x, mut rate) = (batch.fast.clone(), batch.fast_rate.clone());
         for (index, layer) in self.vi.iter().enumerate() {
             x = layer.forward(x);
-            rate = rate.matmul(layer.weight.val());
+            rate = rate.matmul(layer.weight.clone());
             if index + 1 < self.vi.len() {
                 rate = rate * x.clone().cos();
                 x = x.sin();
@@ -157,7 +146,7 @@ impl Networks {
         }
         let y = softplus(y, 1.0);
         let column = |x: &Tensor<2>, at| x.clone().narrow(1, at, 1);
-        Said {
+        Outputs {
             v: column(&x, 0),
             i: column(&x, 1),
             i_rate: column(&rate, 1),
@@ -178,11 +167,12 @@ impl Kernel for Burn {
     ) -> Result<Terms, PinnError> {
         let networks = self.networks(problem, theta);
         let batch = self.batch(problem, &batch);
-        let said = networks.say(&batch, problem);
+        let outputs = networks.outputs(&batch, problem);
         let mean = |e: Tensor<2>| (e.clone() * e).mean();
-        let l_f = mean(said.v.clone() - said.r * said.i.clone() - said.x * said.i_rate);
-        let l_i1 = mean(said.v - batch.v);
-        let l_i2 = mean(said.i - batch.i);
+        let l_f =
+            mean(outputs.v.clone() - outputs.r * outputs.i.clone() - outputs.x * outputs.i_rate);
+        let l_i1 = mean(outputs.v - batch.v);
+        let l_i2 = mean(outputs.i - batch.i);
         let data = l_i1.clone() + l_i2.clone();
         let total = l_f.clone() * weights.w_f + data * weights.w_i;
         let found = total.backward();
@@ -190,10 +180,10 @@ impl Kernel for Burn {
         for (place, layer) in problem.shape.layers().zip(layers) {
             // A parameter that the loss does not depend on has no gradient: zero.
             gradient[place.weights.start..place.biases.end].fill(0.0);
-            if let Some(by_weight) = layer.weight.val().grad(&found) {
+            if let Some(by_weight) = layer.weight.grad(&found) {
                 gradient[place.weights.clone()].copy_from_slice(&self.read(by_weight)?);
             }
-            if let Some(by_bias) = layer.bias.as_ref().and_then(|b| b.val().grad(&found)) {
+            if let Some(by_bias) = layer.bias.grad(&found) {
                 gradient[place.biases.clone()].copy_from_slice(&self.read(by_bias)?);
             }
         }
@@ -211,8 +201,8 @@ impl Kernel for Burn {
     ) -> Result<(Vec<f32>, Vec<f32>), PinnError> {
         let networks = self.networks(problem, theta);
         let batch = self.batch(problem, &(0..problem.points.len()));
-        let said = networks.say(&batch, problem);
-        Ok((self.read(said.v)?, self.read(said.i)?))
+        let outputs = networks.outputs(&batch, problem);
+        Ok((self.read(outputs.v)?, self.read(outputs.i)?))
     }
 }
 
@@ -363,9 +353,9 @@ mod tests {
                     v: wide(vec![0.0], 1),
                     i: wide(vec![0.0], 1),
                 };
-                let said = networks.say(&batch, &problem);
+                let outputs = networks.outputs(&batch, &problem);
                 let number = |x: Tensor<2>| x.into_data().try_into_vec::<f64>().expect("f64")[0];
-                (number(said.i), number(said.i_rate))
+                (number(outputs.i), number(outputs.i_rate))
             };
             let numeric = (at(step).0 - at(-step).0) / (2.0 * step);
             let (_, exact) = at(0.0);
