@@ -3,7 +3,7 @@
 //! `preset=paper-repaired rate=5e6` gives the paper's 50 000 points, `khz=45` one frequency; with
 //! `warm=1` every seed after the first starts from the result before it, as the trainer does.
 
-#[path = "../tests/truth/mod.rs"]
+#[path = "../tests/it/truth.rs"]
 mod truth;
 
 use ihd_pinn::{Config, Preset, identify};

@@ -1,11 +1,9 @@
 //! The paper's two networks: training, limits, checkpoints, backends.
 
-mod truth;
-
 use std::path::Path;
 
 use ihd_pinn::{Backend, Config, Identified, Preset, StoppedBecause, Task, ViMlp, identify};
-use truth::{Hob, Recording};
+use crate::truth::{Hob, Recording};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()

@@ -1,0 +1,7 @@
+//! What only the whole crate shows, in one binary: errors against an exact load, trainings that stop
+//! and go on, and what is refused.
+
+mod identify;
+mod networks;
+mod refusals;
+mod truth;
