@@ -6,7 +6,9 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::impedance_law::MOST;
-use crate::{Backend, ImpedanceOrder, Parameters, PinnError, Preset, SlowEmbedding, ViMlp};
+use crate::{
+    Backend, ImpedanceOrder, Parameters, PinnError, Preset, PresetLibrary, SlowEmbedding, ViMlp,
+};
 
 /// What trains the RL-MLP on the physics term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -42,7 +44,7 @@ impl FromStr for Optimiser {
             _ => Err(PinnError::UnknownName {
                 what: "optimiser",
                 name: name.to_owned(),
-                known: "levenberg-marquardt, adam",
+                known: "levenberg-marquardt, adam".to_owned(),
             }),
         }
     }
@@ -155,25 +157,41 @@ impl Default for Config {
 
 impl Config {
     /// Reads a TOML file: settings by their names, on top of the preset that its key `preset` names
-    /// (`hybrid` without one).
+    /// (`hybrid` without one), one of the program's. A `description` is for the reader.
     ///
     /// # Errors
-    /// [`PinnError::File`] with the parser's words, or what [`Self::validate`] says.
+    /// [`PinnError::File`] with the parser's words, [`PinnError::UnknownName`], or what
+    /// [`Self::validate`] gives.
     pub fn from_toml(text: &str) -> Result<Self, PinnError> {
+        Self::from_described_toml(text).map(|(config, _)| config)
+    }
+
+    /// The same with the description.
+    pub(crate) fn from_described_toml(text: &str) -> Result<(Self, Option<String>), PinnError> {
         let refused = |e: &dyn fmt::Display| PinnError::File {
             detail: e.to_string(),
         };
         let mut given: toml::Table = text.parse().map_err(|e: toml::de::Error| refused(&e))?;
-        let preset = match given.remove("preset") {
-            None => Preset::default(),
-            Some(toml::Value::String(name)) => name.parse()?,
-            Some(other) => return Err(refused(&format!("preset is {other}, not a name"))),
+        let mut word = |key: &str| match given.remove(key) {
+            None => Ok(None),
+            Some(toml::Value::String(word)) => Ok(Some(word)),
+            Some(other) => Err(refused(&format!("{key} is {other}, not a text"))),
         };
-        let mut table = toml::Table::try_from(preset.config()).map_err(|e| refused(&e))?;
+        let (preset, description) = (word("preset")?, word("description")?);
+        let preset = preset.as_deref().unwrap_or(Preset::default().name());
+        let base = PresetLibrary::default().get(preset)?.config;
+        // Beforehand: these errors list the names that there are.
+        if let Some(toml::Value::String(name)) = given.get("backend") {
+            name.parse::<Backend>()?;
+        }
+        if let Some(toml::Value::String(name)) = given.get("optimiser") {
+            name.parse::<Optimiser>()?;
+        }
+        let mut table = toml::Table::try_from(base).map_err(|e| refused(&e))?;
         overlay(&mut table, given);
         let config: Self = table.try_into().map_err(|e: toml::de::Error| refused(&e))?;
         config.validate()?;
-        Ok(config)
+        Ok((config, description))
     }
 
     /// Checks every field against its documented range.

@@ -127,7 +127,7 @@ pub enum PinnError {
         /// The name given.
         name: String,
         /// The names that exist.
-        known: &'static str,
+        known: String,
     },
     /// A configuration file that cannot be read.
     #[error("configuration: {detail}")]
