@@ -1,7 +1,7 @@
 //! The physics term, eq. (4), in the rotating frame.
 //!
 //! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
-//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or what another [`crate::ImpedanceOrder`] says. R, L
+//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or that of another [`crate::ImpedanceOrder`]. R, L
 //! and the phasors hardly move within a switching period, so by Parseval the mean of r^2 over a
 //! period is `1/2 sum_h |r_h|^2`, and the mean over the window, eq. (4), is the mean of that at a few
 //! hundred slow times. Nothing is lost against the sum over all samples but terms of order

@@ -1,4 +1,4 @@
-//! The RL-MLP in burn tensors (paper section IV, softplus scaled): slow features, eq. (3), in, R and L in
+//! The RL-MLP in burn tensors (paper section II, outputs scaled): slow features, eq. (3), in, R and L in
 //! units of their scales out.
 
 use burn::tensor::activation::{softplus, tanh};
