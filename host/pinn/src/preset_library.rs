@@ -116,7 +116,10 @@ fn read(path: &Path) -> Result<NamedConfig, PinnError> {
         return Err(broken(path, &taken));
     }
     let text = fs::read_to_string(path).map_err(|e| broken(path, &e))?;
-    parse(name, &text).map_err(|e| broken(path, &e))
+    parse(name, &text).map_err(|e| match e {
+        PinnError::File { detail } => broken(path, &detail.trim_end()),
+        other => broken(path, &other),
+    })
 }
 
 fn parse(name: &str, text: &str) -> Result<NamedConfig, PinnError> {
