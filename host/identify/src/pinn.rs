@@ -19,6 +19,29 @@ pub struct PinnSettings {
     pub config: toml::Table,
 }
 
+/// Names of the network's presets, with commas between them.
+#[cfg(feature = "pinn")]
+pub fn preset_names() -> String {
+    ihd_pinn::PresetLibrary::default().names().join(", ")
+}
+
+/// Names of the network's presets, with commas between them.
+#[cfg(not(feature = "pinn"))]
+pub fn preset_names() -> String {
+    "none in this build".to_owned()
+}
+
+#[cfg(not(feature = "pinn"))]
+impl PinnSettings {
+    /// Nothing to check: [`identify`] refuses.
+    ///
+    /// # Errors
+    /// None.
+    pub fn check(&self) -> Result<(), IdentifyError> {
+        Ok(())
+    }
+}
+
 #[cfg(feature = "pinn")]
 impl PinnSettings {
     /// The network's configuration.
@@ -35,6 +58,14 @@ impl PinnSettings {
         }
         ihd_pinn::Config::from_toml(&table.to_string())
     }
+
+    /// Whether all names and numbers mean something, before a capture is looked at.
+    ///
+    /// # Errors
+    /// [`IdentifyError::Unfit`] with the names that there are, or the range.
+    pub fn check(&self) -> Result<(), IdentifyError> {
+        self.resolve().map(drop).map_err(unfit)
+    }
 }
 
 /// Trains the network on each mains half-cycle of the segment.
@@ -47,6 +78,14 @@ pub fn identify(_: &Segment, _: &Settings, _: &mut Watch<'_>) -> Result<Estimate
         method: super::Method::Pinn,
         feature: "pinn",
     })
+}
+
+#[cfg(feature = "pinn")]
+fn unfit(e: ihd_pinn::PinnError) -> IdentifyError {
+    IdentifyError::Unfit {
+        method: super::Method::Pinn,
+        why: e.to_string(),
+    }
 }
 
 /// Trains the network on each mains half-cycle of the segment.
@@ -67,10 +106,6 @@ pub fn identify(
     use super::{Method, network};
 
     let started = Instant::now();
-    let unfit = |e: ihd_pinn::PinnError| IdentifyError::Unfit {
-        method: Method::Pinn,
-        why: e.to_string(),
-    };
     let config = network::informed(settings.pinn.resolve().map_err(unfit)?, segment);
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     let least = MIN_PERIODS * segment.samples_per_period();

@@ -1,7 +1,7 @@
 //! Time of full-batch epochs of the paper's two networks, all backends in one run: ratios count.
 //! `cargo bench --profile full -p ihd-pinn --bench epoch`; against JAX: host/pinn/peers/epoch.py.
 
-#[path = "../tests/truth/mod.rs"]
+#[path = "../tests/it/truth.rs"]
 mod truth;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

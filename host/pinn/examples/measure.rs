@@ -3,10 +3,10 @@
 //! `preset=paper-repaired rate=5e6` gives the paper's 50 000 points, `khz=45` one frequency; with
 //! `warm=1` every seed after the first starts from the result before it, as the trainer does.
 
-#[path = "../tests/truth/mod.rs"]
+#[path = "../tests/it/truth.rs"]
 mod truth;
 
-use ihd_pinn::{Config, Preset, identify};
+use ihd_pinn::{Config, PresetLibrary, identify};
 use truth::{Hob, mre_pct};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for argument in std::env::args().skip(1) {
         let (key, value) = argument.split_once('=').ok_or("arguments are KEY=VALUE")?;
         match key {
-            "preset" => json = serde_json::to_value(value.parse::<Preset>()?.config())?,
+            "preset" => json = serde_json::to_value(PresetLibrary::default().get(value)?.config)?,
             "downsampling" => json["vi_mlp"]["downsampling"] = value.parse::<usize>()?.into(),
             "rate" => rate_hz = Some(value.parse()?),
             "warm" => warm = value == "1",

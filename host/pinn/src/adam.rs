@@ -1,7 +1,8 @@
-//! Adam: the paper's optimiser. With the harmonic branch it is there to compare with.
+//! Adam (Kingma and Ba 2015, algorithm 1): the paper's optimiser (section V). With the harmonic branch it is there
+//! to compare with.
 
 use crate::PinnError;
-use crate::levenberg_marquardt::Descent;
+use crate::hybrid::Descent;
 use crate::parameters::Parameters;
 use crate::progress::{Log, Settling, StoppedBecause};
 use crate::slow_model::SlowModel;
@@ -9,7 +10,7 @@ use crate::slow_model::SlowModel;
 /// Decay of the mean gradient and of the mean square: those of Kingma and Ba, and every library's.
 const DECAY: (f64, f64) = (0.9, 0.999);
 
-/// Steps over which R and L must rest: single steps of Adam are small.
+/// Steps over which the change of R and L is compared with the tolerance: single steps of Adam are small.
 const SETTLING_STEPS: usize = 200;
 
 /// State of Adam (Kingma and Ba 2015, algorithm 1), in double precision whatever computes the
@@ -48,8 +49,9 @@ impl Adam {
     }
 }
 
-/// Minimises the residuals of `physics` from `parameters` on by gradient steps; the best
-/// parameters seen are the result, since Adam does not descend at every step.
+/// Minimises |e|², the squared residuals of `physics`, from `parameters` on by gradient steps; the best
+/// parameters seen are the result, since Adam does not descend at every step. `tolerance` is compared with
+/// the mean relative change of R and L over [`SETTLING_STEPS`] steps.
 ///
 /// On a burn backend `physics` must live on an autodiff device.
 pub(crate) fn descend(
@@ -70,7 +72,7 @@ pub(crate) fn descend(
         stopped: StoppedBecause::RolledBack,
     };
     loop {
-        let now = physics.descending(&at)?;
+        let now = physics.gradient(&at)?;
         if !now.squares.is_finite() {
             best.stopped = StoppedBecause::RolledBack;
             return Ok(best);
@@ -89,7 +91,7 @@ pub(crate) fn descend(
             best.stopped = StoppedBecause::Settled;
             return Ok(best);
         }
-        adam.step(learning_rate, &mut theta, now.gradient);
+        adam.step(learning_rate, &mut theta, now.values);
         at = at.with_flat(&theta);
     }
 }

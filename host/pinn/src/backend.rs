@@ -89,7 +89,7 @@ impl FromStr for Backend {
             .ok_or_else(|| PinnError::UnknownName {
                 what: "backend",
                 name: name.to_owned(),
-                known: "fused, flex, ndarray (wgpu, cuda in builds with these features)",
+                known: "fused, flex, ndarray (wgpu, cuda in builds with these features)".to_owned(),
             })
     }
 }

@@ -1,4 +1,4 @@
-//! Slow features: how the RL-MLP sees time (paper eq. (3), repaired).
+//! Slow features φ(t), the RL-MLP's inputs: the paper's eq. (3), and two with its n from 0.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SlowEmbedding {
-    /// `|sin(2 pi f_mains t)|, cos(2 pi f_mains t)`: tells the rising from the falling half of the
+    /// `|sin(2 pi f_mains t)|, cos(2 pi f_mains t)`: distinguishes the rising from the falling half of the
     /// envelope, so R(t) and L(t) may be asymmetric.
     #[default]
     MainsPhase,

@@ -1,4 +1,4 @@
-//! What can go wrong, said so that the reader knows what to change.
+//! What can go wrong, worded so that the reader knows what to change.
 
 /// Why a half-cycle could not be identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -127,7 +127,7 @@ pub enum PinnError {
         /// The name given.
         name: String,
         /// The names that exist.
-        known: &'static str,
+        known: String,
     },
     /// A configuration file that cannot be read.
     #[error("configuration: {detail}")]

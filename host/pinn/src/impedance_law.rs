@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use crate::harmonic_branch::{HarmonicBasis, Phasors};
 
 /// The largest order: a pure inductance would be 1, and no longer separable from L_0.
-pub(crate) const MOST: f64 = 0.9;
+pub(crate) const LARGEST_ORDER: f64 = 0.9;
 
 /// Exponent n of the load's impedance, Z(s) = s L_0 + K s^n.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -90,11 +90,11 @@ impl AtHarmonic {
     }
 }
 
-/// The order in 0..=[`MOST`] with the least `misfit`, by golden section: of several minima it would
+/// The order in 0..=[`LARGEST_ORDER`] with the least `misfit`, by golden section: of several minima it would
 /// find one.
 pub(crate) fn least(misfit: impl Fn(f64) -> f64) -> f64 {
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-    let (mut from, mut to) = (0.0, MOST);
+    let (mut from, mut to) = (0.0, LARGEST_ORDER);
     let (mut left, mut right) = (to - golden * to, golden * to);
     let (mut at_left, mut at_right) = (misfit(left), misfit(right));
     // 0.618^20 of the interval: the order to four digits.
@@ -174,6 +174,6 @@ mod tests {
     #[test]
     fn the_least_misfit_is_found() {
         assert!((least(|n| (n - 0.37).powi(2)) - 0.37).abs() < 1e-4);
-        assert!(least(|n| n) < 1e-3 && least(|n| -n) > MOST - 1e-3);
+        assert!(least(|n| n) < 1e-3 && least(|n| -n) > LARGEST_ORDER - 1e-3);
     }
 }

@@ -4,12 +4,12 @@
 //! `v = R(t) i + L(t) di/dt` (paper eq. (1)), and both drift with the mains envelope. Given one
 //! mains half-cycle of sampled coil voltage and current, [`identify`] returns R(t) and L(t).
 //!
-//! The method is the paper's hybrid-timescale PINN with two repairs (design notes, section 6):
+//! The method is the paper's hybrid-timescale PINN with two repairs:
 //!
 //! - the fast **VI branch** is a sum of
 //!   switching harmonics whose phasors are cubic B-splines in slow time, so that the data terms
 //!   (5), (6) are linear least squares, solved exactly instead of by gradient steps;
-//! - the slow **RL-MLP** is a burn module with softplus outputs *scaled* to ohms and microhenries,
+//! - the slow **RL-MLP** has softplus outputs *scaled* to ohms and microhenries,
 //!   trained on the physics term (4) by Levenberg-Marquardt (Adam is there to compare with).
 //!
 //! Both minimise the paper's loss, eq. (7): `L = w_f L_f + w_i (L_i1 + L_i2)`.
@@ -37,6 +37,7 @@
 mod adam;
 mod backend;
 mod config;
+mod dense;
 mod embedding;
 mod error;
 mod harmonic_branch;
@@ -51,6 +52,7 @@ mod noise;
 mod output_jacobian;
 mod parameters;
 mod preset;
+mod preset_library;
 mod progress;
 mod result;
 mod rl_mlp;
@@ -70,6 +72,7 @@ pub use identify::{Task, TruthAt, identify};
 pub use impedance_law::{ImpedanceOrder, Named};
 pub use parameters::{Layer, Parameters};
 pub use preset::Preset;
+pub use preset_library::{NamedConfig, PresetLibrary};
 pub use progress::{Progress, StoppedBecause};
 pub use result::{Identified, Losses, Reconstruction};
 pub use vi_mlp::ViMlp;

@@ -1,7 +1,7 @@
 //! The physics term, eq. (4), in the rotating frame.
 //!
 //! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
-//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or what another [`crate::ImpedanceOrder`] says. R, L
+//! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or that of another [`crate::ImpedanceOrder`]. R, L
 //! and the phasors hardly move within a switching period, so by Parseval the mean of r^2 over a
 //! period is `1/2 sum_h |r_h|^2`, and the mean over the window, eq. (4), is the mean of that at a few
 //! hundred slow times. Nothing is lost against the sum over all samples but terms of order
@@ -17,6 +17,7 @@ use crate::PinnError;
 use crate::backend::Backend;
 use crate::harmonic_branch::HarmonicBranch;
 use crate::impedance_law::AtHarmonic;
+use crate::levenberg_marquardt::Evaluation;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, matrix, read};
 use crate::waveform::Normalised;
@@ -212,10 +213,12 @@ impl SlowTensors {
     }
 
     /// The residuals and the network's outputs as plain numbers.
-    pub fn evaluate(&self, parameters: &Parameters) -> Result<(Vec<f64>, Vec<f64>), PinnError> {
+    pub fn evaluate(&self, parameters: &Parameters) -> Result<Evaluation, PinnError> {
         let network = RlMlp::from_parameters(parameters, &self.device);
-        let outputs = read(network.forward(self.features.clone()), self.backend)?;
-        Ok((read(self.residuals(&network), self.backend)?, outputs))
+        Ok(Evaluation {
+            outputs: read(network.forward(self.features.clone()), self.backend)?,
+            residuals: read(self.residuals(&network), self.backend)?,
+        })
     }
 }
 
@@ -274,10 +277,9 @@ mod tests {
         let (samples, network) = (trial::samples(), trial::network());
         let branch = trial::fitted(&samples);
         let physics = trial::physics(&branch, &samples, &network, &[0, 1], 128);
-        let (e, _) = SlowModel::own(&physics, &samples, &network)
-            .evaluate(&network)
-            .expect("own code");
-        let slow = (e.iter().map(|e| e * e).sum::<f64>() + physics.floor) / trial::W_F;
+        let model = SlowModel::own(&physics, &samples, &network);
+        let at = model.evaluate(&network).expect("own code");
+        let slow = (at.squares() + physics.floor) / trial::W_F;
         let direct = direct_l_f(&branch, &samples, &network);
         assert!(
             direct > 1e-4,
@@ -299,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn the_burn_module_and_the_plain_parameters_are_one_function() {
+    fn the_burn_tensors_and_the_plain_parameters_are_one_function() {
         let (samples, network) = (trial::samples(), trial::network());
         for backend in [Backend::Flex, Backend::Ndarray] {
             let device = backend.device().expect("a burn backend");

@@ -49,13 +49,13 @@ mod tests {
     use crate::trial;
 
     #[test]
-    fn noise_moves_the_constant_as_far_as_its_standard_deviation_says() {
+    fn noise_moves_the_constant_as_far_as_its_standard_deviation() {
         let (samples, network) = (trial::samples(), trial::network());
         let deviation = 0.02;
         // Uniform noise of that standard deviation.
         let reach = deviation * 3.0_f64.sqrt();
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        let (mut squares, mut said) = (0.0, 0.0);
+        let (mut squares, mut predicted) = (0.0, 0.0);
         let runs = 40;
         for _ in 0..runs {
             let mut noisy = samples.clone();
@@ -69,13 +69,13 @@ mod tests {
             squares += (constant[0] * network.r_scale_ohm / 4.0 - 1.0).powi(2);
             let white = (deviation * deviation, deviation * deviation);
             let noise = noise_variance(&noisy, white, trial::W_F, [4.0, 20e-6]);
-            said += physics.relative_sigma(constant, noise) / f64::from(runs);
+            predicted += physics.relative_sigma(constant, noise) / f64::from(runs);
         }
         let seen = (squares / f64::from(runs)).sqrt();
-        // 40 runs tell a standard deviation to 11 %.
+        // 40 runs give a standard deviation to 11 %.
         assert!(
-            (0.7..1.4).contains(&(seen / said)),
-            "{seen} seen, {said} said"
+            (0.7..1.4).contains(&(seen / predicted)),
+            "{seen} seen, {predicted} predicted"
         );
     }
 }

@@ -1,5 +1,6 @@
-//! The RL-MLP's weights as plain numbers: to start the next identification from, to store, and to
-//! evaluate R(t), L(t) without burn.
+//! The RL-MLP as plain numbers: R(t) = r_scale softplus(y_0), L(t) = l_scale softplus(y_1), y a multilayer
+//! perceptron of the slow features (paper eq. (3)). To start the next identification from, to store, and to
+//! evaluate without burn.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -141,13 +142,13 @@ impl Parameters {
     /// The same network with the weights and biases of `flat`.
     pub(crate) fn with_flat(&self, flat: &[f64]) -> Self {
         let mut next = self.clone();
-        let mut rest = flat.iter();
+        let mut values = flat.iter();
         for layer in &mut next.layers {
             for (slot, value) in layer
                 .weights
                 .iter_mut()
                 .chain(&mut layer.biases)
-                .zip(&mut rest)
+                .zip(&mut values)
             {
                 *slot = *value;
             }

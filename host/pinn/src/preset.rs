@@ -1,4 +1,5 @@
-//! Named configurations: the paper's as written, repaired, this project's, and one for each trick.
+//! Configurations in code: the paper's as written and repaired, and this project's. Ablations of them are files:
+//! [`crate::PresetLibrary`].
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Config, ImpedanceOrder, Named, Optimiser, PinnError, SlowEmbedding, ViMlp};
 
-/// A named [`Config`].
+/// A [`Config`] with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
@@ -16,24 +17,10 @@ pub enum Preset {
     Hybrid,
     /// The paper as written: eqs. (2), (3) with m, n from 1, outputs not scaled.
     PaperLiteral,
-    /// The paper's networks with the repairs of the design notes, section 6.
+    /// The paper's networks repaired: m, n from 0, slow features in both, scaled outputs.
     PaperRepaired,
     /// `paper-literal` with scaled outputs.
     LiteralScaled,
-    /// `paper-repaired` without scaled outputs.
-    RepairedUnscaled,
-    /// `paper-repaired` with a VI-MLP that does not see the slow features.
-    RepairedFastOnly,
-    /// `paper-repaired` with the paper's eq. (3), n from 1.
-    RepairedEq3,
-    /// `paper-repaired` in minibatches of 5000 points.
-    RepairedMinibatch,
-    /// `paper-repaired` with a learning rate that falls to a thirtieth.
-    RepairedDecay,
-    /// `hybrid` with the paper's RL-MLP of 4 x 16.
-    HybridPaperNet,
-    /// `hybrid` trained by Adam.
-    HybridAdam,
     /// `hybrid` with the physics term over all harmonics.
     HybridAllHarmonics,
     /// `hybrid` with the physics term over all harmonics and an impedance law whose order is identified
@@ -41,31 +28,21 @@ pub enum Preset {
     HybridFractional,
     /// `hybrid` with harmonics up to the 31st, for who wants the waveforms: R and L need the 7th at most.
     HybridWaveform,
-    /// `hybrid` without the prior on the weights: eq. (7) alone.
-    HybridNoPrior,
 }
 
 /// Epochs of the paper's training.
 const PAPER_EPOCHS: usize = 5000;
 
 impl Preset {
-    /// All presets.
-    pub const ALL: [Self; 15] = [
+    /// All of them.
+    pub const ALL: [Self; 7] = [
         Self::Hybrid,
         Self::PaperLiteral,
         Self::PaperRepaired,
         Self::LiteralScaled,
-        Self::RepairedUnscaled,
-        Self::RepairedFastOnly,
-        Self::RepairedEq3,
-        Self::RepairedMinibatch,
-        Self::RepairedDecay,
-        Self::HybridPaperNet,
-        Self::HybridAdam,
         Self::HybridAllHarmonics,
         Self::HybridFractional,
         Self::HybridWaveform,
-        Self::HybridNoPrior,
     ];
 
     /// The name used on the command line and in configuration files.
@@ -76,17 +53,9 @@ impl Preset {
             Self::PaperLiteral => "paper-literal",
             Self::PaperRepaired => "paper-repaired",
             Self::LiteralScaled => "literal-scaled",
-            Self::RepairedUnscaled => "repaired-unscaled",
-            Self::RepairedFastOnly => "repaired-fast-only",
-            Self::RepairedEq3 => "repaired-eq3",
-            Self::RepairedMinibatch => "repaired-minibatch",
-            Self::RepairedDecay => "repaired-decay",
-            Self::HybridPaperNet => "hybrid-paper-net",
-            Self::HybridAdam => "hybrid-adam",
             Self::HybridAllHarmonics => "hybrid-all-harmonics",
             Self::HybridFractional => "hybrid-fractional",
             Self::HybridWaveform => "hybrid-waveform",
-            Self::HybridNoPrior => "hybrid-no-prior",
         }
     }
 
@@ -111,13 +80,6 @@ impl Preset {
                 "m from 0, slow features in both networks, scaled outputs; what is left at the ends of \
                  the half-cycle is Adam's"
             }
-            Self::RepairedUnscaled => "paper-repaired without scaled outputs",
-            Self::RepairedFastOnly => "paper-repaired, the VI-MLP without slow features",
-            Self::RepairedEq3 => "paper-repaired with the paper's eq. (3)",
-            Self::RepairedMinibatch => "paper-repaired in minibatches of 5000 points",
-            Self::RepairedDecay => "paper-repaired, rate falling to a thirtieth",
-            Self::HybridPaperNet => "hybrid with the paper's RL-MLP of 4 x 16",
-            Self::HybridAdam => "hybrid trained by Adam",
             Self::HybridAllHarmonics => {
                 "hybrid, one R and one L for all harmonics: wrong where the load has eddy currents"
             }
@@ -125,7 +87,6 @@ impl Preset {
                 "hybrid, all harmonics under Z(s) = s L_0 + K s^n with n identified"
             }
             Self::HybridWaveform => "hybrid with harmonics up to the 31st",
-            Self::HybridNoPrior => "hybrid without the prior on the weights",
         }
     }
 
@@ -135,15 +96,6 @@ impl Preset {
         let hybrid = Config::default();
         match self {
             Self::Hybrid => hybrid,
-            Self::HybridPaperNet => Config {
-                hidden_layers: vec![16; 4],
-                ..hybrid
-            },
-            Self::HybridAdam => Config {
-                optimiser: Optimiser::Adam,
-                max_iterations: 10_000,
-                ..hybrid
-            },
             Self::HybridAllHarmonics => Config {
                 physics_harmonics: hybrid.harmonics.clone(),
                 ..hybrid
@@ -158,10 +110,6 @@ impl Preset {
                 most_points: 200_000,
                 ..hybrid
             },
-            Self::HybridNoPrior => Config {
-                weight_width: 0.0,
-                ..hybrid
-            },
             Self::PaperLiteral => unscaled(Self::LiteralScaled.config()),
             Self::LiteralScaled => Config {
                 embedding: PAPER_EQ_3,
@@ -172,23 +120,6 @@ impl Preset {
                 })
             },
             Self::PaperRepaired => paper(ViMlp::default()),
-            Self::RepairedUnscaled => unscaled(paper(ViMlp::default())),
-            Self::RepairedFastOnly => paper(ViMlp {
-                slow: None,
-                ..ViMlp::default()
-            }),
-            Self::RepairedEq3 => Config {
-                embedding: PAPER_EQ_3,
-                ..paper(ViMlp::default())
-            },
-            Self::RepairedMinibatch => paper(ViMlp {
-                minibatch: Some(5000),
-                ..ViMlp::default()
-            }),
-            Self::RepairedDecay => paper(ViMlp {
-                last_rate: 1.0 / 30.0,
-                ..ViMlp::default()
-            }),
         }
     }
 }
@@ -239,10 +170,7 @@ impl FromStr for Preset {
             .ok_or_else(|| PinnError::UnknownName {
                 what: "preset",
                 name: name.to_owned(),
-                known: "hybrid, paper-literal, paper-repaired, literal-scaled, repaired-unscaled, \
-                        repaired-fast-only, repaired-eq3, repaired-minibatch, repaired-decay, \
-                        hybrid-paper-net, hybrid-adam, hybrid-all-harmonics, hybrid-fractional, \
-                        hybrid-waveform, hybrid-no-prior",
+                known: Self::ALL.map(Self::name).join(", "),
             })
     }
 }

@@ -1,4 +1,4 @@
-//! What an identification says while it runs, and when it stops.
+//! What an identification reports while it runs, its limits, and when R and L have converged.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -16,15 +16,15 @@ pub struct Progress {
     pub pass: usize,
     /// Optimiser steps so far in all passes.
     pub iteration: usize,
-    /// Eq. (7), with the VI branch of this pass.
+    /// Eq. (7), with the VI branch of this pass, normalised as in the paper.
     pub loss: f64,
-    /// Eq. (4).
+    /// Physics term, eq. (4), normalised.
     pub l_f: f64,
-    /// Data terms, eqs. (5) and (6) together.
+    /// Data terms, eqs. (5) and (6) together, normalised.
     pub l_i: f64,
     /// Mean relative errors of R and L at the slow times in %, where the truth is known.
     pub mre_pct: Option<(f64, f64)>,
-    /// Mean relative change of R and L (the larger) over the last few steps; infinite at first.
+    /// Mean relative change of R and L (the larger) over the last few steps, 1e-2 being 1 %; infinite at first.
     pub change: f64,
     /// Time since the call, that of earlier sittings included, s.
     pub elapsed_s: f64,
@@ -120,8 +120,8 @@ impl<'a> Log<'a> {
         self.earlier_s + self.started.elapsed().as_secs_f64()
     }
 
-    /// Counts a step and tells the caller; `squares` is the sum of squared residuals, `outputs` what
-    /// the network says at the slow times.
+    /// Counts a step and reports it; `squares` is the sum of squared residuals, `outputs` are those of the
+    /// network at the slow times.
     pub fn record(&mut self, squares: f64, change: f64, outputs: &[f64]) {
         let physics = squares + self.floor;
         let l_i = self.data_loss / self.w_i;

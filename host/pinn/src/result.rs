@@ -1,4 +1,4 @@
-//! What an identification hands back.
+//! What an identification hands back: R(t), L(t), the terms of the paper's eq. (7), NMSE, P/I_rms².
 
 use std::f64::consts::TAU;
 
@@ -23,7 +23,7 @@ pub struct Losses {
     pub total: f64,
 }
 
-/// v and i as the VI branch says them.
+/// v and i of the VI branch.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reconstruction {
     /// Indices of the window's samples that they belong to, ascending.
@@ -70,7 +70,7 @@ pub struct Identified {
     pub nmse_v_pct: f64,
     /// The same of the current, %.
     pub nmse_i_pct: f64,
-    /// v and i as the VI branch says them; not serialised, as long as the window.
+    /// v and i of the VI branch; not serialised, as long as the window.
     #[serde(skip)]
     pub reconstruction: Reconstruction,
     /// The trained RL-MLP: put it into [`crate::Config::start`] for a warm start.

@@ -1,42 +1,33 @@
-//! The RL-MLP as a burn module: slow features in, R and L in units of their scales out.
+//! The RL-MLP in burn tensors (paper section II, outputs scaled): slow features, eq. (3), in, R and L in
+//! units of their scales out.
 
-use burn::module::{Module, Param};
-use burn::nn::Linear;
 use burn::tensor::activation::{softplus, tanh};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use crate::PinnError;
 use crate::backend::Backend;
+use crate::dense::Dense;
 use crate::parameters::Parameters;
 
 /// Multilayer perceptron with tanh hidden layers and softplus outputs.
 ///
 /// The softplus works on R / 4 ohm and L / 20 uH (see [`crate::Config`]): on SI-scaled L its
 /// argument would have to reach -11, where its slope of 2e-5 stops any training.
-#[derive(Module, Debug)]
+#[derive(Debug)]
 pub(crate) struct RlMlp {
-    pub layers: Vec<Linear>,
+    pub layers: Vec<Dense>,
 }
 
 impl RlMlp {
-    /// Builds the module with these weights, in double precision.
+    /// The network with these weights, in double precision.
     pub fn from_parameters(parameters: &Parameters, device: &Device) -> Self {
-        let layers = parameters
-            .layers
-            .iter()
-            .map(|layer| Linear {
-                weight: Param::from_tensor(matrix(
-                    layer.weights.clone(),
-                    [layer.inputs, layer.outputs],
-                    device,
-                )),
-                bias: Some(Param::from_tensor(Tensor::from_data(
-                    TensorData::new(layer.biases.clone(), [layer.outputs]),
-                    (device, DType::F64),
-                ))),
-            })
-            .collect();
-        Self { layers }
+        let layers = parameters.layers.iter().map(|layer| {
+            let (weights, biases) = (layer.weights.clone(), layer.biases.clone());
+            Dense::new(weights, biases, device, DType::F64)
+        });
+        Self {
+            layers: layers.collect(),
+        }
     }
 
     /// R / r_scale and L / l_scale, one row per row of `features`.

@@ -1,12 +1,14 @@
-//! The physics residuals as a function of the RL-MLP: by own code, or in burn tensors.
+//! The physics residuals e of eq. (4), condensed ([`SlowPhysics`]), as a function of the RL-MLP: e, ∂e/∂θ and
+//! d|e|²/dθ, by own code or in burn tensors.
 
-use crate::PinnError;
 use crate::jacobian::jacobian;
+use crate::levenberg_marquardt::Evaluation;
 use crate::loss::{SlowPhysics, SlowTensors};
 use crate::output_jacobian::output_rows;
 use crate::parameters::Parameters;
 use crate::rl_mlp::{RlMlp, read};
 use crate::waveform::Normalised;
+use crate::{Config, Optimiser, PinnError};
 
 /// Residuals e of [`SlowPhysics`] with all that an optimiser asks for.
 pub(crate) enum SlowModel {
@@ -20,14 +22,35 @@ pub(crate) enum SlowModel {
     Burn(Box<SlowTensors>),
 }
 
-/// Squared residuals, their gradient, and the network's outputs.
-pub(crate) struct Descending {
+/// Gradient of the squared residuals, and what comes with it.
+pub(crate) struct Gradient {
+    /// |e|².
     pub squares: f64,
+    /// R / r_scale, L / l_scale alternating.
     pub outputs: Vec<f64>,
-    pub gradient: Vec<f64>,
+    /// d|e|²/dθ.
+    pub values: Vec<f64>,
 }
 
 impl SlowModel {
+    /// On the configured backend, with autodiff where the optimiser wants it.
+    pub fn new(
+        physics: &SlowPhysics,
+        samples: &Normalised,
+        parameters: &Parameters,
+        config: &Config,
+    ) -> Self {
+        let Some(device) = config.backend.device() else {
+            return Self::own(physics, samples, parameters);
+        };
+        let device = match config.optimiser {
+            Optimiser::LevenbergMarquardt => device,
+            Optimiser::Adam => device.autodiff(),
+        };
+        let tensors = physics.on_device(samples, parameters, config.backend, &device);
+        Self::Burn(Box::new(tensors))
+    }
+
     /// Own code for these slow times.
     pub fn own(physics: &SlowPhysics, samples: &Normalised, parameters: &Parameters) -> Self {
         let at = |tau: &f64| {
@@ -41,13 +64,15 @@ impl SlowModel {
         }
     }
 
-    /// The residuals (R rows of all slow times, then L rows) and the network's outputs (R, L
-    /// alternating).
-    pub fn evaluate(&self, parameters: &Parameters) -> Result<(Vec<f64>, Vec<f64>), PinnError> {
+    /// The residuals: R rows of all slow times, then L rows; the outputs: R / r_scale, L / l_scale alternating.
+    pub fn evaluate(&self, parameters: &Parameters) -> Result<Evaluation, PinnError> {
         match self {
             Self::Own { physics, features } => {
                 let y: Vec<_> = features.iter().map(|f| parameters.outputs(f)).collect();
-                Ok((physics.residuals(&y), y.concat()))
+                Ok(Evaluation {
+                    residuals: physics.residuals(&y),
+                    outputs: y.concat(),
+                })
             }
             Self::Burn(tensors) => tensors.evaluate(parameters),
         }
@@ -69,21 +94,21 @@ impl SlowModel {
 
     /// The squared residuals and their gradient: by burn's reverse mode on a burn backend, `2 J^T e`
     /// else.
-    pub fn descending(&self, parameters: &Parameters) -> Result<Descending, PinnError> {
+    pub fn gradient(&self, parameters: &Parameters) -> Result<Gradient, PinnError> {
         match self {
             Self::Own { .. } => {
-                let (e, outputs) = self.evaluate(parameters)?;
+                let at = self.evaluate(parameters)?;
                 let rows = self.jacobian(parameters)?;
-                let mut gradient = vec![0.0; parameters.flat_len()];
-                for (row, e) in rows.chunks_exact(gradient.len()).zip(&e) {
-                    for (g, d) in gradient.iter_mut().zip(row) {
+                let mut values = vec![0.0; parameters.flat_len()];
+                for (row, e) in rows.chunks_exact(values.len()).zip(&at.residuals) {
+                    for (g, d) in values.iter_mut().zip(row) {
                         *g += 2.0 * d * e;
                     }
                 }
-                Ok(Descending {
-                    squares: e.iter().map(|e| e * e).sum(),
-                    outputs,
-                    gradient,
+                Ok(Gradient {
+                    squares: at.squares(),
+                    outputs: at.outputs,
+                    values,
                 })
             }
             Self::Burn(tensors) => by_burn(tensors, parameters),
@@ -91,12 +116,12 @@ impl SlowModel {
     }
 }
 
-fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Descending, PinnError> {
+fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Gradient, PinnError> {
     let network = RlMlp::from_parameters(parameters, &tensors.device);
     let e = tensors.residuals(&network);
     let squares = (e.clone() * e).sum();
     let gradients = squares.backward();
-    let mut gradient = Vec::with_capacity(parameters.flat_len());
+    let mut values = Vec::with_capacity(parameters.flat_len());
     for layer in &network.layers {
         let tracked = |found: Option<Vec<f64>>| {
             found.ok_or_else(|| PinnError::Backend {
@@ -104,18 +129,18 @@ fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Descending,
                 detail: "a parameter has no gradient".to_owned(),
             })
         };
-        let weights = layer.weight.val().grad(&gradients);
+        let weights = layer.weight.grad(&gradients);
         let weights = weights.map(|g| read(g, tensors.backend)).transpose()?;
-        gradient.extend(tracked(weights)?);
-        let biases = layer.bias.as_ref().and_then(|b| b.val().grad(&gradients));
+        values.extend(tracked(weights)?);
+        let biases = layer.bias.grad(&gradients);
         let biases = biases.map(|g| read(g, tensors.backend)).transpose()?;
-        gradient.extend(tracked(biases)?);
+        values.extend(tracked(biases)?);
     }
     let outputs = read(network.forward(tensors.features.clone()), tensors.backend)?;
-    Ok(Descending {
+    Ok(Gradient {
         squares: read(squares, tensors.backend)?[0],
         outputs,
-        gradient,
+        values,
     })
 }
 
@@ -145,15 +170,15 @@ mod tests {
                     );
                 }
             };
-            let (e, y) = own.evaluate(&network).expect("own");
-            let (e_burn, y_burn) = burn.evaluate(&network).expect("readable");
-            close(&e, &e_burn);
-            close(&y, &y_burn);
+            let at = own.evaluate(&network).expect("own");
+            let at_burn = burn.evaluate(&network).expect("readable");
+            close(&at.residuals, &at_burn.residuals);
+            close(&at.outputs, &at_burn.outputs);
             let rows = own.jacobian(&network).expect("own");
             close(&rows, &burn.jacobian(&network).expect("readable"));
-            let (a, b) = (own.descending(&network), burn.descending(&network));
+            let (a, b) = (own.gradient(&network), burn.gradient(&network));
             let (a, b) = (a.expect("own"), b.expect("readable"));
-            close(&a.gradient, &b.gradient);
+            close(&a.values, &b.values);
             close(&[a.squares], &[b.squares]);
         }
     }

@@ -1,4 +1,4 @@
-//! How sure R(t) and L(t) are: Laplace's approximation around the hybrid's minimum.
+//! Standard deviations of R(t) and L(t): Laplace's approximation around the hybrid's minimum (MacKay 1992).
 //!
 //! With normal noise of variance s^2 on each residual and the prior's pull, the weights are normal
 //! around the minimum with covariance `s^2 (J^T J + strength I)^-1`; R and L are linear in them to

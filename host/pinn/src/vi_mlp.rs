@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::SlowEmbedding;
 
-/// The VI-MLP: a multilayer perceptron with sine activations that says v(t) and i(t), trained
+/// The VI-MLP: a multilayer perceptron with sine activations whose outputs are v(t) and i(t), trained
 /// together with the RL-MLP on all samples by Adam.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -34,7 +34,7 @@ pub struct ViMlp {
 }
 
 impl Default for ViMlp {
-    /// The paper's network with the two repairs of the design notes: m from 0, slow features.
+    /// The paper's network repaired: m from 0, so that the fundamental is there, and slow features, so that the envelope is.
     fn default() -> Self {
         Self {
             hidden_layers: vec![64; 3],

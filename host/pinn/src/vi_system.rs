@@ -1,5 +1,5 @@
-//! Linear least squares for the VI branch: the data terms (5), (6), and with R and L given the
-//! physics term (4) as well. All three are quadratic in the coefficients.
+//! Linear least squares for the VI branch: minimises w_i (L_i1 + L_i2), the paper's eqs. (5), (6), and with R and L
+//! given all of eq. (7), w_f L_f of eq. (4) included. All three terms are quadratic in the coefficients.
 
 use ihd_spline::Banded;
 
@@ -210,8 +210,8 @@ mod tests {
                 assert!((a - b).norm() < 1e-5, "{h}: {a} and {b}");
             }
         }
-        let said = averaged.signals(&points);
-        for (n, i) in said.sample.iter().zip(&said.i) {
+        let fitted = averaged.signals(&points);
+        for (n, i) in fitted.sample.iter().zip(&fitted.i) {
             assert!((i - raw.i[*n]).abs() < 1e-4);
         }
         let (l_i1, l_i2) = averaged.data_losses(&points);

@@ -69,8 +69,12 @@ impl Cli {
 
 /// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
 /// 6 a replay that differs, 7 a capture unfit for identification, 1 anything else. Wrong usage is 2,
-/// by clap.
+/// by clap; so is the name of a preset that there is not.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
+    #[cfg(feature = "pinn")]
+    if let Some(ihd_pinn::PinnError::UnknownName { .. }) = error.downcast_ref() {
+        return 2;
+    }
     #[cfg(feature = "pinn")]
     if let Some(error) = error.downcast_ref::<ihd_train::TrainerError>() {
         use ihd_train::TrainerError as E;

@@ -1,22 +1,24 @@
-//! Both networks as a burn module; the gradient by burn's reverse mode, d/dt as a tangent beside the
-//! values, since burn has no forward mode.
+//! Eq. (7) of both networks in burn tensors: the gradient by burn's reverse mode, d/dt as a tangent
+//! beside the values, since burn has no forward mode.
+
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 
-use burn::module::{Module, Param};
-use burn::nn::Linear;
 use burn::tensor::activation::softplus;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::LayerPlace;
+use crate::dense::Dense;
 use crate::{Backend, PinnError};
 
 /// VI-MLP (sine) and RL-MLP (hyperbolic tangent, softplus).
-#[derive(Module, Debug)]
+#[derive(Debug)]
 struct Networks {
-    vi: Vec<Linear>,
-    rl: Vec<Linear>,
+    vi: Vec<Dense>,
+    rl: Vec<Dense>,
 }
 
 /// The points of a batch as tensors, a row a point.
@@ -29,8 +31,8 @@ struct Batch {
     i: Tensor<2>,
 }
 
-/// What the networks say: columns.
-struct Said {
+/// Outputs of both networks and the tangent of i, a column each.
+struct Outputs {
     v: Tensor<2>,
     i: Tensor<2>,
     i_rate: Tensor<2>,
@@ -75,31 +77,21 @@ impl Burn {
         )
     }
 
-    fn linear(&self, place: &LayerPlace, theta: &[f32]) -> Linear {
-        let bias = TensorData::new(theta[place.biases.clone()].to_vec(), [place.outputs]);
-        Linear {
-            weight: Param::from_tensor(self.matrix(&theta[place.weights.clone()], place.outputs)),
-            bias: Some(Param::from_tensor(Tensor::from_data(
-                bias,
-                (&self.device, self.dtype),
-            ))),
-        }
-    }
-
     fn networks(&self, problem: &Problem<'_>, theta: &[f32]) -> Networks {
-        let module = |places: &[LayerPlace]| {
-            let layers = places.iter().map(|place| self.linear(place, theta));
-            layers.collect()
+        let dense = |place: &LayerPlace| {
+            let (weights, biases) = (&theta[place.weights.clone()], &theta[place.biases.clone()]);
+            Dense::new(weights.to_vec(), biases.to_vec(), &self.device, self.dtype)
         };
+        let layers = |places: &[LayerPlace]| places.iter().map(dense).collect();
         Networks {
-            vi: module(&problem.shape.vi),
-            rl: module(&problem.shape.rl),
+            vi: layers(&problem.shape.vi),
+            rl: layers(&problem.shape.rl),
         }
     }
 
     fn batch(&mut self, problem: &Problem<'_>, range: &Range<usize>) -> Batch {
-        if let Some((known, batch)) = &self.batch
-            && known == range
+        if let Some((cached, batch)) = &self.batch
+            && cached == range
         {
             return batch.clone();
         }
@@ -138,11 +130,11 @@ impl Burn {
 }
 
 impl Networks {
-    fn say(&self, batch: &Batch, problem: &Problem<'_>) -> Said {
+    fn outputs(&self, batch: &Batch, problem: &Problem<'_>) -> Outputs {
         let (mut x, mut rate) = (batch.fast.clone(), batch.fast_rate.clone());
         for (index, layer) in self.vi.iter().enumerate() {
             x = layer.forward(x);
-            rate = rate.matmul(layer.weight.val());
+            rate = rate.matmul(layer.weight.clone());
             if index + 1 < self.vi.len() {
                 rate = rate * x.clone().cos();
                 x = x.sin();
@@ -157,7 +149,7 @@ impl Networks {
         }
         let y = softplus(y, 1.0);
         let column = |x: &Tensor<2>, at| x.clone().narrow(1, at, 1);
-        Said {
+        Outputs {
             v: column(&x, 0),
             i: column(&x, 1),
             i_rate: column(&rate, 1),
@@ -178,11 +170,12 @@ impl Kernel for Burn {
     ) -> Result<Terms, PinnError> {
         let networks = self.networks(problem, theta);
         let batch = self.batch(problem, &batch);
-        let said = networks.say(&batch, problem);
+        let outputs = networks.outputs(&batch, problem);
         let mean = |e: Tensor<2>| (e.clone() * e).mean();
-        let l_f = mean(said.v.clone() - said.r * said.i.clone() - said.x * said.i_rate);
-        let l_i1 = mean(said.v - batch.v);
-        let l_i2 = mean(said.i - batch.i);
+        let l_f =
+            mean(outputs.v.clone() - outputs.r * outputs.i.clone() - outputs.x * outputs.i_rate);
+        let l_i1 = mean(outputs.v - batch.v);
+        let l_i2 = mean(outputs.i - batch.i);
         let data = l_i1.clone() + l_i2.clone();
         let total = l_f.clone() * weights.w_f + data * weights.w_i;
         let found = total.backward();
@@ -190,10 +183,10 @@ impl Kernel for Burn {
         for (place, layer) in problem.shape.layers().zip(layers) {
             // A parameter that the loss does not depend on has no gradient: zero.
             gradient[place.weights.start..place.biases.end].fill(0.0);
-            if let Some(by_weight) = layer.weight.val().grad(&found) {
+            if let Some(by_weight) = layer.weight.grad(&found) {
                 gradient[place.weights.clone()].copy_from_slice(&self.read(by_weight)?);
             }
-            if let Some(by_bias) = layer.bias.as_ref().and_then(|b| b.val().grad(&found)) {
+            if let Some(by_bias) = layer.bias.grad(&found) {
                 gradient[place.biases.clone()].copy_from_slice(&self.read(by_bias)?);
             }
         }
@@ -211,168 +204,7 @@ impl Kernel for Burn {
     ) -> Result<(Vec<f32>, Vec<f32>), PinnError> {
         let networks = self.networks(problem, theta);
         let batch = self.batch(problem, &(0..problem.points.len()));
-        let said = networks.say(&batch, problem);
-        Ok((self.read(said.v)?, self.read(said.i)?))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::SlowEmbedding;
-    use crate::networks::collocation::{Collocation, Impedances};
-    use crate::networks::fused::Fused;
-    use crate::networks::shape::Shape;
-    use crate::trial;
-    use crate::vi_mlp::ViMlp;
-
-    const WEIGHTS: Weights = Weights { w_f: 5.0, w_i: 1.0 };
-
-    /// 183 points, so that blocks and tiles have remainders; hidden widths likewise.
-    fn trial_problem(vi: &ViMlp, slow: SlowEmbedding) -> (Shape, Collocation, Impedances) {
-        let samples = trial::samples();
-        let points = Collocation::new(&samples, vi, &slow, 1);
-        let shape = Shape::new(
-            (vi.width(), &vi.hidden_layers),
-            (slow.width(), &[16, 16, 16, 16]),
-        );
-        (shape, points, Impedances { r: 0.7, x: 0.9 })
-    }
-
-    fn assert_close(a: &[f32], b: &[f32], tolerance: f32, what: &str) {
-        let largest = b.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
-        assert!(largest > 1e-2 && a.len() == b.len());
-        for (at, (a, b)) in a.iter().zip(b).enumerate() {
-            assert!(
-                (a - b).abs() < tolerance * largest,
-                "{what} {at}: {a} against {b}"
-            );
-        }
-    }
-
-    #[test]
-    fn fused_flex_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
-        for (hidden_layers, slow) in [
-            (vec![64; 3], SlowEmbedding::Symmetric),
-            (vec![20, 7], SlowEmbedding::Fourier { first: 1, count: 1 }),
-        ] {
-            let vi = ViMlp {
-                hidden_layers,
-                downsampling: 50,
-                ..ViMlp::default()
-            };
-            let (shape, points, impedances) = trial_problem(&vi, slow);
-            let problem = Problem {
-                shape: &shape,
-                points: &points,
-                impedances,
-            };
-            let theta = shape.xavier(5);
-            let evaluate = |kernel: &mut dyn Kernel| {
-                let mut gradient = vec![0.0; shape.len];
-                let terms = kernel.loss(&problem, &theta, 0..points.len(), WEIGHTS, &mut gradient);
-                (terms.expect("computes"), gradient)
-            };
-            let (terms, gradient) = evaluate(&mut Fused::new(&shape));
-            for backend in [Backend::Flex, Backend::Ndarray] {
-                let device = backend.device().expect("a burn backend");
-                let (by_burn, burns) = evaluate(&mut Burn::new(backend, device));
-                assert_close(&gradient, &burns, 2e-5, "gradient");
-                let ours = [terms.l_f, terms.l_i1, terms.l_i2];
-                for (a, b) in ours.iter().zip([by_burn.l_f, by_burn.l_i1, by_burn.l_i2]) {
-                    assert!((a / b - 1.0).abs() < 1e-5, "{a} against {b}");
-                }
-            }
-            let mut fused = Fused::new(&shape);
-            let mut burn = Burn::new(Backend::Flex, Backend::Flex.device().expect("flex"));
-            let (v, i) = fused.signals(&problem, &theta).expect("computes");
-            let (v_burn, i_burn) = burn.signals(&problem, &theta).expect("computes");
-            assert_close(&v, &v_burn, 1e-5, "v");
-            assert_close(&i, &i_burn, 1e-5, "i");
-        }
-    }
-
-    #[test]
-    fn the_gradient_is_the_finite_difference_of_burns_loss_in_double_precision() {
-        let vi = ViMlp {
-            hidden_layers: vec![12, 9],
-            downsampling: 50,
-            ..ViMlp::default()
-        };
-        let (shape, points, impedances) = trial_problem(&vi, SlowEmbedding::Symmetric);
-        let problem = Problem {
-            shape: &shape,
-            points: &points,
-            impedances,
-        };
-        let theta = shape.xavier(2);
-        let mut gradient = vec![0.0; shape.len];
-        let all = 0..points.len();
-        let mut fused = Fused::new(&shape);
-        let computed = fused.loss(&problem, &theta, all.clone(), WEIGHTS, &mut gradient);
-        computed.expect("computes");
-        let mut burn = Burn::double(Backend::Flex, Backend::Flex.device().expect("flex"));
-        let largest = gradient.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
-        let mut unused = vec![0.0; shape.len];
-        for p in (0..shape.len).step_by(13) {
-            let mut total_at = |value: f32| {
-                let mut moved = theta.clone();
-                moved[p] = value;
-                let terms = burn.loss(&problem, &moved, all.clone(), WEIGHTS, &mut unused);
-                terms.expect("computes").total(WEIGHTS)
-            };
-            // The step as f32 has it; the loss is read back in single precision, so it is large.
-            let (up, down) = (theta[p] + 1e-2, theta[p] - 1e-2);
-            let numeric = (total_at(up) - total_at(down)) / f64::from(up - down);
-            let error = (numeric - f64::from(gradient[p])).abs();
-            assert!(
-                error < 2e-3 * f64::from(largest),
-                "{p}: {numeric} {}",
-                gradient[p]
-            );
-        }
-    }
-
-    #[test]
-    fn the_tangent_of_the_network_is_its_finite_difference_in_double_precision() {
-        let vi = ViMlp {
-            downsampling: 50,
-            ..ViMlp::default()
-        };
-        let (shape, points, impedances) = trial_problem(&vi, SlowEmbedding::Symmetric);
-        let problem = Problem {
-            shape: &shape,
-            points: &points,
-            impedances,
-        };
-        let burn = Burn::double(Backend::Flex, Backend::Flex.device().expect("flex"));
-        let networks = burn.networks(&problem, &shape.xavier(9));
-        let wide = |values: Vec<f64>, width: usize| -> Tensor<2> {
-            let shape = [values.len() / width, width];
-            Tensor::from_data(TensorData::new(values, shape), (&burn.device, DType::F64))
-        };
-        let (f_sw_hz, step) = (45e3, 1e-5);
-        let per_radian_s = (std::f64::consts::TAU * f_sw_hz).recip();
-        for t_s in [1.234_5e-3, 5.5e-3] {
-            let at = |shift: f64| {
-                let (x, rate) = vi.features(t_s + shift * per_radian_s, f_sw_hz, 50.0);
-                let batch = Batch {
-                    fast: wide(x, vi.width()),
-                    fast_rate: wide(rate, vi.width()),
-                    slow: wide(vec![0.1, 0.2], 2),
-                    v: wide(vec![0.0], 1),
-                    i: wide(vec![0.0], 1),
-                };
-                let said = networks.say(&batch, &problem);
-                let number = |x: Tensor<2>| x.into_data().try_into_vec::<f64>().expect("f64")[0];
-                (number(said.i), number(said.i_rate))
-            };
-            let numeric = (at(step).0 - at(-step).0) / (2.0 * step);
-            let (_, exact) = at(0.0);
-            assert!(
-                (numeric - exact).abs() < 1e-8 * (1.0 + exact.abs()),
-                "{numeric} {exact}"
-            );
-        }
+        let outputs = networks.outputs(&batch, problem);
+        Ok((self.read(outputs.v)?, self.read(outputs.i)?))
     }
 }

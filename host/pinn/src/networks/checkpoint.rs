@@ -4,9 +4,10 @@ use std::path::Path;
 
 use burn_pack::{Bytes, DType, Reader, Tensor, Writer};
 
-use crate::PinnError;
 use crate::adam::Adam;
 use crate::progress::Progress;
+use crate::waveform::Normalised;
+use crate::{Config, PinnError, ViMlp};
 
 /// Everything that the next epoch depends on, and what was recorded so far.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,52 +34,116 @@ const FINGERPRINT: &str = "ihd-fingerprint";
 /// Columns of a history row.
 const HISTORY_WIDTH: usize = 9;
 
-/// Writes `state` to `path`; a crash on the way leaves the old file.
-pub(crate) fn save(state: &State, fingerprint: &str, path: &Path) -> Result<(), PinnError> {
-    let numbers = vec![
-        state.epoch as f64,
-        f64::from(state.adam.steps),
-        state.best_loss,
-        state.rate_factor,
-        f64::from(state.rollbacks),
-        state.w_f,
-        state.past.len() as f64,
-    ];
-    let rows: Vec<f64> = state.history.iter().flat_map(history_row).collect();
-    let tensors = vec![
-        tensor("numbers", &numbers),
-        tensor("theta", &state.theta),
-        tensor("adam.mean", &state.adam.mean),
-        tensor("adam.square", &state.adam.square),
-        tensor("best", &state.best),
-        tensor("past", &state.past.concat()),
-        tensor("history", &rows),
-    ];
-    Writer::new(tensors)
-        .with_metadata("producer", "ihd-pinn checkpoint 1")
-        .with_metadata(FINGERPRINT, fingerprint)
-        .write_to_file(path)
-        .map_err(|e| broken(path, &e))
+/// Where a training is kept, if anywhere.
+pub(crate) struct Checkpoint<'a> {
+    path: Option<&'a Path>,
+    fingerprint: String,
 }
 
-/// Reads the state at `path`; nothing if there is no such file.
-///
-/// # Errors
-/// [`PinnError::Checkpoint`] for a file of another window or configuration, or a damaged one.
-pub(crate) fn load(
-    path: &Path,
-    fingerprint: &str,
-    like: &State,
-) -> Result<Option<State>, PinnError> {
-    if !path.exists() {
-        return Ok(None);
+impl<'a> Checkpoint<'a> {
+    /// Of a training on this window with this configuration.
+    pub fn new(path: Option<&'a Path>, samples: &Normalised, config: &Config, vi: &ViMlp) -> Self {
+        Self {
+            path,
+            fingerprint: fingerprint(samples, config, vi),
+        }
     }
+
+    /// The state in the file, or `first` where there is no file.
+    ///
+    /// # Errors
+    /// [`PinnError::Checkpoint`] for a file of another window or configuration, or a damaged one.
+    pub fn load(&self, first: State) -> Result<State, PinnError> {
+        let Some(path) = self.path.filter(|path| path.exists()) else {
+            return Ok(first);
+        };
+        let tensors = tensors(path, &self.fingerprint)?;
+        let state = restored(path, &tensors, &first)?;
+        let parts = [
+            &state.theta,
+            &state.adam.mean,
+            &state.adam.square,
+            &state.best,
+        ];
+        if parts.iter().all(|x| x.len() == first.theta.len()) {
+            return Ok(state);
+        }
+        let partial = "is damaged: not all parameters are there; remove it";
+        Err(broken(path, &partial))
+    }
+
+    /// Writes the state; a crash on the way leaves the old file.
+    pub fn save(&self, state: impl FnOnce() -> State) -> Result<(), PinnError> {
+        let Some(path) = self.path else {
+            return Ok(());
+        };
+        let state = state();
+        let numbers = vec![
+            state.epoch as f64,
+            f64::from(state.adam.steps),
+            state.best_loss,
+            state.rate_factor,
+            f64::from(state.rollbacks),
+            state.w_f,
+            state.past.len() as f64,
+        ];
+        let rows: Vec<f64> = state.history.iter().flat_map(history_row).collect();
+        let tensors = vec![
+            tensor("numbers", &numbers),
+            tensor("theta", &state.theta),
+            tensor("adam.mean", &state.adam.mean),
+            tensor("adam.square", &state.adam.square),
+            tensor("best", &state.best),
+            tensor("past", &state.past.concat()),
+            tensor("history", &rows),
+        ];
+        Writer::new(tensors)
+            .with_metadata("producer", "ihd-pinn checkpoint 1")
+            .with_metadata(FINGERPRINT, &self.fingerprint)
+            .write_to_file(path)
+            .map_err(|e| broken(path, &e))
+    }
+}
+
+/// Differs for every window and configuration, so that no checkpoint is mistaken.
+fn fingerprint(samples: &Normalised, config: &Config, vi: &ViMlp) -> String {
+    let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
+    let mut digest = crc.digest();
+    // Limits may change between two sittings; nothing else.
+    let settings = Config {
+        // A rate that falls over all epochs depends on their number.
+        max_iterations: match vi.last_rate {
+            1.0 => 1,
+            _ => config.max_iterations,
+        },
+        time_limit_s: 1.0,
+        ..config.clone()
+    };
+    digest.update(format!("{settings:?}").as_bytes());
+    let scales = [
+        samples.omega,
+        samples.t0_s,
+        samples.dt_s,
+        samples.f_mains_hz,
+    ];
+    for x in samples.v.iter().chain(&samples.i).chain(&scales) {
+        digest.update(&x.to_le_bytes());
+    }
+    format!("{:016x}", digest.finalize())
+}
+
+/// All tensors of the file, if it is one of this fingerprint.
+fn tensors(path: &Path, fingerprint: &str) -> Result<Vec<Tensor>, PinnError> {
     let reader = Reader::from_file(path).map_err(|e| broken(path, &e))?;
     if reader.metadata().get(FINGERPRINT).map(String::as_str) != Some(fingerprint) {
         let other = "belongs to another window or configuration; remove it or choose another file";
         return Err(broken(path, &other));
     }
-    let tensors = reader.into_tensors().map_err(|e| broken(path, &e))?;
+    reader.into_tensors().map_err(|e| broken(path, &e))
+}
+
+/// The state that the tensors hold; Adam's constants are those of `like`.
+fn restored(path: &Path, tensors: &[Tensor], like: &State) -> Result<State, PinnError> {
     let values = |name: &str| -> Result<Vec<f64>, PinnError> {
         let found = tensors.iter().find(|t| t.name == name);
         let found = found.ok_or_else(|| broken(path, &format!("has no tensor {name}")))?;
@@ -96,7 +161,7 @@ pub(crate) fn load(
     adam.steps = steps as u32;
     adam.mean = values("adam.mean")?;
     adam.square = values("adam.square")?;
-    let state = State {
+    Ok(State {
         epoch: epoch as usize,
         theta: values("theta")?,
         adam,
@@ -107,24 +172,7 @@ pub(crate) fn load(
         w_f,
         past: past.chunks_exact(width).map(<[f64]>::to_vec).collect(),
         history: history.chunks_exact(HISTORY_WIDTH).map(progress).collect(),
-    };
-    let count = like.theta.len();
-    let whole = [
-        &state.theta,
-        &state.adam.mean,
-        &state.adam.square,
-        &state.best,
-    ]
-    .iter()
-    .all(|x| x.len() == count);
-    if whole {
-        Ok(Some(state))
-    } else {
-        Err(broken(
-            path,
-            &"is damaged: not all parameters are there; remove it",
-        ))
-    }
+    })
 }
 
 fn broken(path: &Path, detail: &dyn std::fmt::Display) -> PinnError {

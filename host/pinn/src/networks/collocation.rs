@@ -1,4 +1,5 @@
-//! Collocation points: what the networks see and should say, in single precision.
+//! Collocation points: inputs of both networks, eqs. (2), (3), and the samples that they are compared with, eqs. (5),
+//! (6), in single precision.
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,5 @@
-//! The paper's two networks, trained together on every sample: VI-MLP and RL-MLP.
+//! The paper's two networks, VI-MLP (eq. (2)) and RL-MLP (eq. (3)), trained together on every sample: eq. (7) by
+//! Adam.
 
 mod burn_kernel;
 pub(crate) mod checkpoint;
@@ -10,7 +11,7 @@ mod train;
 
 pub(crate) use train::identify;
 
-/// What a VI branch says at some of the window's samples, normalised.
+/// Outputs of a VI branch at some of the window's samples, normalised.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Signals {
     /// Indices of the samples, ascending.

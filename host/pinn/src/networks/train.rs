@@ -1,5 +1,5 @@
-//! Adam on both networks at once, as the paper trains them (section V), with limits, rollback and
-//! checkpoints.
+//! Minimises the paper's eq. (7) over the weights of both networks by Adam, as the paper does, with limits,
+//! rollback and checkpoints.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::burn_kernel::Burn;
-use super::checkpoint::{self, State};
+use super::checkpoint::{Checkpoint, State};
 use super::collocation::{Collocation, Impedances};
 use super::fused::Fused;
 use super::kernel::{Kernel, Problem, Terms, Weights};
@@ -23,7 +23,7 @@ use crate::{Config, Identified, Losses, PinnError, ViMlp};
 
 /// Epochs between two looks at R and L.
 const LOOK_EVERY: usize = 10;
-/// Looks over which R and L must rest: 200 epochs.
+/// Looks over which the change of R and L is compared with the tolerance: 200 epochs.
 const SETTLING_LOOKS: usize = 20;
 /// Epochs between two checkpoints.
 const CHECKPOINT_EVERY: usize = 100;
@@ -48,28 +48,15 @@ pub(crate) fn identify(
         (vi.width(), &vi.hidden_layers),
         (config.embedding.width(), &config.hidden_layers),
     );
-    let scale = samples.impedance_scale();
     let problem = Problem {
         shape: &shape,
         points: &points,
-        impedances: Impedances {
-            r: (config.r_scale_ohm * scale) as f32,
-            x: (config.l_scale_h * samples.omega * scale) as f32,
-        },
+        impedances: impedances(samples, config),
     };
-    let fingerprint = fingerprint(samples, config, vi);
-    let mut state = first_state(&shape, config)?;
-    if let Some(path) = checkpoint
-        && let Some(found) = checkpoint::load(path, &fingerprint, &state)?
-    {
-        state = found;
-    }
+    let file = Checkpoint::new(checkpoint, samples, config, vi);
+    let mut state = file.load(first_state(&shape, config)?)?;
     log.resume(&mut state.history);
     log.pass = 1;
-    let mut kernel: Box<dyn Kernel> = match config.backend.device() {
-        None => Box::new(Fused::new(&shape)),
-        Some(device) => Box::new(Burn::new(config.backend, device)),
-    };
     let mut training = Training {
         settling: Settling::from_past(SETTLING_LOOKS, std::mem::take(&mut state.past)),
         tau_s: slow_times_s(samples.duration_s(), config.slow_points),
@@ -77,27 +64,24 @@ pub(crate) fn identify(
         config,
         vi,
         problem,
-        kernel: kernel.as_mut(),
+        kernel: match config.backend.device() {
+            None => Box::new(Fused::new(&shape)),
+            Some(device) => Box::new(Burn::new(config.backend, device)),
+        },
         gradient: vec![0.0; shape.len],
         state,
     };
-    let keep = |training: &Training<'_>, log: &Log<'_>| match checkpoint {
-        Some(path) => checkpoint::save(&training.snapshot(log), &fingerprint, path),
-        None => Ok(()),
-    };
-    let stopped = loop {
-        if let Some(limit) = log.exhausted() {
-            break limit;
-        }
-        if let Some(stopped) = training.epoch(&mut log)? {
-            break stopped;
-        }
-        if training.state.epoch.is_multiple_of(CHECKPOINT_EVERY) {
-            keep(&training, &log)?;
-        }
-    };
-    keep(&training, &log)?;
+    let stopped = training.run(&file, &mut log)?;
     training.finish(stopped, log)
+}
+
+/// R and ω L of outputs 1, normalised.
+fn impedances(samples: &Normalised, config: &Config) -> Impedances {
+    let scale = samples.impedance_scale();
+    Impedances {
+        r: (config.r_scale_ohm * scale) as f32,
+        x: (config.l_scale_h * samples.omega * scale) as f32,
+    }
 }
 
 /// Fresh weights from the seed, or those of the warm start.
@@ -129,40 +113,13 @@ fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
     })
 }
 
-/// Tells one window and configuration from another, so that no checkpoint is mistaken.
-fn fingerprint(samples: &Normalised, config: &Config, vi: &ViMlp) -> String {
-    let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
-    let mut digest = crc.digest();
-    // Limits may change between two sittings; nothing else.
-    let settings = Config {
-        // A rate that falls over all epochs depends on their number.
-        max_iterations: match vi.last_rate {
-            1.0 => 1,
-            _ => config.max_iterations,
-        },
-        time_limit_s: 1.0,
-        ..config.clone()
-    };
-    digest.update(format!("{settings:?}").as_bytes());
-    let scales = [
-        samples.omega,
-        samples.t0_s,
-        samples.dt_s,
-        samples.f_mains_hz,
-    ];
-    for x in samples.v.iter().chain(&samples.i).chain(&scales) {
-        digest.update(&x.to_le_bytes());
-    }
-    format!("{:016x}", digest.finalize())
-}
-
 /// A training under way.
 struct Training<'a> {
     samples: &'a Normalised,
     config: &'a Config,
     vi: &'a ViMlp,
     problem: Problem<'a>,
-    kernel: &'a mut dyn Kernel,
+    kernel: Box<dyn Kernel>,
     tau_s: Vec<f64>,
     settling: Settling,
     gradient: Vec<f32>,
@@ -170,6 +127,27 @@ struct Training<'a> {
 }
 
 impl Training<'_> {
+    /// Epochs until one gives a reason to stop, or a limit of the log; kept at the end as well.
+    fn run(
+        &mut self,
+        file: &Checkpoint<'_>,
+        log: &mut Log<'_>,
+    ) -> Result<StoppedBecause, PinnError> {
+        let stopped = loop {
+            if let Some(limit) = log.exhausted() {
+                break limit;
+            }
+            if let Some(stopped) = self.epoch(log)? {
+                break stopped;
+            }
+            if self.state.epoch.is_multiple_of(CHECKPOINT_EVERY) {
+                file.save(|| self.snapshot(log))?;
+            }
+        };
+        file.save(|| self.snapshot(log))?;
+        Ok(stopped)
+    }
+
     /// One epoch: all batches once; the reason to stop if there is one.
     fn epoch(&mut self, log: &mut Log<'_>) -> Result<Option<StoppedBecause>, PinnError> {
         let before = (self.state.theta.clone(), self.state.adam.clone());

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use ihd_identify::accuracy::{Accuracy, fundamental};
+use ihd_identify::pinn::preset_names;
 use ihd_identify::{Method, Settings, Watch, reconstruction, run_watched};
 use ihd_survey::{Severity, Survey};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -44,8 +45,11 @@ pub struct IdentifyArgs {
     /// TOML file with the estimators' settings; what it leaves out keeps its default
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// With the method pinn: preset of the network, as in docs/pinn.md
-    #[arg(long, value_name = "NAME")]
+    #[arg(
+        long,
+        value_name = "NAME",
+        help = format!("With the method pinn: preset of the network: {}", preset_names())
+    )]
     preset: Option<String>,
     /// With the method pinn: what computes the network, fused, flex or ndarray
     #[arg(long, value_name = "NAME")]
@@ -118,6 +122,10 @@ impl IdentifyArgs {
     /// Opens, surveys, identifies, reports.
     pub fn run(&self) -> Result<()> {
         let settings = self.settings()?;
+        let methods = MethodWord::chosen(&self.method);
+        if methods.contains(&Method::Pinn) {
+            settings.pinn.check()?;
+        }
         let capture = self.capture.open()?;
         let survey = Survey::of(&capture, &self.hints.hints())?;
         for finding in survey
@@ -130,7 +138,6 @@ impl IdentifyArgs {
         if survey.worst() == Some(Severity::Error) && !self.anyway {
             bail!("R and L would be wrong; mend the capture as advised, or go on with --anyway");
         }
-        let methods = MethodWord::chosen(&self.method);
         let segments = survey.segments(&capture);
         let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
         bar.set_style(

@@ -7,13 +7,21 @@ use std::str::FromStr;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ihd_identify::Method;
-use ihd_pinn::Preset;
+use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::simulate::LoadWord;
 use crate::study::estimators::{F_SW_HZ, SNR_DB};
 use crate::study::paper::{Contender, Job, publish, study};
+
+/// Presets of a study that names none.
+const DEFAULT_PRESETS: [&str; 4] = [
+    "hybrid",
+    "paper-literal",
+    "literal-scaled",
+    "paper-repaired",
+];
 
 /// Epochs of the paper's presets with `--quick`.
 const QUICK_EPOCHS: usize = 100;
@@ -59,16 +67,21 @@ impl Display for SnrWord {
     ihd study paper --quick\n  \
     ihd study paper --out study --seeds 3 --preset hybrid,paper-repaired\n  \
     ihd study paper --out study --preset hybrid-fractional --load field --khz 45 --snr none,30\n  \
-    ihd study paper --out study --epochs 500 --json")]
+    ihd study paper --out study --epochs 500 --json\n  \
+    ihd study paper --out study --presets my-presets --preset mine,hybrid\n\n\
+    A preset of your own is a TOML file as for ihd trainer --config: `preset` names the one that it\n\
+    changes, `description` is for the report. Its name is the file's, without .toml.")]
 pub struct PaperArgs {
-    /// Presets, with commas between them
     #[arg(
         long,
         value_name = "NAME,…",
         value_delimiter = ',',
-        default_value = "hybrid,paper-literal,literal-scaled,paper-repaired"
+        help = preset_help()
     )]
-    preset: Vec<Preset>,
+    preset: Vec<String>,
+    /// Folder with presets of your own, *.toml
+    #[arg(long, value_name = "DIR")]
+    presets: Option<PathBuf>,
     /// Loads, with commas between them: behavioural is truth a, where v = R i + L di/dt holds
     #[arg(
         long,
@@ -117,6 +130,15 @@ pub struct PaperArgs {
     json: bool,
 }
 
+/// Help of `--preset`, with the names that there are.
+fn preset_help() -> String {
+    format!(
+        "Presets, with commas between them: {}; without this {} and those of --presets",
+        PresetLibrary::default().names().join(", "),
+        DEFAULT_PRESETS.join(", ")
+    )
+}
+
 impl PaperArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
@@ -124,16 +146,20 @@ impl PaperArgs {
         ensure!(self.epochs != Some(0), "--epochs is 0: give one at least");
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the folder {}", self.out.display()))?;
-        let jobs = self.jobs();
+        let presets = match &self.presets {
+            Some(folder) => PresetLibrary::with_folder(folder)?,
+            None => PresetLibrary::default(),
+        };
+        let jobs = self.jobs(&presets)?;
         let bar = ProgressBar::new(jobs.len() as u64);
         let style = ProgressStyle::with_template("{bar:24} {pos}/{len} cells {wide_msg}");
         bar.set_style(style.context("progress bar")?);
-        let cells = study(&jobs, &self.out, &mut |done, text| {
+        let cells = study(&jobs, &presets, &self.out, &mut |done, text| {
             bar.set_position(done as u64);
             bar.set_message(text.to_owned());
         })?;
         bar.finish_and_clear();
-        let report = publish(&cells, &self.out)?;
+        let report = publish(&cells, &presets, &self.out)?;
         if self.json {
             println!("{}", serde_json::to_string_pretty(&cells)?);
         } else {
@@ -146,24 +172,21 @@ impl PaperArgs {
     }
 
     /// All cells, by load and frequency, so that each capture is simulated once.
-    fn jobs(&self) -> Vec<Job> {
-        let presets = self.preset.iter().map(|preset| Contender::Pinn(*preset));
-        let others = [Method::Ekf, Method::Lockin].map(Contender::Other);
-        let contenders: Vec<Contender> = presets.chain(others).collect();
+    fn jobs(&self, presets: &PresetLibrary) -> Result<Vec<Job>> {
+        let contenders = self.contenders(presets)?;
         let mut jobs = Vec::new();
         for &load in &self.load {
             for khz in &self.khz {
                 for snr in &self.snr {
-                    for &contender in &contenders {
+                    for (contender, epochs) in &contenders {
                         for seed in 1..=self.seeds {
-                            let epochs = self.epochs_of(contender);
                             jobs.push(Job {
                                 load: load.into(),
                                 f_sw_hz: 1e3 * khz,
                                 snr_db: snr.0,
-                                contender,
+                                contender: contender.clone(),
                                 seed,
-                                epochs,
+                                epochs: *epochs,
                             });
                         }
                     }
@@ -171,16 +194,32 @@ impl PaperArgs {
             }
         }
         jobs.retain(|job| self.wants(job));
-        jobs
+        Ok(jobs)
     }
 
-    fn epochs_of(&self, contender: Contender) -> Option<usize> {
-        match contender {
-            Contender::Pinn(preset) if preset.config().vi_mlp.is_some() => {
-                self.epochs.or(self.quick.then_some(QUICK_EPOCHS))
-            }
-            _ => None,
+    /// Who is compared, with the most epochs of presets that have a VI-MLP.
+    fn contenders(&self, presets: &PresetLibrary) -> Result<Vec<(Contender, Option<usize>)>> {
+        let names: Vec<&str> = if self.preset.is_empty() {
+            DEFAULT_PRESETS
+                .into_iter()
+                .chain(presets.folder_names())
+                .collect()
+        } else {
+            self.preset.iter().map(String::as_str).collect()
+        };
+        let cut = self.epochs.or(self.quick.then_some(QUICK_EPOCHS));
+        let mut contenders = Vec::new();
+        for name in names {
+            // Cells are files by name.
+            let taken = Method::ALL.iter().any(|method| method.name() == name);
+            ensure!(!taken, "{name} is an estimator: rename the preset's file");
+            let preset = presets.get(name)?;
+            let epochs = preset.config.vi_mlp.and(cut);
+            contenders.push((Contender::Pinn(preset.name), epochs));
         }
+        let others = [Method::Ekf, Method::Lockin].map(|method| (Contender::Other(method), None));
+        contenders.extend(others);
+        Ok(contenders)
     }
 
     /// What `--quick` leaves out, and seeds of what has neither noise nor a network.

@@ -6,12 +6,12 @@ use ihd_identify::accuracy::{Accuracy, fundamental};
 use ihd_identify::network::{half_cycle, informed};
 use ihd_identify::trajectory::Trajectory;
 use ihd_identify::{Estimate, Method, Settings, Watch};
-use ihd_pinn::{Config, Identified, Preset};
+use ihd_pinn::{Config, Identified, PresetLibrary};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::trial::Trial;
 
-use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point};
+use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point, folder_settings};
 
 /// Entries of a loss curve or of R(t) that are kept.
 const KEPT: usize = 250;
@@ -26,6 +26,7 @@ struct Found {
 /// Runs one cell on its capture.
 pub(super) fn run(
     job: &Job,
+    presets: &PresetLibrary,
     point: &Point,
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
@@ -35,10 +36,15 @@ pub(super) fn run(
     let nothing = || PaperStudyError::Nothing(stem.clone());
     let noisy = trial.noisy(job.snr_db, job.seed);
     let last = *noisy.half_cycles().last().ok_or_else(nothing)?;
-    let found = match job.contender {
-        Contender::Other(method) => other(job, method, trial, &noisy, last)?,
+    let found = match &job.contender {
+        Contender::Other(method) => other(job, *method, trial, &noisy, last)?,
         Contender::Pinn(preset) => {
-            let config = informed(configured(job, preset), &noisy);
+            let config = presets.get(preset).map(|found| found.config);
+            let config = config.map_err(|source| PaperStudyError::Pinn {
+                cell: stem.clone(),
+                source,
+            })?;
+            let config = informed(configured(job, config), &noisy);
             network(job, &config, trial, &noisy, last, checkpoint, progress)?
         }
     };
@@ -52,7 +58,8 @@ pub(super) fn run(
     let truth_points = truth.t_s.iter().zip(truth.r_ohm.iter().zip(&truth.l_h));
     let truth_points = truth_points.map(|(t, (r, l))| (*t, *r, *l));
     Ok(Cell {
-        job: *job,
+        job: job.clone(),
+        settings: folder_settings(job, presets),
         whole: accuracy.whole.into(),
         middle: accuracy.middle.into(),
         describing: describing.map(|a| a.whole.into()),
@@ -75,8 +82,7 @@ pub(super) fn run(
     })
 }
 
-fn configured(job: &Job, preset: Preset) -> Config {
-    let mut config = preset.config();
+fn configured(job: &Job, mut config: Config) -> Config {
     config.seed = job.seed;
     config.deterministic = true;
     if let (Some(epochs), Some(_)) = (job.epochs, &config.vi_mlp) {

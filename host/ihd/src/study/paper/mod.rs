@@ -10,7 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use ihd_identify::{IdentifyError, Method};
-use ihd_pinn::{PinnError, Preset};
+use ihd_pinn::{Config, PinnError, PresetLibrary};
 use ihd_signal::truth::Mre;
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::inverter::InverterError;
@@ -21,27 +21,27 @@ use serde::{Deserialize, Serialize};
 use crate::report::FigureError;
 
 /// Who is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contender {
-    /// A preset of the PINN.
-    Pinn(Preset),
+    /// A preset of the PINN, by its name.
+    Pinn(String),
     /// Another estimator.
     Other(Method),
 }
 
 impl Contender {
     /// Its name in tables and files.
-    pub fn name(self) -> &'static str {
+    pub fn name(&self) -> &str {
         match self {
-            Self::Pinn(preset) => preset.name(),
+            Self::Pinn(preset) => preset,
             Self::Other(method) => method.name(),
         }
     }
 }
 
 /// One cell of the study.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// Load model that gives the capture and the truth.
     pub load: LoadKind,
@@ -106,6 +106,9 @@ impl From<Mre> for Errors {
 pub struct Cell {
     /// What was run.
     pub job: Job,
+    /// Settings of a preset from a folder, whose file may change between two runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Config>,
     /// Errors over the last mains half-cycle.
     pub whole: Errors,
     /// Over its middle 80 %.
@@ -204,6 +207,7 @@ impl Point {
 /// [`PaperStudyError`].
 pub fn study(
     jobs: &[Job],
+    presets: &PresetLibrary,
     folder: &Path,
     progress: &mut dyn FnMut(usize, &str),
 ) -> Result<Vec<Cell>, PaperStudyError> {
@@ -214,7 +218,11 @@ pub fn study(
         let path = folder.join(format!("{stem}.json"));
         let done = cells.len();
         progress(done, &stem);
+        let settings = folder_settings(job, presets);
         if let Some(cell) = kept(&path)? {
+            if cell.settings != settings {
+                return Err(broken(&path, &"is of other settings of this preset"));
+            }
             cells.push(cell);
             continue;
         }
@@ -223,7 +231,7 @@ pub fn study(
             _ => Point::simulate(job)?,
         };
         let checkpoint = folder.join(format!("{stem}.bpk"));
-        let cell = cell::run(job, &point, &checkpoint, &mut |text| {
+        let cell = cell::run(job, presets, &point, &checkpoint, &mut |text| {
             progress(done, &format!("{stem}: {text}"));
         })?;
         write(
@@ -240,18 +248,33 @@ pub fn study(
     Ok(cells)
 }
 
-/// Writes report.md, cells.json and the figures into `folder`; returns the report's path.
+/// Writes report.md, cells.json and the figures into `folder`; returns the report's path. `presets` tells
+/// what each of them is.
 ///
 /// # Errors
 /// [`PaperStudyError`].
-pub fn publish(cells: &[Cell], folder: &Path) -> Result<PathBuf, PaperStudyError> {
+pub fn publish(
+    cells: &[Cell],
+    presets: &PresetLibrary,
+    folder: &Path,
+) -> Result<PathBuf, PaperStudyError> {
     let json = folder.join("cells.json");
     let text = serde_json::to_vec_pretty(cells).map_err(|e| broken(&json, &e))?;
     write(&json, &text)?;
     let figures = figure::all(cells, folder)?;
     let path = folder.join("report.md");
-    write(&path, report::markdown(cells, &figures).as_bytes())?;
+    write(&path, report::markdown(cells, presets, &figures).as_bytes())?;
     Ok(path)
+}
+
+/// Settings of the job's preset where a folder gives them.
+fn folder_settings(job: &Job, presets: &PresetLibrary) -> Option<Config> {
+    let Contender::Pinn(name) = &job.contender else {
+        return None;
+    };
+    let from_folder = presets.folder_names().any(|own| own == name);
+    let preset = presets.get(name).ok().filter(|_| from_folder);
+    preset.map(|preset| preset.config)
 }
 
 fn kept(path: &Path) -> Result<Option<Cell>, PaperStudyError> {

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::published::pinn;
@@ -49,7 +50,7 @@ fn number(x: f64) -> String {
 }
 
 /// The report; `figures` are names of files beside it.
-pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
+pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> String {
     let mut out = String::from("# The paper's tables, with truth from simulation\n\n");
     out.push_str(
         "Errors in percent over the last mains half-cycle, mean over the seeds and, in brackets, the \
@@ -75,9 +76,13 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
         }
     }
     out.push_str("\n## Who\n\n");
-    for contender in distinct(&cells.iter().collect::<Vec<_>>(), |c| c.job.contender) {
-        if let Contender::Pinn(preset) = contender {
-            let _ = writeln!(out, "- `{preset}`: {}.", preset.description());
+    for contender in distinct(&cells.iter().collect::<Vec<_>>(), |c| {
+        c.job.contender.clone()
+    }) {
+        if let Contender::Pinn(name) = contender
+            && let Ok(preset) = presets.get(&name)
+        {
+            let _ = writeln!(out, "- `{name}`: {}.", preset.description);
         }
     }
     if !figures.is_empty() {
@@ -116,19 +121,19 @@ fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
     for f_sw_hz in distinct(&of_snr, |c| c.job.f_sw_hz) {
         let here = of_snr.iter().copied().filter(|c| c.job.f_sw_hz == f_sw_hz);
         let here: Vec<&Cell> = here.collect();
-        for contender in distinct(&here, |c| c.job.contender) {
+        for contender in distinct(&here, |c| c.job.contender.clone()) {
             let of = here
                 .iter()
                 .copied()
                 .filter(|c| c.job.contender == contender);
-            row(out, f_sw_hz, contender, &of.collect::<Vec<_>>());
+            row(out, f_sw_hz, &contender, &of.collect::<Vec<_>>());
         }
         published(out, f_sw_hz, snr_db);
     }
     out.push('\n');
 }
 
-fn row(out: &mut String, f_sw_hz: f64, contender: Contender, cells: &[&Cell]) {
+fn row(out: &mut String, f_sw_hz: f64, contender: &Contender, cells: &[&Cell]) {
     let column = |value: &dyn Fn(&Cell) -> Option<f64>| {
         let values: Vec<f64> = cells.iter().filter_map(|c| value(c)).collect();
         Spread::of(&values).map_or("–".into(), |s| s.text())
@@ -193,6 +198,7 @@ mod tests {
                 seed,
                 epochs: None,
             },
+            settings: None,
             whole: Errors { r_pct, l_pct: 1.0 },
             middle: Errors { r_pct, l_pct: 1.0 },
             describing: None,
@@ -212,7 +218,11 @@ mod tests {
 
     #[test]
     fn a_row_has_mean_and_spread_of_its_seeds_beside_the_papers_figures() {
-        let text = markdown(&[cell(1, 2.0), cell(2, 4.0)], &["a.svg".into()]);
+        let text = markdown(
+            &[cell(1, 2.0), cell(2, 4.0)],
+            &PresetLibrary::default(),
+            &["a.svg".into()],
+        );
         assert!(
             text.contains("| 45 | lockin | 3.00 (2.00–4.00) | 1.00 (1.00–1.00) |"),
             "{text}"

@@ -1,5 +1,5 @@
-//! The fused kernel: forward pass, tangent, loss and backward pass of both networks over blocks of
-//! points that stay in the cache, in single precision and on one core.
+//! Eq. (7) of the paper's two networks and its gradient by one fused kernel: forward pass, tangent, loss and
+//! backward pass over blocks of points that stay in the cache, in single precision and on one core.
 
 mod elementary;
 mod net;
@@ -23,8 +23,9 @@ pub(crate) struct Fused {
     arch: Arch,
     vi: Net<true>,
     rl: Net<false>,
-    said_vi: Vec<AtPoint>,
-    said_rl: Vec<AtPoint>,
+    /// Outputs of a block's points, then the loss's derivatives by them.
+    vi_points: Vec<AtPoint>,
+    rl_points: Vec<AtPoint>,
 }
 
 impl Fused {
@@ -34,8 +35,8 @@ impl Fused {
             arch: Arch::new(),
             vi: Net::new(&shape.vi, BLOCK),
             rl: Net::new(&shape.rl, BLOCK),
-            said_vi: vec![AtPoint::default(); BLOCK],
-            said_rl: vec![AtPoint::default(); BLOCK],
+            vi_points: vec![AtPoint::default(); BLOCK],
+            rl_points: vec![AtPoint::default(); BLOCK],
         }
     }
 }
@@ -100,26 +101,26 @@ impl WithSimd for Pass<'_> {
             let x = &points.fast[start * fast..end * fast];
             let x_rate = &points.fast_rate[start * fast..end * fast];
             let x_slow = &points.slow[start * slow..end * slow];
-            let (said_vi, said_rl) = (&mut nets.said_vi[..m], &mut nets.said_rl[..m]);
-            nets.vi.forward(s, x, x_rate, said_vi);
-            nets.rl.forward(s, x_slow, &[], said_rl);
+            let (vi_points, rl_points) = (&mut nets.vi_points[..m], &mut nets.rl_points[..m]);
+            nets.vi.forward(s, x, x_rate, vi_points);
+            nets.rl.forward(s, x_slow, &[], rl_points);
             let samples = points.v[start..end].iter().zip(&points.i[start..end]);
-            for ((vi, rl), (v, i)) in said_vi.iter_mut().zip(said_rl.iter_mut()).zip(samples) {
+            for ((vi, rl), (v, i)) in vi_points.iter_mut().zip(rl_points.iter_mut()).zip(samples) {
                 let residuals = differentiate(self.problem, self.weights, count, vi, rl, *v, *i);
                 for (sum, e) in squares.iter_mut().zip(residuals) {
                     *sum += f64::from(e * e);
                 }
             }
-            nets.vi.backward(s, x, x_rate, said_vi);
-            nets.rl.backward(s, x_slow, &[], said_rl);
+            nets.vi.backward(s, x, x_rate, vi_points);
+            nets.rl.backward(s, x_slow, &[], rl_points);
         }
         let [l_f, l_i1, l_i2] = squares.map(|sum| sum / count.max(1) as f64);
         Terms { l_f, l_i1, l_i2 }
     }
 }
 
-/// The three residuals at one point; puts the loss's derivatives in place of what the networks
-/// said.
+/// The three residuals at one point; puts the loss's derivatives in place of the networks'
+/// outputs.
 #[inline(always)]
 fn differentiate(
     problem: &Problem<'_>,
@@ -167,11 +168,11 @@ impl WithSimd for Signals<'_> {
         let row = BLOCK * points.fast_width;
         let mut signals = (Vec::new(), Vec::new());
         for (x, x_rate) in points.fast.chunks(row).zip(points.fast_rate.chunks(row)) {
-            let said = &mut nets.said_vi[..x.len() / points.fast_width];
-            nets.vi.forward(s, x, x_rate, said);
-            for said in said {
-                signals.0.push(said.outputs[0]);
-                signals.1.push(said.outputs[1]);
+            let at_points = &mut nets.vi_points[..x.len() / points.fast_width];
+            nets.vi.forward(s, x, x_rate, at_points);
+            for at in at_points {
+                signals.0.push(at.outputs[0]);
+                signals.1.push(at.outputs[1]);
             }
         }
         signals

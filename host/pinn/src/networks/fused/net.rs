@@ -1,4 +1,5 @@
-//! One network: its weights in padded rows, its activations of one block, and both passes.
+//! One network of the paper: its weights in padded rows, its activations of one block, y = act(x W + b) layer
+//! by layer with its tangent, and the backward pass (reverse mode by hand).
 
 use pulp::Simd;
 
@@ -34,7 +35,7 @@ struct Output {
     g_b: [f32; OUTPUTS],
 }
 
-/// What a network says at one point, or the loss's derivative by it.
+/// A network's outputs at one point, or the loss's derivatives by them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct AtPoint {
     /// v, i of the VI-MLP; both outputs before the softplus of the RL-MLP.
@@ -143,14 +144,14 @@ impl<const RATE: bool> Net<RATE> {
         gradient[output.place.biases.clone()].copy_from_slice(&output.g_b);
     }
 
-    /// What the network says at the points whose inputs are the rows of `x`; `x_rate` holds the
+    /// The network's outputs at the points whose inputs are the rows of `x`; `x_rate` holds the
     /// inputs' rates of change and is not looked at without `RATE`.
     #[inline(always)]
-    pub fn forward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], said: &mut [AtPoint]) {
-        let m = said.len();
+    pub fn forward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], at_points: &mut [AtPoint]) {
+        let m = at_points.len();
         for index in 0..self.hidden.len() {
-            let (before, rest) = self.hidden.split_at_mut(index);
-            let layer = &mut rest[0];
+            let (before, from_here) = self.hidden.split_at_mut(index);
+            let layer = &mut from_here[0];
             let (inputs, n) = (layer.inputs, layer.outputs);
             let (values, rates) = match before.last() {
                 None => (x, x_rate),
@@ -176,29 +177,29 @@ impl<const RATE: bool> Net<RATE> {
             return;
         };
         let (n, output) = (last.outputs, &self.output);
-        for (p, said) in said.iter_mut().enumerate() {
+        for (p, at) in at_points.iter_mut().enumerate() {
             let act = &last.act[p * n..(p + 1) * n];
             // No closure: one that is not inlined would lose the instruction set.
-            said.outputs = [
+            at.outputs = [
                 output.b[0] + dot(s, act, &output.w[0]),
                 output.b[1] + dot(s, act, &output.w[1]),
             ];
             if RATE {
-                said.rate = dot(s, &last.act[(m + p) * n..(m + p + 1) * n], &output.w[1]);
+                at.rate = dot(s, &last.act[(m + p) * n..(m + p + 1) * n], &output.w[1]);
             }
         }
     }
 
-    /// Adds to the gradient, `by` being the loss's derivatives by what [`Self::forward`] last said
-    /// of the same `x`.
+    /// Adds to the gradient, `by` being the loss's derivatives by the outputs that
+    /// [`Self::forward`] last gave for the same `x`.
     #[inline(always)]
     pub fn backward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], by: &[AtPoint]) {
         let m = by.len();
         self.backward_output(s, by);
         let [delta, next] = &mut self.delta;
         for index in (0..self.hidden.len()).rev() {
-            let (before, rest) = self.hidden.split_at_mut(index);
-            let layer = &mut rest[0];
+            let (before, from_here) = self.hidden.split_at_mut(index);
+            let layer = &mut from_here[0];
             let (inputs, n) = (layer.inputs, layer.outputs);
             let (d, d_rate) = delta.split_at_mut(m * n);
             let (pre, pre_rate) = layer.pre.split_at(m * n);
@@ -312,8 +313,8 @@ fn sines_back<S: Simd>(
     let (cos, pre_rate) = (S::as_simd_f32s(cos).0, S::as_simd_f32s(pre_rate).0);
     let (sin, d) = (S::as_simd_f32s(sin).0, S::as_mut_simd_f32s(d).0);
     let (d_rate, _) = S::as_mut_simd_f32s(d_rate);
-    let known = cos.iter().zip(sin).zip(pre_rate);
-    for (((cos, sin), pre_rate), (d, d_rate)) in known.zip(d.iter_mut().zip(d_rate)) {
+    let forward = cos.iter().zip(sin).zip(pre_rate);
+    for (((cos, sin), pre_rate), (d, d_rate)) in forward.zip(d.iter_mut().zip(d_rate)) {
         let bend = s.mul_f32s(s.mul_f32s(*sin, *pre_rate), *d_rate);
         *d = s.sub_f32s(s.mul_f32s(*cos, *d), bend);
         *d_rate = s.mul_f32s(*cos, *d_rate);

@@ -49,8 +49,8 @@ pub(super) fn affine<S: Simd>(
             affine_rows::<S, ROWS, 1>(s, x_tile, w, bias, out_tile, columns);
         }
     }
-    let rest = out_tiles.into_remainder().chunks_exact_mut(n);
-    for (x_row, out_row) in x_tiles.remainder().chunks_exact(x.width).zip(rest) {
+    let last_rows = out_tiles.into_remainder().chunks_exact_mut(n);
+    for (x_row, out_row) in x_tiles.remainder().chunks_exact(x.width).zip(last_rows) {
         affine_rows::<S, 1, 1>(s, x_row, w, bias, out_row, columns);
     }
 }

@@ -1,9 +1,7 @@
 //! What `identify` refuses, and whether it says what, where and what to do.
 
-mod truth;
-
+use crate::truth::{Hob, Recording};
 use ihd_pinn::{Backend, Config, Optimiser, PinnError, Waveform, identify};
-use truth::{Hob, Recording};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()

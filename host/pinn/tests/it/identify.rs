@@ -1,10 +1,8 @@
-//! The identification against an exact load (truth (a) of the design notes): the generator knows
+//! The identification against an exact load (truth.rs): the generator knows
 //! R(t) and L(t), so every bound below comes from the physics and none from an earlier output.
 
-mod truth;
-
+use crate::truth::{Hob, Recording, fits_the_range, mre_pct};
 use ihd_pinn::{Backend, Config, Identified, Optimiser, SlowEmbedding, StoppedBecause, identify};
-use truth::{Hob, Recording, fits_the_range, mre_pct};
 
 fn found(recording: &Recording, config: &Config) -> Identified {
     identify(&recording.waveform(), config, &mut |_| {}).expect("a sound window")
@@ -283,7 +281,7 @@ fn config_and_result_survive_json() {
 }
 
 #[test]
-fn a_loss_that_is_not_finite_is_rolled_back_and_said() {
+fn a_loss_that_is_not_finite_is_rolled_back_and_reported() {
     let recording = Hob::at(45e3, 50.0).record();
     let mut start = found(&recording, &Config::default()).parameters;
     for layer in &mut start.layers {

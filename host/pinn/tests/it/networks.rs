@@ -1,11 +1,9 @@
 //! The paper's two networks: training, limits, checkpoints, backends.
 
-mod truth;
-
 use std::path::Path;
 
+use crate::truth::{Hob, Recording};
 use ihd_pinn::{Backend, Config, Identified, Preset, StoppedBecause, Task, ViMlp, identify};
-use truth::{Hob, Recording};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()
@@ -213,28 +211,4 @@ fn a_warm_start_goes_on_from_its_weights() {
     };
     let warm = trained(&config);
     assert!(warm.history[0].loss < 0.5 * cold.history[0].loss);
-}
-
-#[test]
-fn toml_files_lie_over_their_preset() {
-    let text = "preset = \"paper-repaired\"\nseed = 9\n[vi_mlp]\nn_sw = 5\n";
-    let config = Config::from_toml(text).expect("sound");
-    let mut expected = Preset::PaperRepaired.config();
-    expected.seed = 9;
-    expected.vi_mlp.as_mut().expect("has one").n_sw = 5;
-    assert_eq!(config, expected);
-    assert_eq!(Config::from_toml("").expect("empty"), Config::default());
-    for preset in Preset::ALL {
-        let named = Config::from_toml(&format!("preset = \"{preset}\"")).expect("known");
-        assert_eq!(named, preset.config());
-    }
-    for wrong in [
-        "preset = \"best\"",
-        "sed = 1",
-        "[vi_mlp]\nn_sww = 1",
-        "seed = -",
-        "w_f = -1.0",
-    ] {
-        assert!(Config::from_toml(wrong).is_err(), "{wrong}");
-    }
 }

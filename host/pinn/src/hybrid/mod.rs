@@ -1,0 +1,63 @@
+//! Minimises the paper's eq. (7),
+//!
+//!   L = w_f L_f + w_i (L_i1 + L_i2),
+//!
+//! by block-coordinate descent: the harmonic VI branch by linear least squares, with R(t) and L(t) held; then
+//! the RL-MLP by the configured optimiser, with the branch held; alternating. The first branch is fitted to
+//! the data terms (5), (6) alone.
+
+mod pass;
+mod result;
+mod setup;
+
+pub(crate) use self::pass::Descent;
+
+use self::pass::Pass;
+use crate::impedance_law::AtHarmonic;
+use crate::progress::Log;
+use crate::vi_system::{DataSystem, PhysicsTerm};
+use crate::waveform::Normalised;
+use crate::{Config, Identified, PinnError};
+
+/// What all passes share.
+struct Inputs<'a> {
+    samples: &'a Normalised,
+    config: &'a Config,
+    /// n of the impedance law Z(s) = s L_0 + K s^n.
+    order: f64,
+    /// That law at each physics harmonic.
+    laws: Vec<AtHarmonic>,
+}
+
+/// Identifies R(t) and L(t) of one window.
+pub(crate) fn hybrid(
+    samples: &Normalised,
+    config: &Config,
+    mut log: Log<'_>,
+) -> Result<Identified, PinnError> {
+    let system = DataSystem::assemble(samples, setup::harmonic_basis(samples, config)?);
+    let mut branch = system.fit()?;
+    let mut network = setup::network_outline(samples, config);
+    let order = setup::impedance_order(&branch, samples, &network, config);
+    let inputs = Inputs {
+        samples,
+        config,
+        order,
+        laws: setup::laws(order, &branch.basis, config),
+    };
+    loop {
+        log.pass += 1;
+        let pass = Pass::new(&inputs, &branch, network);
+        let descent = pass.train(&mut log)?;
+        let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
+        if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
+            return result::assemble(&pass, &branch, descent, log);
+        }
+        network = descent.parameters;
+        branch = system.fit_with_physics(&PhysicsTerm {
+            weight: config.w_f / config.w_i,
+            impedance: &pass.impedances(&network),
+            harmonics: &inputs.laws,
+        })?;
+    }
+}

@@ -1,0 +1,163 @@
+//! One pass: with the VI branch held, the RL-MLP minimises
+//!
+//!   |e(θ)|² + (σ²/w²) |θ − c|²,
+//!
+//! e being the condensed physics residuals with |e|² = w_f L_f less a floor (eq. (4), [`SlowPhysics`]), σ² their
+//! variance under the samples' white noise, w the width expected of the weights θ (`weight_width`) and c the
+//! constant network that fits best.
+
+use super::Inputs;
+use crate::harmonic_branch::HarmonicBranch;
+use crate::levenberg_marquardt::{Evaluation, LeastSquares, Prior, minimise};
+use crate::loss::{SlowPhysics, slow_times_s};
+use crate::noise::{noise_variance, white_noise};
+use crate::parameters::Parameters;
+use crate::progress::{Log, StoppedBecause, relative_change};
+use crate::slow_model::SlowModel;
+use crate::vi_system::Impedance;
+use crate::{Optimiser, PinnError, adam};
+
+/// Converged when a pass changes R and L by less than this part of the standard deviation that noise would
+/// leave for a constant load: what is below it is noise.
+const SHARE_OF_NOISE: f64 = 0.1;
+
+/// Where an optimiser ended.
+pub(crate) struct Descent {
+    pub parameters: Parameters,
+    /// |e|² there.
+    pub squares: f64,
+    pub stopped: StoppedBecause,
+}
+
+/// The RL-MLP's problem with one VI branch.
+pub(super) struct Pass<'a> {
+    pub inputs: &'a Inputs<'a>,
+    /// The network at the start of the pass.
+    start: Parameters,
+    pub model: SlowModel,
+    pub prior: Prior,
+    /// Variance of one physics residual.
+    pub noise: f64,
+    /// L_i1 and L_i2 of the branch, eqs. (5) and (6).
+    pub data_losses: (f64, f64),
+    /// The part of `w_f L_f` that the network cannot change.
+    pub floor: f64,
+    /// Relative change of R and L below which they have converged; 0 never.
+    pub tolerance: f64,
+    tau_s: Vec<f64>,
+}
+
+impl<'a> Pass<'a> {
+    /// `network` is that of the pass before, or an outline without layers, which gets its first weights.
+    pub fn new(inputs: &'a Inputs<'a>, branch: &HarmonicBranch, network: Parameters) -> Self {
+        let (samples, config) = (inputs.samples, inputs.config);
+        let times = slow_times_s(samples.duration_s(), config.slow_points);
+        let physics =
+            SlowPhysics::condense(branch, samples, &network, &inputs.laws, config.w_f, times);
+        let constant = physics.best_constant();
+        let start = if network.layers.is_empty() {
+            network.initial(&config.hidden_layers, config.seed, constant)
+        } else {
+            network
+        };
+        let data_losses = branch.data_losses(samples);
+        let white = white_noise(samples, branch, data_losses, config.noise);
+        let [r, l] = constant;
+        let typical = [r * start.r_scale_ohm, l * start.l_scale_h];
+        let noise = noise_variance(samples, white, config.w_f, typical);
+        Self {
+            model: SlowModel::new(&physics, samples, &start, config),
+            prior: Prior {
+                strength: match config.weight_width {
+                    0.0 => 0.0,
+                    width => noise / (width * width),
+                },
+                centre: start.constant(constant).flat(),
+            },
+            tolerance: match config.tolerance {
+                0.0 => 0.0,
+                specified => {
+                    specified.max(SHARE_OF_NOISE * physics.relative_sigma(constant, noise))
+                }
+            },
+            floor: physics.floor,
+            tau_s: physics.tau_s,
+            inputs,
+            start,
+            noise,
+            data_losses,
+        }
+    }
+
+    /// Trains the network until R and L have converged, or a limit of the log.
+    pub fn train(&self, log: &mut Log<'_>) -> Result<Descent, PinnError> {
+        let config = self.inputs.config;
+        log.data_loss = config.w_i * (self.data_losses.0 + self.data_losses.1);
+        log.floor = self.floor;
+        let start = self.start.clone();
+        match config.optimiser {
+            Optimiser::LevenbergMarquardt => self.levenberg_marquardt(log),
+            Optimiser::Adam => {
+                let rate = config.learning_rate;
+                adam::descend(&self.model, start, rate, self.tolerance, log)
+            }
+        }
+    }
+
+    fn levenberg_marquardt(&self, log: &mut Log<'_>) -> Result<Descent, PinnError> {
+        let flat = self.start.flat();
+        let found = minimise(self, flat, &self.prior, self.tolerance, log)?;
+        if found.stopped == StoppedBecause::RolledBack {
+            // Only a warm start can be that far off: the constant network is the last good one.
+            return Ok(Descent {
+                squares: self.evaluate(&self.prior.centre)?.squares(),
+                parameters: self.start.with_flat(&self.prior.centre),
+                stopped: found.stopped,
+            });
+        }
+        Ok(Descent {
+            parameters: self.start.with_flat(&found.theta),
+            squares: found.squares,
+            stopped: found.stopped,
+        })
+    }
+
+    /// Relative change of R or L from the start of the pass to `parameters`, the larger.
+    pub fn change_to(&self, parameters: &Parameters) -> f64 {
+        relative_change(&self.r_l(&self.start), &self.r_l(parameters))
+    }
+
+    /// R (ohm) and L (H) alternating, at the slow times.
+    fn r_l(&self, parameters: &Parameters) -> Vec<f64> {
+        let at = |tau: &f64| parameters.r_l_at(self.inputs.samples.t0_s + tau);
+        let both = self.tau_s.iter().map(at);
+        both.flat_map(|(r, l)| [r, l]).collect()
+    }
+
+    /// R and L of `parameters` at the slow times, as the VI branch wants them.
+    pub fn impedances(&self, parameters: &Parameters) -> Vec<Impedance> {
+        let samples = self.inputs.samples;
+        let scale = samples.impedance_scale();
+        let at = |tau_s: &f64| {
+            let (r, l) = parameters.r_l_at(samples.t0_s + tau_s);
+            Impedance {
+                tau_s: *tau_s,
+                r: r * scale,
+                l: l * scale,
+            }
+        };
+        self.tau_s.iter().map(at).collect()
+    }
+}
+
+impl LeastSquares for Pass<'_> {
+    type Error = PinnError;
+
+    fn evaluate(&self, theta: &[f64]) -> Result<Evaluation, PinnError> {
+        self.model.evaluate(&self.start.with_flat(theta))
+    }
+
+    fn jacobian(&self, theta: &[f64]) -> Result<Vec<f64>, PinnError> {
+        self.model.jacobian(&self.start.with_flat(theta))
+    }
+}

@@ -1,0 +1,61 @@
+//! The result of the last pass: R(t), L(t) at evenly spaced times, their standard deviations, the losses.
+
+use super::pass::{Descent, Pass};
+use crate::harmonic_branch::HarmonicBranch;
+use crate::progress::Log;
+use crate::result::{nmse_pct, reconstruction, result_times_s};
+use crate::uncertainty::laplace;
+use crate::{Identified, Losses, PinnError};
+
+pub(super) fn assemble(
+    pass: &Pass<'_>,
+    branch: &HarmonicBranch,
+    descent: Descent,
+    log: Log<'_>,
+) -> Result<Identified, PinnError> {
+    let (samples, config) = (pass.inputs.samples, pass.inputs.config);
+    let tau_s = result_times_s(samples, config);
+    let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
+    let losses = losses(pass, &descent);
+    let parameters = descent.parameters;
+    let (r_ohm, l_h) = t_s.iter().map(|t| parameters.r_l_at(*t)).unzip();
+    let strength = pass.prior.strength;
+    let sigmas = laplace(&pass.model, &parameters, pass.noise, strength, &t_s)?;
+    let (r_sigma_ohm, l_sigma_h) = sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
+    // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
+    let amplitude = |tau: &f64| branch.phasors(*tau, 0).i.norm() * samples.i_max_ampere;
+    let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
+    Ok(Identified {
+        impedance_order: pass.inputs.order,
+        i_amplitude_a: tau_s.iter().map(amplitude).collect(),
+        r_power_ohm: tau_s.iter().map(power_ratio).collect(),
+        t_s,
+        r_ohm,
+        l_h,
+        r_sigma_ohm,
+        l_sigma_h,
+        losses,
+        iterations: log.iteration,
+        passes: log.pass,
+        stopped_because: descent.stopped,
+        elapsed_s: log.elapsed_s(),
+        nmse_v_pct: nmse_pct(losses.l_i1, &samples.v),
+        nmse_i_pct: nmse_pct(losses.l_i2, &samples.i),
+        reconstruction: reconstruction(samples, branch.signals(samples)),
+        history: log.history,
+        parameters,
+    })
+}
+
+/// The terms of eq. (7) where the network ended.
+fn losses(pass: &Pass<'_>, descent: &Descent) -> Losses {
+    let config = pass.inputs.config;
+    let (l_i1, l_i2) = pass.data_losses;
+    let l_f = (descent.squares + pass.floor) / config.w_f;
+    Losses {
+        l_f,
+        l_i1,
+        l_i2,
+        total: config.w_f * l_f + config.w_i * (l_i1 + l_i2),
+    }
+}

@@ -1,0 +1,138 @@
+//! All presets by name: those in code ([`Preset`]), the ablations of host/pinn/presets, whose files are part
+//! of the program, and TOML files of a folder.
+
+use std::fs;
+use std::path::Path;
+
+use crate::{Config, PinnError, Preset};
+
+/// Name and text of each ablation's file.
+macro_rules! ablations {
+    ($($name:literal),* $(,)?) => {
+        [$(($name, include_str!(concat!("../presets/", $name, ".toml")))),*]
+    };
+}
+
+const ABLATIONS: [(&str, &str); 8] = ablations![
+    "repaired-unscaled",
+    "repaired-fast-only",
+    "repaired-eq3",
+    "repaired-minibatch",
+    "repaired-decay",
+    "hybrid-paper-net",
+    "hybrid-adam",
+    "hybrid-no-prior",
+];
+
+/// A [`Config`] with a name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NamedConfig {
+    /// The name that commands and files use.
+    pub name: String,
+    /// What it is, in a line; empty where its file has no `description`.
+    pub description: String,
+    /// The settings.
+    pub config: Config,
+}
+
+/// The presets of the program, and those of a folder where one was given.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PresetLibrary {
+    folder: Vec<NamedConfig>,
+}
+
+impl PresetLibrary {
+    /// The program's presets and the `*.toml` files of `folder`, each named as its file.
+    ///
+    /// # Errors
+    /// [`PinnError::File`] with the file, where one cannot be read, holds no settings, or has the name
+    /// of another preset.
+    pub fn with_folder(folder: &Path) -> Result<Self, PinnError> {
+        let entries = fs::read_dir(folder).map_err(|e| broken(folder, &e))?;
+        let mut paths = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(|e| broken(folder, &e))?.path();
+            if path.extension().is_some_and(|ending| ending == "toml") {
+                paths.push(path);
+            }
+        }
+        if paths.is_empty() {
+            return Err(broken(folder, &"holds no preset, no *.toml file"));
+        }
+        paths.sort();
+        let folder = paths.iter().map(|path| read(path));
+        Ok(Self {
+            folder: folder.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The preset of this name.
+    ///
+    /// # Errors
+    /// [`PinnError::UnknownName`] with the names that there are.
+    pub fn get(&self, name: &str) -> Result<NamedConfig, PinnError> {
+        if let Some(preset) = Preset::ALL.into_iter().find(|p| p.name() == name) {
+            return Ok(NamedConfig {
+                name: name.to_owned(),
+                description: preset.description().to_owned(),
+                config: preset.config(),
+            });
+        }
+        if let Some((_, text)) = ABLATIONS.iter().find(|(ablation, _)| *ablation == name) {
+            return parse(name, text);
+        }
+        let found = self.folder.iter().find(|preset| preset.name == name);
+        found.cloned().ok_or_else(|| PinnError::UnknownName {
+            what: "preset",
+            name: name.to_owned(),
+            known: self.names().join(", "),
+        })
+    }
+
+    /// All names: those in code, the ablations, the folder's.
+    #[must_use]
+    pub fn names(&self) -> Vec<&str> {
+        let code = Preset::ALL.iter().map(|preset| preset.name());
+        let ablations = ABLATIONS.iter().map(|(name, _)| *name);
+        code.chain(ablations).chain(self.folder_names()).collect()
+    }
+
+    /// Names of the folder's presets.
+    pub fn folder_names(&self) -> impl Iterator<Item = &str> {
+        self.folder.iter().map(|preset| preset.name.as_str())
+    }
+}
+
+/// The preset in a file of a folder.
+fn read(path: &Path) -> Result<NamedConfig, PinnError> {
+    let name = path.file_stem().and_then(|stem| stem.to_str());
+    // It becomes part of the names of a study's files.
+    let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    let name = name
+        .filter(|name| name.chars().all(fits))
+        .ok_or_else(|| broken(path, &"is named with more than letters, digits, - and _"))?;
+    if PresetLibrary::default().names().contains(&name) {
+        let taken = "has the name of one of the program's presets; rename it";
+        return Err(broken(path, &taken));
+    }
+    let text = fs::read_to_string(path).map_err(|e| broken(path, &e))?;
+    parse(name, &text).map_err(|e| match e {
+        PinnError::File { detail } => broken(path, &detail.trim_end()),
+        other => broken(path, &other),
+    })
+}
+
+fn parse(name: &str, text: &str) -> Result<NamedConfig, PinnError> {
+    let (config, description) = Config::from_described_toml(text)?;
+    Ok(NamedConfig {
+        name: name.to_owned(),
+        description: description.unwrap_or_default(),
+        config,
+    })
+}
+
+fn broken(path: &Path, why: &dyn std::fmt::Display) -> PinnError {
+    PinnError::File {
+        detail: format!("{}: {why}", path.display()),
+    }
+}
