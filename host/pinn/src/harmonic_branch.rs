@@ -4,6 +4,7 @@
 //! phasor a cubic B-spline in slow time, and the same for v. The time derivative is analytic:
 //! `di_hat/dt = sum_h Re{ (I_h' + j h w I_h) exp(j h w t) }`.
 
+use ihd_spline::harmonic::phasor;
 use ihd_spline::{CubicSpline, Local};
 use nalgebra::Complex;
 
@@ -72,13 +73,8 @@ impl HarmonicBranch {
     /// The phasors of `harmonics[index]` at `tau_s` seconds after the first pair.
     pub fn phasors(&self, tau_s: f64, index: usize) -> Phasors {
         let local = self.basis.spline.at(tau_s);
-        // a cos + b sin = Re{(a - jb) exp(j w t)}.
-        let phasor = |coefficients: &[f64], weights: &[f64; 4]| {
-            (0..4).fold(Complex::new(0.0, 0.0), |sum, m| {
-                let at = (local.first + m) * self.basis.width() + 2 * index;
-                sum + Complex::new(coefficients[at], -coefficients[at + 1]) * weights[m]
-            })
-        };
+        let orders = self.basis.harmonics.len();
+        let phasor = |x: &[f64], weights| phasor(x, orders, index, &local, weights);
         Phasors {
             v: phasor(&self.v, &local.values),
             i: phasor(&self.i, &local.values),

@@ -1,7 +1,10 @@
 //! Linear least squares for the VI branch: minimises w_i (L_i1 + L_i2), the paper's eqs. (5), (6), and with R and L
 //! given all of eq. (7), w_f L_f of eq. (4) included. All three terms are quadratic in the coefficients.
 
+use std::f64::consts::TAU;
+
 use ihd_spline::Banded;
+use ihd_spline::harmonic::{HarmonicFit, NormalEquations};
 
 use crate::PinnError;
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
@@ -35,49 +38,33 @@ pub(crate) struct PhysicsTerm<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct DataSystem {
     basis: HarmonicBasis,
-    gram: Banded,
-    v: Vec<f64>,
-    i: Vec<f64>,
+    sums: NormalEquations,
 }
 
 impl DataSystem {
     /// Sums the normal equations over all points; each entry is a mean, like eqs. (5) and (6).
     pub fn assemble(samples: &Normalised, basis: HarmonicBasis) -> Self {
-        let (width, share) = (basis.width(), 1.0 / samples.len() as f64);
-        let mut system = Self {
-            gram: Banded::zeros(basis.len(), 4 * width - 1),
-            v: vec![0.0; basis.len()],
-            i: vec![0.0; basis.len()],
-            basis,
+        let fit = HarmonicFit {
+            spline: &basis.spline,
+            orders: &basis.harmonics,
+            gains: &basis.gains,
+            periods_per_sample: basis.omega * samples.dt_s / TAU,
+            dt_s: samples.dt_s,
+            block: 1,
+            centre: 0.0,
         };
-        let mut trig = Vec::with_capacity(width);
-        for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
-            let tau_s = n as f64 * samples.dt_s;
-            system.basis.seen(tau_s, &mut trig);
-            let local = system.basis.spline.at(tau_s);
-            for (m, value) in local.values.iter().enumerate() {
-                let at = (local.first + m) * width;
-                for (k, t) in trig.iter().enumerate() {
-                    let carried = share * value * t;
-                    system.v[at + k] += carried * v;
-                    system.i[at + k] += carried * i;
-                    for (before, other) in local.values[..m].iter().enumerate() {
-                        let column = (local.first + before) * width;
-                        system.gram.add_run(at + k, column, carried * other, &trig);
-                    }
-                    let lower = &trig[..=k];
-                    system.gram.add_run(at + k, at, carried * value, lower);
-                }
-            }
+        let mut sums = fit.normal_equations(&samples.v, &samples.i);
+        let share = 1.0 / samples.len() as f64;
+        sums.gram.scale(share);
+        for x in [&mut sums.v, &mut sums.i] {
+            x.iter_mut().for_each(|x| *x *= share);
         }
-        system
+        Self { basis, sums }
     }
 
     /// Minimises the data terms alone.
     pub fn fit(&self) -> Result<HarmonicBranch, PinnError> {
-        let mut solved = [self.v.clone(), self.i.clone()];
-        self.gram.clone().solve(&mut solved)?;
-        let [v, i] = solved;
+        let [v, i] = self.sums.clone().solve()?;
         Ok(HarmonicBranch {
             basis: self.basis.clone(),
             v,
@@ -93,8 +80,8 @@ impl DataSystem {
         let mut x = vec![0.0; 2 * self.basis.len()];
         for j in 0..functions {
             let (from, to) = (j * width, 2 * j * width);
-            x[to..to + width].copy_from_slice(&self.v[from..from + width]);
-            x[to + width..to + 2 * width].copy_from_slice(&self.i[from..from + width]);
+            x[to..to + width].copy_from_slice(&self.sums.v[from..from + width]);
+            x[to + width..to + 2 * width].copy_from_slice(&self.sums.i[from..from + width]);
         }
         let mut solved = [x];
         joint.solve(&mut solved)?;
@@ -119,7 +106,7 @@ impl DataSystem {
         for row in 0..self.basis.len() {
             let place = |at: usize| 2 * (at / width) * width + at % width;
             for column in row.saturating_sub(4 * width - 1)..=row {
-                let value = self.gram.get(row, column);
+                let value = self.sums.gram.get(row, column);
                 joint.add(place(row), place(column), value);
                 joint.add(place(row) + width, place(column) + width, value);
             }

@@ -32,7 +32,11 @@ pub struct Correlator<const ORDERS: usize> {
 impl<const ORDERS: usize> Correlator<ORDERS> {
     /// For a segment's sampling, blocks of `length` samples and these orders.
     pub fn new(segment: &Segment, length: usize, orders: [f64; ORDERS]) -> Self {
-        let periods_per_sample = segment.f_sw_hz * segment.dt_s;
+        Self::with_rate(segment.f_sw_hz * segment.dt_s, length, orders)
+    }
+
+    /// For samples that lie this share of a period of f_sw apart.
+    pub fn with_rate(periods_per_sample: f64, length: usize, orders: [f64; ORDERS]) -> Self {
         let table = |value: fn(f64) -> f64| {
             let at =
                 |n: usize| orders.map(|h| value(TAU * (h * n as f64 * periods_per_sample).fract()));

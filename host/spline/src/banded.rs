@@ -48,12 +48,9 @@ impl Banded {
         self.entries[at] += value;
     }
 
-    /// Adds `factor * values` to the entries of `row` from `column` on.
-    pub fn add_run(&mut self, row: usize, column: usize, factor: f64, values: &[f64]) {
-        let at = self.at(row, column);
-        for (entry, value) in self.entries[at..at + values.len()].iter_mut().zip(values) {
-            *entry += factor * value;
-        }
+    /// Multiplies every entry by `factor`.
+    pub fn scale(&mut self, factor: f64) {
+        self.entries.iter_mut().for_each(|entry| *entry *= factor);
     }
 
     /// Solves for each right-hand side in place, by Cholesky factorisation.
@@ -117,7 +114,7 @@ mod tests {
         for row in 0..size {
             matrix.add(row, row, 2.0 * half_bandwidth as f64 + 1.0);
             for column in row.saturating_sub(half_bandwidth)..row {
-                matrix.add_run(row, column, 1.0, &[((row * 7 + column * 3) as f64).sin()]);
+                matrix.add(row, column, ((row * 7 + column * 3) as f64).sin());
             }
         }
         matrix

@@ -6,6 +6,7 @@
 
 mod banded;
 mod basis;
+pub mod harmonic;
 
 pub use banded::{Banded, Singular};
 pub use basis::{CubicSpline, Local};

@@ -1,0 +1,421 @@
+//! The fit of harmonic phasors: x(t) = Σ_h Re{X_h(t)·e^(jhωt)}, each X_h a cubic B-spline in slow
+//! time, by linear least squares over all samples of voltage and current.
+//!
+//! Within a block of samples the splines are taken as constant, so that a sample costs four
+//! multiply-adds an order and the rest is done once a block; a block of one sample is exact. With a
+//! sixteenth of a period a block, the splines' steps are a sawtooth at 16 ω, which is none of the usual
+//! orders. Products of two harmonics are sums at h ± h': these few complex sums a pair of splines make
+//! the normal equations of an interval.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::correlation::Correlator;
+use nalgebra::Complex;
+
+use crate::{Banded, CubicSpline, Local, Singular};
+
+type Phasor = Complex<f64>;
+
+/// Pairs of the four splines that are not zero at a time.
+const PAIRS: usize = 10;
+
+/// Orders that one pass over a block sums.
+const AT_ONCE: usize = 4;
+
+/// What is fitted, and how the samples lie.
+#[derive(Clone, Copy, Debug)]
+pub struct HarmonicFit<'a> {
+    /// Functions of slow time, in seconds after the first sample.
+    pub spline: &'a CubicSpline,
+    /// Orders of the fundamental, ascending.
+    pub orders: &'a [u32],
+    /// What the samples show of each order, as a factor: 1, or less where they are means of others.
+    pub gains: &'a [f64],
+    /// Periods of the fundamental from one sample to the next.
+    pub periods_per_sample: f64,
+    /// Time from one sample to the next in seconds.
+    pub dt_s: f64,
+    /// Samples of a block, one at least. A last block that is not full is left out.
+    pub block: usize,
+    /// Where in a block its splines are taken, in samples after the block's first.
+    pub centre: f64,
+}
+
+/// Normal equations of voltage and current, which share the matrix: same times, same functions.
+///
+/// Unknowns: spline function by spline function, a cosine and a sine of each order.
+#[derive(Clone, Debug)]
+pub struct NormalEquations {
+    /// The matrix.
+    pub gram: Banded,
+    /// Right-hand side of the voltage.
+    pub v: Vec<f64>,
+    /// Right-hand side of the current.
+    pub i: Vec<f64>,
+}
+
+impl NormalEquations {
+    /// Coefficients of voltage and of current.
+    ///
+    /// # Errors
+    /// [`Singular`] where the sampling cannot distinguish the orders.
+    pub fn solve(self) -> Result<[Vec<f64>; 2], Singular> {
+        let mut solved = [self.v, self.i];
+        self.gram.solve(&mut solved)?;
+        Ok(solved)
+    }
+}
+
+/// The phasor of the order at place `index` of `orders`, of a signal's coefficients, weighted with a
+/// time's spline values or slopes.
+pub fn phasor(
+    coefficients: &[f64],
+    orders: usize,
+    index: usize,
+    local: &Local,
+    weights: &[f64; 4],
+) -> Phasor {
+    // a cos + b sin = Re{(a − jb)·e^(jθ)}.
+    (0..4).fold(Complex::new(0.0, 0.0), |sum, m| {
+        let at = 2 * ((local.first + m) * orders + index);
+        sum + Complex::new(coefficients[at], -coefficients[at + 1]) * weights[m]
+    })
+}
+
+impl HarmonicFit<'_> {
+    /// Sums the normal equations over all blocks of the samples of voltage and current.
+    pub fn normal_equations(&self, v: &[f64], i: &[f64]) -> NormalEquations {
+        let turns = Turns::new(self);
+        let correlators: Vec<Correlator<AT_ONCE>> = self
+            .orders
+            .chunks(AT_ONCE)
+            .map(|orders| {
+                let order = |k| orders.get(k).map_or(0.0, |h: &u32| f64::from(*h));
+                let all = std::array::from_fn(order);
+                Correlator::with_rate(self.periods_per_sample, self.block, all)
+            })
+            .collect();
+        let mut equations = NormalEquations {
+            gram: Banded::zeros(self.unknowns(), 8 * self.orders.len() - 1),
+            v: vec![0.0; self.unknowns()],
+            i: vec![0.0; self.unknowns()],
+        };
+        let mut interval = Interval::new(self.orders.len(), turns.count());
+        let mut powers = Vec::new();
+        let blocks = v.chunks_exact(self.block).zip(i.chunks_exact(self.block));
+        for (b, (v, i)) in blocks.enumerate() {
+            let first = b * self.block;
+            let local = self.spline.at((first as f64 + self.centre) * self.dt_s);
+            if local.first != interval.first {
+                self.add(&interval, &turns, &mut equations);
+                interval.clear(local.first);
+            }
+            turns.powers(first, &mut powers);
+            for (group, correlator) in correlators.iter().enumerate() {
+                let orders = &self.orders[group * AT_ONCE..];
+                let turn = |k| {
+                    orders
+                        .get(k)
+                        .map_or(powers[0], |h: &u32| powers[*h as usize])
+                };
+                let sums = correlator.block_turned(&std::array::from_fn(turn), v, i);
+                for k in 0..orders.len().min(AT_ONCE) {
+                    interval.add_signals(group * AT_ONCE + k, &local, sums.v[k], sums.i[k]);
+                }
+            }
+            interval.add_products(&local, &turns, &powers);
+        }
+        self.add(&interval, &turns, &mut equations);
+        equations
+    }
+
+    /// Unknowns of one signal.
+    pub fn unknowns(&self) -> usize {
+        2 * self.orders.len() * self.spline.functions()
+    }
+
+    /// Adds an interval's sums to the equations.
+    fn add(&self, part: &Interval, turns: &Turns, equations: &mut NormalEquations) {
+        let orders = self.orders.len();
+        let mut pair = 0;
+        for m in 0..4 {
+            let row = 2 * (part.first + m) * orders;
+            for (h, gain) in self.gains.iter().enumerate() {
+                // Re{(a − jb)·e^(jθ)} = a cos θ + b sin θ, and the sums hold e^(−jθ).
+                for (x, sums) in [(&mut equations.v, &part.v), (&mut equations.i, &part.i)] {
+                    x[row + 2 * h] += gain * sums[m * orders + h].re;
+                    x[row + 2 * h + 1] -= gain * sums[m * orders + h].im;
+                }
+            }
+            for before in 0..=m {
+                let column = 2 * (part.first + before) * orders;
+                let sums = &part.products[pair * turns.count()..];
+                self.add_pair((row, column), sums, turns.stride, &mut equations.gram);
+                pair += 1;
+            }
+        }
+    }
+
+    /// cos a cos b = ½(cos(a−b) + cos(a+b)) and so on; `sums[k]` is Σ e^(−j·k·stride·ωt).
+    fn add_pair(
+        &self,
+        (row, column): (usize, usize),
+        sums: &[Phasor],
+        stride: u32,
+        gram: &mut Banded,
+    ) {
+        let sum = |multiple: u32| sums[(multiple / stride) as usize];
+        for (a, (&h, gain)) in self.orders.iter().zip(self.gains).enumerate() {
+            for (b, (&other, other_gain)) in self.orders.iter().zip(self.gains).enumerate() {
+                let (plus, minus) = (sum(h + other), sum(h.abs_diff(other)));
+                // sin of (a − b): the sum's imaginary part is −sin of |a − b|.
+                let sine = if a >= b { -minus.im } else { minus.im };
+                let entries = [
+                    (0, 0, minus.re + plus.re),
+                    (0, 1, -plus.im - sine),
+                    (1, 0, -plus.im + sine),
+                    (1, 1, minus.re - plus.re),
+                ];
+                for (p, q, value) in entries {
+                    let (r, c) = (row + 2 * a + p, column + 2 * b + q);
+                    if c <= r {
+                        gram.add(r, c, 0.5 * gain * other_gain * value);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The multiples of the fundamental that products of two orders have.
+struct Turns {
+    periods_per_sample: f64,
+    /// 2 where all orders are odd, so that their sums and differences are even; else 1.
+    stride: u32,
+    /// Σ e^(−j·k·stride·ωt) over a block from its first sample, which is at angle 0.
+    within: Vec<Phasor>,
+}
+
+impl Turns {
+    fn new(fit: &HarmonicFit<'_>) -> Self {
+        let odd = fit.orders.iter().all(|h| h % 2 == 1);
+        let stride = if odd { 2 } else { 1 };
+        let highest = 2 * fit.orders.last().copied().unwrap_or(0);
+        let sum = |multiple: u32| {
+            let turns = f64::from(multiple) * fit.periods_per_sample;
+            (0..fit.block)
+                .map(|n| Complex::from_polar(1.0, -TAU * turns * n as f64))
+                .sum()
+        };
+        Self {
+            periods_per_sample: fit.periods_per_sample,
+            stride,
+            within: (0..=highest).step_by(stride as usize).map(sum).collect(),
+        }
+    }
+
+    fn count(&self) -> usize {
+        self.within.len()
+    }
+
+    /// e^(−jkωt) at a sample for every k up to the highest multiple: one sine and cosine, and their
+    /// powers.
+    fn powers(&self, sample: usize, powers: &mut Vec<Phasor>) {
+        let (sin, cos) = libm::sincos(TAU * (sample as f64 * self.periods_per_sample).fract());
+        let turn = Complex::new(cos, -sin);
+        let count = (self.count() - 1) * self.stride as usize + 1;
+        let mut power = Complex::new(1.0, 0.0);
+        powers.clear();
+        powers.extend((0..count).map(|_| {
+            let this = power;
+            power *= turn;
+            this
+        }));
+    }
+}
+
+/// Sums of one interval of the spline, before they go into the band.
+struct Interval {
+    first: usize,
+    orders: usize,
+    multiples: usize,
+    products: Vec<Phasor>,
+    v: Vec<Phasor>,
+    i: Vec<Phasor>,
+    /// Of the block at hand: Σ e^(−j·k·stride·ωt).
+    turned: Vec<Phasor>,
+}
+
+impl Interval {
+    fn new(orders: usize, multiples: usize) -> Self {
+        let zeros = |n| vec![Complex::new(0.0, 0.0); n];
+        Self {
+            first: 0,
+            orders,
+            multiples,
+            products: zeros(PAIRS * multiples),
+            v: zeros(4 * orders),
+            i: zeros(4 * orders),
+            turned: Vec::with_capacity(multiples),
+        }
+    }
+
+    fn clear(&mut self, first: usize) {
+        self.first = first;
+        for sums in [&mut self.products, &mut self.v, &mut self.i] {
+            sums.fill(Complex::new(0.0, 0.0));
+        }
+    }
+
+    fn add_signals(&mut self, order: usize, local: &Local, v: Phasor, i: Phasor) {
+        for (m, &value) in local.values.iter().enumerate() {
+            self.v[m * self.orders + order] += v * value;
+            self.i[m * self.orders + order] += i * value;
+        }
+    }
+
+    fn add_products(&mut self, local: &Local, turns: &Turns, powers: &[Phasor]) {
+        let of_block = turns.within.iter();
+        let turned = of_block.zip(powers.iter().step_by(turns.stride as usize));
+        self.turned.clear();
+        self.turned
+            .extend(turned.map(|(within, power)| within * power));
+        let mut pair = 0;
+        for (m, value) in local.values.iter().enumerate() {
+            for other in &local.values[..=m] {
+                let weight = value * other;
+                let sums = &mut self.products[pair * self.multiples..][..self.multiples];
+                for (sum, turned) in sums.iter_mut().zip(&self.turned) {
+                    *sum += turned * weight;
+                }
+                pair += 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two signals with harmonics 1, 2 and 5, the fundamental growing linearly.
+    fn signals(periods_per_sample: f64, dt_s: f64, samples: usize) -> [Vec<f64>; 2] {
+        let at = |n: usize| (TAU * periods_per_sample * n as f64, n as f64 * dt_s);
+        let v = (0..samples).map(at).map(|(angle, tau_s)| {
+            (1.0 + 50.0 * tau_s) * (angle + 0.3).cos() + 0.4 * (5.0 * angle - 1.0).cos()
+        });
+        let i = (0..samples)
+            .map(at)
+            .map(|(angle, _)| 2.0 * angle.sin() + 0.1 * (2.0 * angle).cos());
+        [v.collect(), i.collect()]
+    }
+
+    fn fitted(orders: &[u32], block: usize, gains: &[f64]) -> ([Vec<f64>; 2], CubicSpline) {
+        let (periods_per_sample, dt_s, samples) = (1.0 / 97.3, 1e-7, 60_000);
+        let spline = CubicSpline::new(6, samples as f64 * dt_s);
+        let [v, i] = signals(periods_per_sample, dt_s, samples);
+        let fit = HarmonicFit {
+            spline: &spline,
+            orders,
+            gains,
+            periods_per_sample,
+            dt_s,
+            block,
+            centre: 0.5 * (block - 1) as f64,
+        };
+        let solved = fit.normal_equations(&v, &i).solve().expect("regular");
+        (solved, spline)
+    }
+
+    #[test]
+    fn each_order_has_its_own_phasor_with_single_samples_and_with_blocks() {
+        let orders = [1, 2, 5];
+        for block in [1, 6] {
+            let ([v, i], spline) = fitted(&orders, block, &[1.0; 3]);
+            for tau_s in [0.1e-3, 2.9e-3, 5.7e-3] {
+                let local = spline.at(tau_s);
+                let of = |x: &[f64], index| phasor(x, 3, index, &local, &local.values);
+                let growing = Complex::from_polar(1.0 + 50.0 * tau_s, 0.3);
+                for (found, right) in [
+                    (of(&v, 0), growing),
+                    (of(&v, 1), Complex::new(0.0, 0.0)),
+                    (of(&v, 2), Complex::from_polar(0.4, -1.0)),
+                    (of(&i, 0), Complex::new(0.0, -2.0)),
+                    (of(&i, 1), Complex::new(0.1, 0.0)),
+                ] {
+                    assert!((found - right).norm() < 1e-5, "{block}: {found} {right}");
+                }
+                let slope = phasor(&v, 3, 0, &local, &local.slopes_per_s);
+                assert!(
+                    (slope - Complex::from_polar(50.0, 0.3)).norm() < 2e-2,
+                    "{slope}"
+                );
+            }
+        }
+    }
+
+    /// The equations written out: (cos, sin) of each order of each spline at every sample.
+    #[test]
+    fn single_samples_give_the_normal_equations_as_they_are_written() {
+        let (periods_per_sample, dt_s, samples) = (1.0 / 20.33, 1e-6, 400);
+        let (orders, gains) = ([1, 3, 5, 7, 9], [1.0, 0.9, 0.8, 0.7, 0.6]);
+        let spline = CubicSpline::new(3, samples as f64 * dt_s);
+        let [v, i] = signals(periods_per_sample, dt_s, samples);
+        let fit = HarmonicFit {
+            spline: &spline,
+            orders: &orders,
+            gains: &gains,
+            periods_per_sample,
+            dt_s,
+            block: 1,
+            centre: 0.0,
+        };
+        let found = fit.normal_equations(&v, &i);
+        let size = fit.unknowns();
+        let mut gram = vec![vec![0.0; size]; size];
+        let (mut rhs_v, mut rhs_i) = (vec![0.0; size], vec![0.0; size]);
+        for n in 0..samples {
+            let local = spline.at(n as f64 * dt_s);
+            let mut row = vec![0.0; size];
+            for (m, value) in local.values.iter().enumerate() {
+                for (k, (h, gain)) in orders.iter().zip(&gains).enumerate() {
+                    let angle = TAU * f64::from(*h) * periods_per_sample * n as f64;
+                    let at = 2 * ((local.first + m) * orders.len() + k);
+                    row[at] = value * gain * angle.cos();
+                    row[at + 1] = value * gain * angle.sin();
+                }
+            }
+            for r in 0..size {
+                rhs_v[r] += row[r] * v[n];
+                rhs_i[r] += row[r] * i[n];
+                for c in 0..size {
+                    gram[r][c] += row[r] * row[c];
+                }
+            }
+        }
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        for r in 0..size {
+            assert!(near(found.v[r], rhs_v[r]) && near(found.i[r], rhs_i[r]));
+            for c in r.saturating_sub(8 * orders.len() - 1)..=r {
+                assert!(near(found.gram.get(r, c), gram[r][c]), "{r} {c}");
+            }
+        }
+    }
+
+    #[test]
+    fn orders_that_the_sampling_cannot_distinguish_are_refused() {
+        // Four samples a period: the third order is the fundamental's alias.
+        let spline = CubicSpline::new(1, 1e-3);
+        let fit = HarmonicFit {
+            spline: &spline,
+            orders: &[1, 3],
+            gains: &[1.0, 1.0],
+            periods_per_sample: 0.25,
+            dt_s: 1e-6,
+            block: 1,
+            centre: 0.0,
+        };
+        let x: Vec<f64> = (0..1000).map(|n| f64::from(n % 4)).collect();
+        assert!(fit.normal_equations(&x, &x).solve().is_err());
+    }
+}
