@@ -47,34 +47,12 @@ fn unhex(text: &str) -> Vec<u8> {
         .collect()
 }
 
-/// The frame of any message; a message that is new to the table does not compile here until it has
-/// a line.
+/// The frame of any message.
 fn framed(message: &AnyMessage<'_>, seq: u16) -> Vec<u8> {
-    let mut out = [0; MAX_ENCODED];
-    let out_len = match message {
-        AnyMessage::Hello(m) => encode(m, seq, &mut out),
-        AnyMessage::SetPower(m) => encode(m, seq, &mut out),
-        AnyMessage::Stream(m) => encode(m, seq, &mut out),
-        AnyMessage::GetStatus(m) => encode(m, seq, &mut out),
-        AnyMessage::PushLookup(m) => encode(m, seq, &mut out),
-        AnyMessage::ReadLookup(m) => encode(m, seq, &mut out),
-        AnyMessage::ClearFault(m) => encode(m, seq, &mut out),
-        AnyMessage::ReplayStart(m) => encode(m, seq, &mut out),
-        AnyMessage::ReplayBlocks(m) => encode(m, seq, &mut out),
-        AnyMessage::ReplayEnd(m) => encode(m, seq, &mut out),
-        AnyMessage::ReplayMode(m) => encode(m, seq, &mut out),
-        AnyMessage::ReplayEstimates(m) => encode(m, seq, &mut out),
-        AnyMessage::Reply(m) => encode(m, seq, &mut out),
-        AnyMessage::Status(m) => encode(m, seq, &mut out),
-        AnyMessage::Telemetry(m) => encode(m, seq, &mut out),
-        AnyMessage::WindowStart(m) => encode(m, seq, &mut out),
-        AnyMessage::WindowChunk(m) => encode(m, seq, &mut out),
-        AnyMessage::TrajectoryChunk(m) => encode(m, seq, &mut out),
-        AnyMessage::WindowEnd(m) => encode(m, seq, &mut out),
-        AnyMessage::LookupBlob(m) => encode(m, seq, &mut out),
-        AnyMessage::FaultEvent(m) => encode(m, seq, &mut out),
-    };
-    out[..out_len.unwrap()].to_vec()
+    let (mut payload, mut out) = ([0; MAX_PAYLOAD], [0; MAX_ENCODED]);
+    let (id, payload) = message.payload(&mut payload).unwrap();
+    let length = encode_raw(id, seq, payload, &mut out).unwrap();
+    out[..length].to_vec()
 }
 
 /// Of every message, one whose fields differ from each other and from zero; make.py has them again.

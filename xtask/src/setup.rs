@@ -6,7 +6,6 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 
-use crate::emulator;
 use crate::toolchain::{FirmwareToolchain, TARGET};
 use crate::workspace::{Workspace, first_line, run};
 
@@ -23,7 +22,7 @@ pub enum Wanted {
     DebianWeb,
 }
 
-/// Finds or installs everything but the firmware's compiler.
+/// Finds or installs what cargo needs beside itself.
 pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     let components = ["fmt", "clippy"].map(|tool| component(workspace, tool));
     say(if has_nextest(workspace) {
@@ -31,10 +30,7 @@ pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     } else {
         "tests: cargo test (faster with `cargo install cargo-nextest --locked`)"
     });
-    // A missing formatter must not keep the emulator from being looked for.
-    let qemu = emulator::find(workspace);
-    components.into_iter().collect::<Result<Vec<()>, _>>()?;
-    qemu.map(drop)
+    components.into_iter().collect()
 }
 
 /// Whether `cargo nextest` is installed.

@@ -86,10 +86,11 @@ impl Session {
     /// Finds or installs what the other steps need.
     pub fn set_up(&self) -> anyhow::Result<()> {
         let tools = setup::tools(&self.workspace);
+        let qemu = emulator::find(&self.workspace);
         // A missing tool must not keep the firmware's compiler from being looked for.
         let firmware = setup::firmware_toolchain(self.wanted)?;
         say(&format!("firmware: {}", firmware.describe()));
-        tools
+        tools.and(qemu.map(drop))
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {

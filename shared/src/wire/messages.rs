@@ -133,6 +133,14 @@ macro_rules! message_table {
                     _ => Err(DecodeError::UnknownId { id }),
                 }
             }
+
+            /// The message's number, and its payload written to the front of `out`; `None` where that
+            /// is too small.
+            pub fn payload<'o>(&self, out: &'o mut [u8]) -> Option<(u8, &'o [u8])> {
+                match self {
+                    $(Self::$name(m) => Some(($id, &*postcard::to_slice(m, out).ok()?)),)+
+                }
+            }
         }
 
         /// Every message, in table order.
