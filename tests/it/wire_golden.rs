@@ -297,16 +297,19 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         }
     }
     assert_eq!(incoming.counters().messages_malformed, 0);
-    let told = Status {
+    let status = Status {
         fault: newer,
         ..status()
     };
-    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(told)));
-    let told = Telemetry {
+    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(status)));
+    let telemetry = Telemetry {
         fault: newer,
         ..telemetry()
     };
-    assert_eq!(incoming.events.pop_front(), Some(Event::Telemetry(told)));
+    assert_eq!(
+        incoming.events.pop_front(),
+        Some(Event::Telemetry(telemetry))
+    );
     let Some(Event::Fault(event)) = incoming.events.pop_front() else {
         panic!("the fault event is missing");
     };

@@ -102,7 +102,7 @@ pub struct Estimate {
     /// Standard deviation of L in henry likewise.
     pub l_sigma_h: Vec<f64>,
     /// P/I_rms² in ohm over all harmonics that the estimator sees, beside R of the fundamental; empty
-    /// where it does not tell them apart.
+    /// where it does not separate them.
     pub r_power_ohm: Vec<f64>,
     /// Reconstructed coil voltage in volt, one a sample of the segment; empty where there is none.
     pub v_hat_v: Vec<f32>,
@@ -118,7 +118,7 @@ pub struct Estimate {
     pub notes: Vec<String>,
 }
 
-/// What the estimators may be told. The default fits every capture of a hob.
+/// What the estimators may be given. The default fits every capture of a hob.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -140,10 +140,10 @@ pub struct Settings {
 
 /// Someone who waits for an estimator that takes its time.
 pub struct Watch<'a> {
-    /// Truth on the capture's clock; with it the estimator says how far off it is.
+    /// Truth on the capture's clock; with it the progress includes the errors of R and L.
     pub truth: Option<&'a Truth>,
-    /// Hears of steps and losses.
-    pub say: &'a mut dyn FnMut(String),
+    /// Receives steps and losses as text.
+    pub report: &'a mut dyn FnMut(String),
 }
 
 /// Identifies R(t) and L(t) of a segment.
@@ -156,12 +156,12 @@ pub fn run(
     segment: &Segment,
     settings: &Settings,
 ) -> Result<Estimate, IdentifyError> {
-    let (truth, say) = (None, &mut |_| {});
-    run_watched(method, segment, settings, &mut Watch { truth, say })
+    let (truth, report) = (None, &mut |_| {});
+    run_watched(method, segment, settings, &mut Watch { truth, report })
 }
 
-/// As [`run`], with someone who hears how far it is: of the methods here only the PINN trains long
-/// enough to say anything.
+/// As [`run`], with reports of progress: of the methods here only the PINN trains long enough to
+/// send any.
 ///
 /// # Errors
 /// As [`run`].

@@ -10,7 +10,7 @@ use super::{Estimate, Watch};
 
 /// The configuration with the segment's own white noise where it names none.
 pub fn informed(config: Config, segment: &Segment) -> Config {
-    let measured = || WhiteNoise::measure(segment).told();
+    let measured = || WhiteNoise::measure(segment).measured();
     Config {
         noise: config.noise.or_else(measured),
         ..config
@@ -52,7 +52,7 @@ pub fn half_cycle(
         truth: watch.truth.map(|_| &truth_at as TruthAt<'_>),
         checkpoint,
     };
-    let found = task.run(&mut |p| (watch.say)(state(p)))?;
+    let found = task.run(&mut |p| (watch.report)(state(p)))?;
     let times_s = found.t_s.iter().map(|t| t + crossing_s);
     estimate.t_s.extend(times_s);
     estimate.r_ohm.extend(&found.r_ohm);

@@ -52,7 +52,7 @@ pub fn identify(_: &Segment, _: &Settings, _: &mut Watch<'_>) -> Result<Estimate
 /// Trains the network on each mains half-cycle of the segment.
 ///
 /// # Errors
-/// [`IdentifyError::Unfit`] with what the network says.
+/// [`IdentifyError::Unfit`] with what the network reports.
 #[cfg(feature = "pinn")]
 pub fn identify(
     segment: &Segment,

@@ -20,7 +20,7 @@ impl SerialTransport {
     /// Opens a port by its path.
     ///
     /// # Errors
-    /// [`LinkError::Connect`] with what the operating system said.
+    /// [`LinkError::Connect`] with what the operating system reports.
     pub fn open(path: &str) -> Result<Self, LinkError> {
         let device = format!("serial:{path}");
         match serialport::new(path, BAUD).open() {

@@ -63,8 +63,8 @@ impl WhiteNoise {
         }
     }
 
-    /// Deviations in volt and ampere; `None` where the segment was too short to tell.
-    pub fn told(self) -> Option<[f64; 2]> {
+    /// Deviations in volt and ampere; `None` where the segment was too short to measure them.
+    pub fn measured(self) -> Option<[f64; 2]> {
         (self != Self::default()).then_some([self.v_v, self.i_a])
     }
 }

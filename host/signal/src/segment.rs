@@ -6,7 +6,7 @@ pub const MIN_PERIODS: f64 = 10.0;
 /// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
 const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
 
-/// Latest time, either way, at which samples are still told apart, in seconds.
+/// Latest time, either way, at which samples still have different times, in seconds.
 const LATEST_S: f64 = 1e6;
 
 /// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
@@ -60,7 +60,7 @@ impl Segment {
     }
 
     /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of
-    /// samples `from` up to `to` begins. Its middle tells: its first sample may lie just before.
+    /// samples `from` up to `to` begins. Its middle decides: its first sample may lie just before.
     pub fn crossing_of_s(&self, (from, to): (usize, usize)) -> f64 {
         let middle_s = 0.5 * (self.t_s(from) + self.t_s(to - 1));
         middle_s - self.since_crossing_s(middle_s)

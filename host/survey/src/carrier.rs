@@ -17,7 +17,7 @@ const HINT_WIDTH: f64 = 0.1;
 /// bins reaches 10.
 const LINE_OVER_MEDIAN: f64 = 30.0;
 
-/// A line weaker than the strongest by this much in power tells nothing about the frequency: 1 % of
+/// A line weaker than the strongest by this much in power says nothing about the frequency: 1 % of
 /// amplitude.
 const WEAK: f64 = 1e-4;
 
@@ -121,7 +121,7 @@ fn on_ranges(valid: &[bool]) -> Vec<On> {
 }
 
 /// The part of a run in which it switches: where it goes on or off, the frames' windows reach beyond
-/// the edge, and the current's amplitude tells the place.
+/// the edge, and the current's amplitude shows the place.
 fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
     let window = lines.length * lines.every;
     let edge = |frame: usize, rising: bool| {

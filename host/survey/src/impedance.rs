@@ -1,4 +1,4 @@
-//! R and L of the phasors' fundamental, and what they tell about wiring and skew.
+//! R and L of the phasors' fundamental, and what they show of wiring and skew.
 
 use std::f64::consts::TAU;
 
@@ -36,7 +36,7 @@ pub struct SkewCost {
     pub l_pct: f64,
 }
 
-/// Skews whose cost is told, in seconds.
+/// Skews whose cost is reported, in seconds.
 pub const SKEWS_S: [f64; 3] = [10e-9, 20e-9, 100e-9];
 
 /// Frames below this share of the largest current do not count for the skew's cost.
@@ -49,7 +49,7 @@ const FALLS: f64 = 0.75;
 /// Above this ratio it grows.
 const GROWS: f64 = 1.0 / FALLS;
 
-/// Energy of a harmonic relative to the fundamental below which it tells nothing: 0.3 % of
+/// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of
 /// amplitude.
 const VISIBLE: f64 = 1e-5;
 
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn exchanged_and_reversed_probes_are_told_apart() {
+    fn exchanged_and_reversed_probes_are_distinguished() {
         for (r_ohm, l_h) in [(4.0, 22e-6), (0.1, 70e-6), (0.8, 18e-6), (9.0, 20e-6)] {
             for swapped in [false, true] {
                 for inverted in [false, true] {

@@ -36,7 +36,7 @@ use self::mains::Mains;
 use self::time::Run;
 use self::track::Track;
 
-/// What a person tells about a capture; it goes before what the capture tells.
+/// Values given by the user; they override those stored in the capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hints {
     /// Switching frequency in hertz, to 10 %.
@@ -114,8 +114,8 @@ pub struct Survey {
     pub findings: Vec<Finding>,
 }
 
-/// Samples a period below which it is told: filters in the time domain degrade (design notes,
-/// section 5: 1 MS/s, 14 to 22 samples).
+/// Samples a switching period below which it is reported: filters in the time domain degrade
+/// (1 MS/s at the paper's frequencies: 14 to 22 samples).
 const COARSE: f64 = 12.0;
 
 impl Survey {
@@ -272,7 +272,7 @@ fn strongest(tracks: &[Track]) -> usize {
     (0..tracks.len()).max_by(by_energy).unwrap_or(0)
 }
 
-/// What the impedance of the strongest track tells of the wiring.
+/// What the impedance of the strongest track shows of the wiring.
 fn wiring_findings(
     tracks: &[Track],
     strongest: usize,
@@ -346,7 +346,7 @@ fn expected_aliasing(
     Some(aliasing)
 }
 
-/// Error of R by aliasing above which it is told, in percent.
+/// Error of R by aliasing above which it is reported, in percent.
 const ALIASING_PCT: f64 = 0.1;
 
 fn span((piece, load): (&Piece, &Option<Impedance>)) -> Span {

@@ -6,7 +6,7 @@ use super::gap::GapOperator;
 use super::geometry::Geometry;
 use super::material::Material;
 
-/// Standard resolution of the issue: rings over the load's radius.
+/// Standard resolution (docs/simulator.md): rings over the load's radius.
 pub const RINGS: usize = 16;
 
 /// Standard resolution: nodes into the depth of the load.

@@ -119,7 +119,7 @@ fn a_known_load_gives_skew_and_gains() {
 }
 
 #[test]
-fn the_deviation_told_is_that_of_many_seeds() {
+fn the_deviation_reported_is_that_of_many_seeds() {
     let pot = Pot::new(Metal::Stainless, 0.21);
     let (r_ohm, l_h) = Load::new(PotKind::Stainless, 45e3).r_l(0.0);
     let both = Reference::Load {
@@ -127,7 +127,7 @@ fn the_deviation_told_is_that_of_many_seeds() {
         l_h: Some(l_h),
     };
     let mut skews = Vec::new();
-    let mut told = 0.0;
+    let mut reported = 0.0;
     for seed in 0..16 {
         let mut s = settings(pot, chain(Some(30.0)), 100 + seed);
         s.duration_s = 2e-3;
@@ -135,15 +135,15 @@ fn the_deviation_told_is_that_of_many_seeds() {
         (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
         let found = calibrated(&capture(&s), both).unwrap();
         skews.push(found.skew_s);
-        told = found.skew_sigma_s;
+        reported = found.skew_sigma_s;
     }
     let n = skews.len() as f64;
     let mean = skews.iter().sum::<f64>() / n;
     let shown = (skews.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     // 16 seeds know a deviation to some 18 %.
     assert!(
-        (0.5..2.0).contains(&(told / shown)),
-        "told {told:e} s, shown {shown:e} s"
+        (0.5..2.0).contains(&(reported / shown)),
+        "reported {reported:e} s, shown {shown:e} s"
     );
     assert!((mean - 37e-9).abs() < 1e-9, "{mean:e}");
 }

@@ -173,7 +173,7 @@ mod tests {
     use super::super::curve::LoadPoint;
     use super::*;
 
-    /// The exact curve of truth (a) up to a current.
+    /// The exact curve of the behavioural reference load up to a current.
     fn curve(f_sw_hz: f64, i_max_a: f64) -> LoadCurve {
         let load = Load::new(PotKind::Ferromagnetic, f_sw_hz);
         let points = (0..400).map(|k| {

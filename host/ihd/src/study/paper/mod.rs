@@ -198,7 +198,7 @@ impl Point {
 }
 
 /// Runs the jobs in order; a cell whose file lies in `folder` is read instead. `progress` hears the
-/// number of finished cells and what the network says meanwhile.
+/// number of finished cells and what the network reports meanwhile.
 ///
 /// # Errors
 /// [`PaperStudyError`].
@@ -230,7 +230,7 @@ pub fn study(
             &path,
             &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
         )?;
-        // The cell's own file tells all from here on.
+        // The cell's own file holds all from here on.
         if checkpoint.exists() {
             fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
         }

@@ -59,7 +59,10 @@ pub fn markdown(cells: &[Cell], figures: &[String]) -> String {
          describing function, what a sinusoidal current would see.\n",
     );
     for (load, title) in [
-        (LoadKind::Behavioural, "Truth a: v = R i + L di/dt holds"),
+        (
+            LoadKind::Behavioural,
+            "Behavioural reference load: v = R i + L di/dt holds",
+        ),
         (
             LoadKind::Surrogate,
             "Surrogate: a table fitted to the field model",
