@@ -110,7 +110,7 @@ pub struct Estimate {
     pub i_hat_a: Vec<f32>,
     /// Σ(v̂ − v)²/Σv² in percent against the samples given (paper, section V).
     pub nmse_v_pct: Option<f64>,
-    /// The same of the current.
+    /// The same of the current in percent.
     pub nmse_i_pct: Option<f64>,
     /// Wall-clock time of the estimator alone.
     pub elapsed: Duration,
@@ -257,7 +257,7 @@ impl Estimate {
         Some((*self.r_ohm.last()?, *self.l_h.last()?))
     }
 
-    /// (time, R, L), point by point.
+    /// (time in seconds, R in ohm, L in henry), point by point.
     pub fn points(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let values = self.r_ohm.iter().zip(&self.l_h);
         self.t_s.iter().zip(values).map(|(&t, (&r, &l))| (t, r, l))

@@ -1,4 +1,4 @@
-//! The network of `ihd_pinn` on stretches of a segment: for `ihd identify`, the studies and the trainer.
+//! The network of `ihd_pinn` on half-cycles of a segment: for `ihd identify`, the studies and the trainer.
 
 use std::path::Path;
 
@@ -17,7 +17,8 @@ pub fn informed(config: Config, segment: &Segment) -> Config {
     }
 }
 
-/// The samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s`.
+/// The samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s` in seconds;
+/// the waveform's time counts from there.
 pub fn waveform(segment: &Segment, (from, to): (usize, usize), crossing_s: f64) -> Waveform<'_> {
     Waveform {
         f_sw_hz: segment.f_sw_hz,

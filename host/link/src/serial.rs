@@ -7,7 +7,7 @@ use serialport::SerialPort;
 
 use super::{LinkError, Transport};
 
-/// What the board's serial port is set to (`firmware/src/board/stm32g474/serial.rs`).
+/// Rate of the board's serial port in bit/s (`firmware/src/board/stm32g474/serial.rs`).
 pub const BAUD: u32 = 921_600;
 
 /// A serial port.

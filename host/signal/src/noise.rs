@@ -18,7 +18,7 @@ const PERIODS: f64 = 16.0;
 /// Most windows that are looked at: their median is within 20 %.
 const MOST_WINDOWS: usize = 16;
 
-/// Standard deviation of one sample's white noise.
+/// Standard deviation of one sample's white noise; zero where it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct WhiteNoise {
     /// Of the voltage in volt.

@@ -1,4 +1,4 @@
-//! What every estimator takes: a stretch of evenly sampled coil voltage and current.
+//! What every estimator takes: evenly sampled coil voltage and current.
 
 /// Fewest switching periods that an estimator can work on.
 pub const MIN_PERIODS: f64 = 10.0;
@@ -9,7 +9,7 @@ const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
 /// Latest time, either way, at which samples still have different times, in seconds.
 const LATEST_S: f64 = 1e6;
 
-/// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
+/// A part of a capture with one switching frequency, evenly sampled, without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Switching frequency in hertz.
@@ -144,7 +144,7 @@ impl Segment {
         check_channel("current", &self.i_a)
     }
 
-    /// The same stretch with other samples.
+    /// The same segment with other samples.
     pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
         Self {
             f_sw_hz: self.f_sw_hz,

@@ -71,13 +71,13 @@ pub struct UnknownPot(pub String);
 
 /// A load at one frequency, ready to be evaluated at every sample.
 #[derive(Clone, Copy, Debug)]
-pub struct Load {
+pub struct BehaviouralLoad {
     pot: PotKind,
     r_factor: f64,
     l_factor: f64,
 }
 
-impl Load {
+impl BehaviouralLoad {
     /// The load of a pot at a switching frequency in hertz.
     ///
     /// R ∝ f^½ by the skin effect; the part of L that is in magnetic material ∝ f^−0.3, the gap's
@@ -127,13 +127,13 @@ mod tests {
 
     #[test]
     fn the_reference_load_has_its_values() {
-        let load = Load::new(PotKind::Ferromagnetic, 45e3);
+        let load = BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
         let (r0, l0) = load.r_l(0.0);
         assert!((r0 - 5.7).abs() < 1e-12 && (l0 - 32e-6).abs() < 1e-15);
         let (r, l) = load.r_l(14.0);
         assert!((r - (2.2 + 3.5 / (1.0 + 14.0 / 15.0))).abs() < 1e-12);
         assert!((l - 24.5e-6).abs() < 1e-15);
-        let (r4, l4) = Load::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
+        let (r4, l4) = BehaviouralLoad::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
         assert!((r4 / r0 - 2.0).abs() < 1e-12);
         assert!((l4 - (16.0 + 16.0 * 4f64.powf(-0.3)) * 1e-6).abs() < 1e-15);
     }

@@ -31,7 +31,7 @@ const STEP_HZ: f64 = 150.0;
 /// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides it.
 const OFF_HOPS: usize = 10;
 
-/// A stretch with one switching frequency.
+/// Part of a run with one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
     /// The run it is a part of, cut to it.
@@ -43,7 +43,7 @@ pub struct Piece {
 /// What a search found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
-    /// Stretches with a carrier, in order of time.
+    /// Pieces with a carrier, in order of time.
     pub pieces: Vec<Piece>,
     /// Times in seconds between which there is none.
     pub off_s: Vec<(f64, f64)>,
@@ -56,7 +56,7 @@ pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
     })
 }
 
-/// Finds the stretches of a run in which it switches at one frequency, within `band_hz`.
+/// Finds the pieces of a run in which it switches at one frequency, within `band_hz`.
 pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
     let lines = Lines::of(capture, run, band_hz);
     let strongest = lines.frames.iter().map(|l| l.power).fold(0.0, f64::max);

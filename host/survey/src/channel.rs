@@ -25,7 +25,7 @@ pub struct ChannelSurvey {
     pub min: f64,
     /// Largest sample.
     pub max: f64,
-    /// Mean over the stretches with switching.
+    /// Mean over the pieces with switching.
     pub mean: f64,
     /// Rms value over them, the mean taken off.
     pub rms: f64,

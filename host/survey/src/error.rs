@@ -36,7 +36,7 @@ pub enum SurveyError {
     TooShort {
         /// The capture.
         name: String,
-        /// Samples of the longest stretch.
+        /// Samples of the longest run.
         samples: usize,
         /// Its length in milliseconds.
         ms: f64,

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use ihd_signal::Load;
 use nalgebra::Complex;
 use serde::Serialize;
 
@@ -16,15 +17,6 @@ pub struct Wiring {
     pub inverted: bool,
 }
 
-/// R and L of one harmonic, least squares over time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Impedance {
-    /// Resistance in ohm.
-    pub r_ohm: f64,
-    /// Inductance in henry.
-    pub l_h: f64,
-}
-
 /// What a skew between the channels would do to R.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SkewCost {
@@ -32,7 +24,7 @@ pub struct SkewCost {
     pub skew_s: f64,
     /// Mean relative error of R in percent.
     pub r_pct: f64,
-    /// The same of L.
+    /// The same of L in percent.
     pub l_pct: f64,
 }
 
@@ -81,10 +73,10 @@ impl Normal {
         self.right[1] += product(b, v);
     }
 
-    fn solve(&self) -> Option<Impedance> {
+    fn solve(&self) -> Option<Load> {
         let [aa, ab, bb] = self.n;
         let determinant = aa * bb - ab * ab;
-        let found = Impedance {
+        let found = Load {
             r_ohm: (bb * self.right[0] - ab * self.right[1]) / determinant,
             l_h: (aa * self.right[1] - ab * self.right[0]) / determinant,
         };
@@ -92,9 +84,9 @@ impl Normal {
     }
 }
 
-/// R and L of the harmonic at place `order` of [`ORDERS`] over a track; `None` when the rate or the
+/// R and L of the harmonic at place `order` of [`ORDERS`], least squares over a track; `None` when the rate or the
 /// length does not give it.
-pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Impedance> {
+pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Load> {
     let (v, i) = channels(track, order, wiring)?;
     let hop_s = track.t_s.get(1)? - track.t_s[0];
     let omega = TAU * track.f_sw_hz * f64::from(*ORDERS.get(order)?);

@@ -2,7 +2,7 @@
 //!
 //! The bus follows |sin|, or stops above zero where a capacitor holds it, and the load makes the
 //! coil's voltage a law of the bus: E(t) = c0 + c1 s + c2 s² with s = |sin 2πf(t − t0)|, the
-//! coefficients a stretch's own, f and t0 common. Less than a few half-cycles cannot separate a
+//! coefficients a piece's own, f and t0 common. Less than a few half-cycles cannot separate a
 //! constant from a lower frequency: there the law is c1 s + c2 s² + c3 s³.
 
 use std::f64::consts::PI;
@@ -171,7 +171,7 @@ fn extent(envelopes: &[Envelope]) -> (f64, f64) {
     let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
         (a.min(t), b.max(t))
     });
-    // The deepest stretch counts: another one may be short.
+    // The deepest piece counts: another one may be short.
     let depth = envelopes.iter().map(|e| {
         let (low, high) = e
             .level
@@ -188,7 +188,7 @@ struct Fit {
     hz: f64,
     /// Zero crossing near the middle of what was fitted, in seconds.
     t0_s: f64,
-    /// Sum of squared residuals over that about the stretches' means.
+    /// Sum of squared residuals over that about the pieces' means.
     unexplained: f64,
 }
 
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn stretches_of_different_level_share_their_mains() {
+    fn pieces_of_different_level_share_their_mains() {
         let mut second = envelope(50.0, 2e-3, 15e-3, 40e-3, 0.0);
         second.level.iter_mut().for_each(|x| *x *= 0.3);
         let (m, _) = found(&[envelope(50.0, 2e-3, 0.0, 15e-3, 0.0), second]);

@@ -1,4 +1,4 @@
-//! A capture in stretches of one switching frequency.
+//! A capture in pieces of one switching frequency.
 
 use ihd_signal::Capture;
 use ihd_signal::segment::MIN_PERIODS;
@@ -20,7 +20,7 @@ const SCRAPS_S: f64 = 0.5e-3;
 /// Frequency difference between neighbouring spans that is a step, in hertz.
 const STEP_HZ: f64 = 50.0;
 
-/// Stretches of one switching frequency, the frequency refined, with their phasors.
+/// Pieces of one switching frequency, the frequency refined, with their phasors.
 pub(super) fn find(
     capture: &Capture,
     hints: &Hints,
@@ -98,7 +98,7 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     out
 }
 
-/// Why no stretch was found.
+/// Why no piece was found.
 fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
     let name = capture.name.clone();
     if let Some(specified_hz) = hints.f_sw_hz {

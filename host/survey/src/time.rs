@@ -1,4 +1,4 @@
-//! Stretches of a capture in which samples are numbers, evenly spaced and without gaps.
+//! Runs: parts of a capture in which samples are numbers, evenly spaced and without gaps.
 
 use std::ops::Range;
 

@@ -22,7 +22,7 @@ use super::McapFileError;
 use super::cdr;
 use super::notes;
 use super::reader::{Item, Reader};
-use super::save::{describe, runs};
+use super::save::{batches, describe};
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, Writer};
 
@@ -174,10 +174,12 @@ impl SessionRecorder {
             t0_s: zero_crossing_s + window.pair_time_s(0),
             dt_s: window.dt_s(),
         };
-        for run in runs(&time, window.pairs.len()) {
-            let pairs = window.pairs[run.from..run.to].iter().map(|p| [p.v, p.i]);
-            let t0_s = run.when.t0_s();
-            let message = cdr::codes(&run.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
+        for batch in batches(&time, window.pairs.len()) {
+            let pairs = window.pairs[batch.from..batch.to]
+                .iter()
+                .map(|p| [p.v, p.i]);
+            let t0_s = batch.when.t0_s();
+            let message = cdr::codes(&batch.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
             self.writer.message(Topic::Samples, t0_s, &message)?;
         }
         let note = notes::window(window, zero_crossing_s);

@@ -15,7 +15,7 @@ pub const DEPTH_NODES: usize = 44;
 /// What has to be chosen for a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Dimensions.
+    /// Dimensions in metre.
     pub geometry: Geometry,
     /// Load material.
     pub material: Material,

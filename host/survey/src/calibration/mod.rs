@@ -135,7 +135,7 @@ impl Calibration {
     /// Takes offsets, gain and skew out of a capture: what it then holds was measured at the times of
     /// the voltage's samples.
     ///
-    /// The current is interpolated within each stretch without gaps; its first and last
+    /// The current is interpolated within each run; its first and last
     /// samples repeat beyond the ends.
     pub fn apply(&self, capture: &mut Capture) {
         let v_gain = 1.0 / self.gain_ratio;

@@ -168,7 +168,7 @@ impl LookupBuilder {
 mod tests {
     use ihd_shared::lookup::plausible;
     use ihd_shared::lookup::prior::prior;
-    use ihd_sim::behavioural::{Load, PotKind};
+    use ihd_sim::behavioural::{BehaviouralLoad as Load, PotKind};
 
     use super::super::curve::LoadPoint;
     use super::*;

@@ -133,7 +133,7 @@ fn mains(survey: &Survey) -> String {
 fn spans(survey: &Survey) -> String {
     let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
     for span in &survey.spans {
-        let load = |value: fn(&ihd_survey::impedance::Impedance) -> f64| {
+        let load = |value: fn(&ihd_signal::Load) -> f64| {
             span.load
                 .as_ref()
                 .map_or("-".to_owned(), |z| format!("{:.3}", value(z)))

@@ -63,9 +63,9 @@ pub struct Plan {
 /// Mean relative errors in percent, R and L.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
-    /// Of R.
+    /// Of R in percent.
     pub r_pct: f64,
-    /// Of L.
+    /// Of L in percent.
     pub l_pct: f64,
 }
 

@@ -66,7 +66,7 @@ pub(super) fn run(
         elapsed_s: found.estimate.elapsed.as_secs_f64(),
         steps: identified.map_or(0, |i| i.iterations),
         stopped: identified.map_or(String::new(), |i| i.stopped_because.to_string()),
-        track: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
+        trajectory: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
         truth: thinned(truth_points.filter(|p| inside(p.0)).collect()),
         noise_in_samples: job
             .snr_db

@@ -206,7 +206,7 @@ mod tests {
             elapsed_s: 1.0,
             steps: 0,
             stopped: String::new(),
-            track: Vec::new(),
+            trajectory: Vec::new(),
             truth: Vec::new(),
             noise_in_samples: None,
             losses: Vec::new(),
