@@ -358,3 +358,15 @@ fn a_dead_channel_and_a_gap_are_reported() {
     };
     assert!(got.findings.contains(&dead), "{:?}", got.findings);
 }
+
+#[test]
+fn json_keeps_the_keys_that_users_have() {
+    let finding = Finding::MainsDiffers {
+        specified_hz: 60.0,
+        measured_hz: 50.0,
+    };
+    let json = serde_json::to_value(finding).unwrap();
+    assert_eq!(json["told_hz"], 60.0);
+    let source = serde_json::to_value(mains::Source::Specified).unwrap();
+    assert_eq!(source, "told");
+}
