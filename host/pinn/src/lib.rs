@@ -4,7 +4,7 @@
 //! `v = R(t) i + L(t) di/dt` (paper eq. (1)), and both drift with the mains envelope. Given one
 //! mains half-cycle of sampled coil voltage and current, [`identify`] returns R(t) and L(t).
 //!
-//! The method is the paper's hybrid-timescale PINN with two repairs (docs/pinn.md):
+//! The method is the paper's hybrid-timescale PINN with two repairs (design notes, section 6):
 //!
 //! - the fast **VI branch** is a sum of
 //!   switching harmonics whose phasors are cubic B-splines in slow time, so that the data terms

@@ -16,7 +16,7 @@ pub enum Preset {
     Hybrid,
     /// The paper as written: eqs. (2), (3) with m, n from 1, outputs not scaled.
     PaperLiteral,
-    /// The paper's networks with the repairs of docs/pinn.md: m from 0, slow features, scaled outputs.
+    /// The paper's networks with the repairs of the design notes, section 6.
     PaperRepaired,
     /// `paper-literal` with scaled outputs.
     LiteralScaled,

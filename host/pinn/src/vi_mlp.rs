@@ -34,7 +34,7 @@ pub struct ViMlp {
 }
 
 impl Default for ViMlp {
-    /// The paper's network with two repairs: m from 0, slow features.
+    /// The paper's network with the two repairs of the design notes: m from 0, slow features.
     fn default() -> Self {
         Self {
             hidden_layers: vec![64; 3],

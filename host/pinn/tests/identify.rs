@@ -1,4 +1,4 @@
-//! The identification against an exact load (the behavioural reference load): the generator knows
+//! The identification against an exact load (truth (a) of the design notes): the generator knows
 //! R(t) and L(t), so every bound below comes from the physics and none from an earlier output.
 
 mod truth;

@@ -1,4 +1,4 @@
-//! An exact load, the behavioural reference load, for which v = R i + L di/dt holds at every time.
+//! An exact load: truth (a) of the design notes, for which v = R i + L di/dt holds at every time.
 #![allow(dead_code)] // each test binary uses its own part
 
 use std::f64::consts::TAU;
