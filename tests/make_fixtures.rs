@@ -1,6 +1,6 @@
 //! Makes tests/fixtures/half_cycle: `cargo run -p ihd-tests --example make_fixtures`.
 //!
-//! Truth (a), 50 Hz mains, the second half-cycle after switching on at a fixed frequency, 12 bit,
+//! The behavioural reference load, 50 Hz mains, the second half-cycle after switching on at a fixed frequency, 12 bit,
 //! 61/3; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
 //! (seed 7).
 

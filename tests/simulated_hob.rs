@@ -16,7 +16,7 @@ use ihd_sim::transport::SharedHob;
 /// Simulated time without an event that means the hob has fallen silent.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A hob, whoever talks to it, and everything it has said so far.
+/// A hob, whoever talks to it, and everything it has sent so far.
 pub struct Kitchen {
     /// The host's end.
     pub client: Client,
@@ -75,7 +75,9 @@ impl Kitchen {
     /// Where the true load resonates in a half-cycle: the highest frequency, in hertz.
     pub fn resonance_hz(&self, half_cycle: u32) -> f64 {
         let hob = self.hob.lock();
-        let truth = hob.truth(half_cycle).expect("the truth of what was told");
+        let truth = hob
+            .truth(half_cycle)
+            .expect("the truth of what was reported");
         let l_h = truth.l_h.iter().copied().fold(f64::INFINITY, f64::min);
         (TAU * (l_h * f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9).sqrt()).recip()
     }

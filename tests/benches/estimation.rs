@@ -1,7 +1,7 @@
 //! Speed of the estimators and of the link: `cargo bench --profile full -p ihd-tests --bench estimation`.
 //!
-//! Inputs are the recorded half-cycle tests/fixtures/half_cycle/45k-snr30 (truth (a), 45 kHz, 12 bit,
-//! 61/3, noise of 30 dB), so that branches and convergence are those of real data. Without the
+//! Inputs are the recorded half-cycle tests/fixtures/half_cycle/45k-snr30 (behavioural reference
+//! load, 45 kHz, 12 bit, 61/3, noise of 30 dB), so that branches and convergence are those of real data. Without the
 //! feature `pinn` the network is left out.
 
 use std::hint::black_box;
@@ -29,7 +29,7 @@ mod oracle;
 /// Switching frequency of the fixture, in hertz.
 const F_SW_HZ: u32 = 45_000;
 
-/// Where the filters start: the nominal load of the design notes.
+/// Where the filters start: the nominal load, 4 Ω and 25 µH.
 const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
 
 /// The fixture's pairs in whole blocks.

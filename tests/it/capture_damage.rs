@@ -167,7 +167,7 @@ fn what_a_later_minor_version_or_another_tool_adds_is_ignored() {
 }
 
 #[test]
-fn a_known_topic_of_another_layout_is_told_not_skipped() {
+fn a_known_topic_of_another_layout_is_reported_not_skipped() {
     let bytes = made(PROFILE, |w| {
         let schema = w.add_schema("somebody/msg/Samples", "ros2msg", b"");
         w.add_channel(schema.unwrap(), "/samples", "cdr", &BTreeMap::new())
@@ -247,7 +247,7 @@ fn a_chunk_that_unpacks_to_more_than_it_declares_is_refused() {
 }
 
 #[test]
-fn what_is_no_file_is_told() {
+fn what_is_no_file_is_reported() {
     let dir = TempDir::new().unwrap();
     let text = mcap::read(dir.path()).unwrap_err().to_string();
     assert!(text.contains("is a directory"), "{text}");

@@ -75,13 +75,13 @@ fn the_rating_is_reached_above_resonance() {
     assert_reaches(&mut kitchen, RATED_POWER_W);
 }
 
-/// The hob is off, says why, and stays off until the fault is cleared.
+/// The hob is off, reports why, and stays off until the fault is cleared.
 fn assert_faulted(kitchen: &mut Kitchen, fault: Fault) {
-    let told = kitchen
+    let reported = kitchen
         .events
         .iter()
         .any(|e| matches!(e, Event::Fault(f) if f.fault == fault));
-    assert!(told, "{fault:?} was not told");
+    assert!(reported, "{fault:?} was not reported");
     let status = kitchen.client.status().unwrap();
     assert_eq!(
         (status.state, status.fault, status.f_sw_hz),

@@ -145,7 +145,7 @@ impl FrameSink for Shared {
     }
 }
 
-/// Everything a hob says in 60 half-cycles at two powers. The hello comes before the recording.
+/// Everything a hob sends in 60 half-cycles at two powers. The hello comes before the recording.
 fn recorded(seed: u64) -> Vec<u8> {
     let sink = Shared::default();
     let mut kitchen = Kitchen::new(HobConfig {

@@ -316,7 +316,7 @@ fn replay_mode_says_so_and_locks_the_power_outputs() {
     assert_eq!(
         client.hello().capabilities,
         CAP_SIMULATED | CAP_REPLAYING,
-        "whoever comes must be told"
+        "whoever connects must see the replay in the hello"
     );
     let replay = client.start_replay(F_SW_MAX_HZ, START.0, START.1).unwrap();
     replay.end().unwrap();
@@ -357,7 +357,7 @@ fn replay_power(mut replay: ihd_link::replay::Replay<'_>) -> LinkError {
 }
 
 #[test]
-fn over_current_in_a_replay_ends_the_estimates_and_is_told() {
+fn over_current_in_a_replay_ends_the_estimates_and_is_reported() {
     let board = Board::start("");
     let mut client = board.connect();
     let mut replay = client.start_replay(45_000, START.0, START.1).unwrap();

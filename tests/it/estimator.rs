@@ -7,7 +7,7 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 use ihd_tests::oracle::{self, Jacobian};
 
-/// The load the filters start from: the nominal one of the design notes.
+/// The nominal load, from which the filters start: R in ohm, L in henry.
 const START: (f64, f64) = (4.0, 25e-6);
 
 /// (time, R, L) per block by the firmware.

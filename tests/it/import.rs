@@ -1,4 +1,4 @@
-//! What scopes, MATLAB and NumPy write, opened as captures. tests/fixtures/formats/make.py says who
+//! What scopes, MATLAB and NumPy write, opened as captures. tests/fixtures/formats/make.py states who
 //! wrote each file; the waveform is the formula of [`wave`].
 
 use std::path::{Path, PathBuf};
@@ -101,7 +101,7 @@ fn tektronix_wfm_of_every_version_and_byte_order() {
         assert!((full_v - 200.0).abs() < 1e-9, "{v}: {full_v}");
         assert!((capture.i_full_scale_a.unwrap() - 40.0).abs() < 1e-9, "{v}");
     }
-    // The order of the files does not matter: the units tell.
+    // The order of the files does not matter: the units decide.
     let swapped = pair("tek_wfm3le_i.wfm", "tek_wfm3le_v.wfm");
     check("swapped", &swapped, 0.5 * V_STEP, 0.5 * I_STEP);
 }
@@ -149,7 +149,7 @@ fn matlab_and_numpy() {
 
 #[test]
 fn tables_in_the_dialects_of_scopes() {
-    // File, format told, error by its decimals in volt and ampere.
+    // File, format reported, error by its decimals in volt and ampere.
     for (file, maker, v_error_v, i_error_a) in [
         ("tektronix_mso.csv", "CSV, Tektronix", 5e-5, 5e-6),
         ("rigol.csv", "CSV, Rigol", 0.5, 0.05),
@@ -186,7 +186,7 @@ fn tables_with_one_channel_in_pairs() {
             5e-5,
             5e-6,
         ),
-        // No unit in these: the files' names tell.
+        // No unit in these: the files' names decide.
         ("lecroy_voltage.csv", "lecroy_current.csv", 5e-5, 5e-6),
     ] {
         let capture = pair(v, i);
@@ -303,9 +303,9 @@ fn the_vendors_invalid_files_are_refused() {
             ..OpenOptions::default()
         };
         let refused = open(&path, &options).map(|c| c.len());
-        let told = refused.expect_err(file).to_string();
-        println!("{told}");
-        let place = told.contains(" byte ") || told.contains(" line ");
-        assert!(told.contains(path.to_str().unwrap()) && place, "{told}");
+        let text = refused.expect_err(file).to_string();
+        println!("{text}");
+        let place = text.contains(" byte ") || text.contains(" line ");
+        assert!(text.contains(path.to_str().unwrap()) && place, "{text}");
     }
 }

@@ -49,7 +49,7 @@ fn a_device_says_what_it_is_and_takes_commands() {
 }
 
 #[test]
-fn another_major_is_told_at_the_host() {
+fn another_major_is_reported_at_the_host() {
     let mut hello = desk_hello();
     hello.protocol_major = PROTOCOL_MAJOR + 1;
     let link = DeskLink::new(DeskHob::new(hello));
@@ -128,15 +128,15 @@ impl Transport for Parrot {
 }
 
 #[test]
-fn a_peer_that_is_no_device_is_told_from_silence() {
-    for (bytes, told) in [
+fn a_peer_that_is_no_device_is_distinguished_from_silence() {
+    for (bytes, text) in [
         (&b"HTTP/1.1 400 Bad Request\r\n"[..], "no frame"),
         (b"", "nothing came"),
     ] {
         let Err(error) = Client::connect(Box::new(Parrot(bytes))) else {
             panic!("a parrot must not connect");
         };
-        assert!(error.to_string().contains(told), "{error}");
+        assert!(error.to_string().contains(text), "{error}");
     }
 }
 
@@ -249,7 +249,7 @@ fn events_that_arrive_while_a_command_waits_are_kept() {
 }
 
 #[test]
-fn an_answer_that_stays_away_is_told_and_a_late_one_is_not_taken_for_another() {
+fn an_answer_that_stays_away_is_reported_and_a_late_one_is_not_taken_for_another() {
     let (mut client, link) = connected();
     let mut swallowed = Vec::new();
     // The first answer arrives only together with the second.

@@ -63,7 +63,7 @@ impl Transport for InMemory {
     }
 }
 
-/// Serves one host until it has nothing more to say.
+/// Serves one host until it has nothing more to send.
 fn serve(listener: TcpListener) -> thread::JoinHandle<()> {
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
@@ -103,7 +103,7 @@ fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<Event> {
     assert!(client.push_lookup_bytes(b"nonsense").is_err());
     client.stream(0, 0).unwrap();
     // The last answer's half-cycles bring one more window at most; after two more commands the
-    // device has nothing left to say but the answer.
+    // device has nothing left to send but the answer.
     client.status().unwrap();
     client.status().unwrap();
     let mut events = Vec::new();
@@ -153,7 +153,7 @@ fn bytes(path: &Path, wanted: Topic) -> Vec<u8> {
 }
 
 #[test]
-fn nobody_listening_is_told_with_what_to_do() {
+fn nobody_listening_is_reported_with_what_to_do() {
     let (listener, address) = local();
     drop(listener);
     let error = TcpTransport::connect(&address).err().unwrap();
@@ -166,12 +166,12 @@ fn nobody_listening_is_told_with_what_to_do() {
 }
 
 #[test]
-fn a_host_name_without_address_is_told() {
+fn a_host_name_without_address_is_reported() {
     let error = TcpTransport::connect("no such host:1").err().unwrap();
     assert!(error.to_string().contains("no such host:1"), "{error}");
 }
 
-/// A peer that accepts, says `words` and goes.
+/// A peer that accepts, sends `words` and goes.
 fn short_visit(words: &'static [u8]) -> String {
     let (listener, address) = local();
     thread::spawn(move || {
@@ -184,7 +184,7 @@ fn short_visit(words: &'static [u8]) -> String {
 }
 
 #[test]
-fn a_peer_that_leaves_is_told() {
+fn a_peer_that_leaves_is_reported() {
     for words in [&b""[..], b"SSH-2.0-OpenSSH_9.2\r\n"] {
         let transport = TcpTransport::connect(&short_visit(words)).unwrap();
         let Err(error) = Client::connect(Box::new(transport)) else {

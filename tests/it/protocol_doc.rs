@@ -1,4 +1,4 @@
-//! docs/protocol.md is what the message table says.
+//! docs/protocol.md is what the message table gives.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ fn the_document_follows_the_table() {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == generated,
-        "docs/protocol.md is not what the message table says: \
+        "docs/protocol.md is not what the message table gives: \
          UPDATE_DOCS=1 cargo test -p ihd-tests protocol_doc"
     );
 }

@@ -237,7 +237,7 @@ fn a_link_that_ends_is_made_anew_and_the_replay_goes_on_where_it_was() {
 }
 
 #[test]
-fn one_bit_of_one_estimate_is_seen_and_told() {
+fn one_bit_of_one_estimate_is_seen_and_reported() {
     let desk = DeskLink::new(DeskHob::new(desk_hello()));
     // The estimates' frames, made anew with one micro-ohm more in one of them.
     let mut deframer = Deframer::new();
@@ -335,7 +335,7 @@ fn replay_mode_locks_the_power_outputs_and_says_so() {
         "{refused}"
     );
     assert!(refused.to_string().contains("replay mode"), "{refused}");
-    // Whoever comes next is told by the hello.
+    // Whoever comes next sees it in the hello.
     let mut second = client(desk.clone()).unwrap();
     assert!(second.hello().capabilities & CAP_REPLAYING != 0);
     assert!(second.set_power(1_000).is_err());
@@ -364,7 +364,7 @@ fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
     let now = replay.client().status().unwrap();
     let fault = loop {
         let event = replay.client().next_event(Duration::from_millis(100));
-        if let LinkEvent::Fault(event) = event.unwrap().expect("a fault is told") {
+        if let LinkEvent::Fault(event) = event.unwrap().expect("a fault is reported") {
             break event;
         }
     };

@@ -229,13 +229,16 @@ impl FrameSink for Full {
 }
 
 #[test]
-fn a_full_disk_is_told_once_and_the_link_goes_on() {
+fn a_full_disk_is_reported_once_and_the_link_goes_on() {
     let link = DeskLink::new(DeskHob::new(desk_hello()));
     let mut client = Client::connect(Box::new(link)).unwrap();
     client.record_to(Full);
     client.stream(1, 0).unwrap();
-    let told = client.next_event(Duration::from_millis(50));
-    assert!(matches!(told, Err(LinkError::Recording(_))), "{told:?}");
+    let reported = client.next_event(Duration::from_millis(50));
+    assert!(
+        matches!(reported, Err(LinkError::Recording(_))),
+        "{reported:?}"
+    );
     for _ in 0..3 {
         let event = client.next_event(Duration::from_millis(50)).unwrap();
         assert!(matches!(event, Some(Event::Telemetry(_))));

@@ -9,7 +9,7 @@ use ihd_shared::lookup::blob::LEN;
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::CHUNK_BYTES;
-use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode, encode_raw};
+use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, decode, encode_raw};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, FaultEvent, GetStatus, Hello, LookupBlob, MESSAGES, Message, Outcome,
@@ -275,16 +275,19 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         }
     }
     assert_eq!(incoming.counters().messages_malformed, 0);
-    let told = Status {
+    let status = Status {
         fault: newer,
         ..status()
     };
-    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(told)));
-    let told = Telemetry {
+    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(status)));
+    let telemetry = Telemetry {
         fault: newer,
         ..telemetry()
     };
-    assert_eq!(incoming.events.pop_front(), Some(Event::Telemetry(told)));
+    assert_eq!(
+        incoming.events.pop_front(),
+        Some(Event::Telemetry(telemetry))
+    );
     let Some(Event::Fault(event)) = incoming.events.pop_front() else {
         panic!("the fault event is missing");
     };

@@ -41,7 +41,7 @@ impl fmt::Display for ChannelRef {
     }
 }
 
-/// What the user says of the channels.
+/// What the user specifies of the channels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ChannelOptions {
     /// Voltage and current channel; else they are found by unit and name.
@@ -129,20 +129,20 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
         (Some(v), Some(i)) if v != i => Some([v, i]),
         (None, Some(i)) => other(i).map(|v| [v, i]),
         (Some(v), None) => other(v).map(|i| [v, i]),
-        // Two channels that tell nothing: only with --swap has the user said which is which.
+        // Neither unit nor name decides: only with --swap has the user specified which is which.
         _ => None,
     };
     pair.ok_or_else(|| {
         let advice = if swap {
             "--swap changes what is detected, and nothing is"
         } else {
-            "cannot tell voltage from current"
+            "cannot distinguish voltage from current"
         };
         format!("{advice}; {}", listed(channels))
     })
 }
 
-/// What a channel of this name measures, where the name tells.
+/// What a channel of this name measures, where the name shows it.
 pub fn quantity_of_name(name: &str) -> Option<Quantity> {
     let lower = name.to_lowercase();
     let words = || lower.split(|c: char| !c.is_alphabetic());
@@ -170,7 +170,7 @@ fn chosen(
     let side = usize::from(wanted == Quantity::Current);
     let ratio = options.probe.map_or(1.0, |probe| probe[side]);
     let stated = options.units.map(|units| units[side]);
-    // Who gives a ratio or says that the channels are exchanged knows better than the unit.
+    // A ratio or an exchange given by the user overrides the unit in the file.
     let settled = options.probe.is_some() || options.swap;
     let in_file = channels.get(index).and_then(|c| c.unit);
     let scale = match (stated, in_file) {
@@ -199,7 +199,7 @@ fn chosen(
     })
 }
 
-/// Channels told in a message at most.
+/// Channels listed in a message at most.
 const LISTED: usize = 12;
 
 fn listed(channels: &[Channel]) -> String {
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_asked_with_the_flags() {
+    fn what_cannot_be_decided_is_asked_with_the_flags() {
         let both_volt = [channel("CH1", Some("V")), channel("CH2", Some("V"))];
         let asked = choose(&both_volt, &ChannelOptions::default()).unwrap_err();
         assert!(
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn thousands_of_channels_are_not_all_told() {
+    fn thousands_of_channels_are_not_all_listed() {
         let many: Vec<_> = (0..5000)
             .map(|k| channel(&format!("CH{k}"), None))
             .collect();

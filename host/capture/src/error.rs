@@ -51,7 +51,7 @@ impl FormatError {
         }
     }
 
-    /// A read that failed at a byte offset; an unexpected end is told as a truncated file.
+    /// A read that failed at a byte offset; an unexpected end is reported as a truncated file.
     pub fn io(offset: u64, source: &io::Error) -> Self {
         match source.kind() {
             io::ErrorKind::UnexpectedEof => Self::at_byte(offset, "the file ends here, truncated"),
@@ -76,7 +76,7 @@ pub enum CaptureError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// What the system reports.
         source: io::Error,
     },
     /// A directory, a pipe or a device.

@@ -1,4 +1,4 @@
-//! The formats of captures: one table says how each is called, recognised, opened and written.
+//! The formats of captures: one table holds how each is called, recognised, opened and written.
 
 use std::fs::{File, FileType};
 use std::io::Read;

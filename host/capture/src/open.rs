@@ -11,7 +11,7 @@ use super::formats::unit::Unit;
 use super::formats::{Channel, Samples, Source};
 use super::pair::overlap;
 
-/// What the user says of a file, and a second one with the other channel.
+/// What the user specifies of a file, and a second one with the other channel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenOptions {
     /// File with the other channel, of one acquisition; its channels are numbered after the first's.
@@ -74,7 +74,7 @@ impl Opened {
         })
     }
 
-    /// The channels; of a pair the file's name tells where the channel's does not.
+    /// The channels; of a pair the file's name decides where the channel's does not.
     fn channels(&self, paired: bool) -> Vec<Channel> {
         let mut channels = self.source.channels().to_vec();
         let stem = self
@@ -168,7 +168,7 @@ fn assembled(
         t0_s: 0.0,
         dt_s: 1.0 / rate_hz,
     });
-    let no_time = "the file tells no time: give the sampling rate with --rate, as in --rate 50M";
+    let no_time = "the file states no time: give the sampling rate with --rate, as in --rate 50M";
     let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
     let mut side = |k: usize| {
         let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
@@ -316,15 +316,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_or_no_capture_is_told() {
-        let told = |path: &Path| open(path, &OpenOptions::default()).unwrap_err().to_string();
+    fn what_is_no_file_or_no_capture_is_reported() {
+        let refused = |path: &Path| open(path, &OpenOptions::default()).unwrap_err().to_string();
         let (dir, path) = written("a.bin", b"\x01\x02\x03");
-        assert!(told(&path).contains("binary"));
-        assert!(told(dir.path()).contains("is a directory"));
+        assert!(refused(&path).contains("binary"));
+        assert!(refused(dir.path()).contains("is a directory"));
         std::fs::write(&path, b"").unwrap();
-        assert!(told(&path).contains("empty"));
+        assert!(refused(&path).contains("empty"));
         std::fs::write(&path, b"t,v,i\n").unwrap();
-        assert!(told(&path).contains("a.bin, line"), "{}", told(&path));
-        assert!(told(&dir.path().join("none.csv")).contains("none.csv"));
+        assert!(refused(&path).contains("a.bin, line"), "{}", refused(&path));
+        assert!(refused(&dir.path().join("none.csv")).contains("none.csv"));
     }
 }

@@ -100,8 +100,8 @@ fn survives(path: &Path, bytes: &[u8], what: &str) -> bool {
             true
         }
         Err(e) => {
-            let told = e.to_string();
-            assert!(told.contains("damaged."), "{what}: {told}");
+            let text = e.to_string();
+            assert!(text.contains("damaged."), "{what}: {text}");
             false
         }
     }

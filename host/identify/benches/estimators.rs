@@ -1,7 +1,7 @@
 //! Speed of the host's estimators: `cargo bench --profile full -p ihd-identify --bench estimators`.
 //!
-//! Input: one mains cycle of truth (a) at 45 kHz, 50 MS/s, noise of 30 dB: 1 000 000 samples, as in the
-//! paper, whose EKF took 13.2 s in MATLAB for as many.
+//! Input: one mains cycle of the behavioural reference load at 45 kHz, 50 MS/s, noise of 30 dB:
+//! 1 000 000 samples, as in the paper, whose EKF took 13.2 s in MATLAB for as many.
 
 use std::hint::black_box;
 

@@ -3,7 +3,7 @@
 //!
 //! The derivative is a central difference over [`KfSettings::derivative_periods`] of a switching
 //! period. Short, it carries the current's noise into the regressor and L comes out too small;
-//! long, it smears the bridge's edges. The paper says the same: poor, R above all.
+//! long, it smears the bridge's edges. The paper reports the same: poor, R above all.
 
 use std::time::Instant;
 

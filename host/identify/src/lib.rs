@@ -102,7 +102,7 @@ pub struct Estimate {
     /// Standard deviation of L in henry likewise.
     pub l_sigma_h: Vec<f64>,
     /// P/I_rms² in ohm over all harmonics that the estimator sees, beside R of the fundamental; empty
-    /// where it does not tell them apart.
+    /// where it does not separate them.
     pub r_power_ohm: Vec<f64>,
     /// Reconstructed coil voltage in volt, one a sample of the segment; empty where there is none.
     pub v_hat_v: Vec<f32>,
@@ -110,7 +110,7 @@ pub struct Estimate {
     pub i_hat_a: Vec<f32>,
     /// Σ(v̂ − v)²/Σv² in percent against the samples given (paper, section V).
     pub nmse_v_pct: Option<f64>,
-    /// The same of the current.
+    /// The same of the current in percent.
     pub nmse_i_pct: Option<f64>,
     /// Wall-clock time of the estimator alone.
     pub elapsed: Duration,
@@ -118,7 +118,7 @@ pub struct Estimate {
     pub notes: Vec<String>,
 }
 
-/// What the estimators may be told. The default fits every capture of a hob.
+/// What the estimators may be given. The default fits every capture of a hob.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -140,10 +140,10 @@ pub struct Settings {
 
 /// Someone who waits for an estimator that takes its time.
 pub struct Watch<'a> {
-    /// Truth on the capture's clock; with it the estimator says how far off it is.
+    /// Truth on the capture's clock; with it the progress includes the errors of R and L.
     pub truth: Option<&'a Truth>,
-    /// Hears of steps and losses.
-    pub say: &'a mut dyn FnMut(String),
+    /// Receives steps and losses as text.
+    pub report: &'a mut dyn FnMut(String),
 }
 
 /// Identifies R(t) and L(t) of a segment.
@@ -156,12 +156,12 @@ pub fn run(
     segment: &Segment,
     settings: &Settings,
 ) -> Result<Estimate, IdentifyError> {
-    let (truth, say) = (None, &mut |_| {});
-    run_watched(method, segment, settings, &mut Watch { truth, say })
+    let (truth, report) = (None, &mut |_| {});
+    run_watched(method, segment, settings, &mut Watch { truth, report })
 }
 
-/// As [`run`], with someone who hears how far it is: of the methods here only the PINN trains long
-/// enough to say anything.
+/// As [`run`], with reports of progress: of the methods here only the PINN trains long enough to
+/// send any.
 ///
 /// # Errors
 /// As [`run`].
@@ -257,7 +257,7 @@ impl Estimate {
         Some((*self.r_ohm.last()?, *self.l_h.last()?))
     }
 
-    /// (time, R, L), point by point.
+    /// (time in seconds, R in ohm, L in henry), point by point.
     pub fn points(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let values = self.r_ohm.iter().zip(&self.l_h);
         self.t_s.iter().zip(values).map(|(&t, (&r, &l))| (t, r, l))

@@ -1,4 +1,4 @@
-//! The network of `ihd_pinn` on stretches of a segment: for `ihd identify`, the studies and the trainer.
+//! The network of `ihd_pinn` on half-cycles of a segment: for `ihd identify`, the studies and the trainer.
 
 use std::path::Path;
 
@@ -10,14 +10,15 @@ use super::{Estimate, Watch};
 
 /// The configuration with the segment's own white noise where it names none.
 pub fn informed(config: Config, segment: &Segment) -> Config {
-    let measured = || WhiteNoise::measure(segment).told();
+    let measured = || WhiteNoise::measure(segment).measured();
     Config {
         noise: config.noise.or_else(measured),
         ..config
     }
 }
 
-/// The samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s`.
+/// The samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s` in seconds;
+/// the waveform's time counts from there.
 pub fn waveform(segment: &Segment, (from, to): (usize, usize), crossing_s: f64) -> Waveform<'_> {
     Waveform {
         f_sw_hz: segment.f_sw_hz,
@@ -52,7 +53,7 @@ pub fn half_cycle(
         truth: watch.truth.map(|_| &truth_at as TruthAt<'_>),
         checkpoint,
     };
-    let found = task.run(&mut |p| (watch.say)(state(p)))?;
+    let found = task.run(&mut |p| (watch.report)(state(p)))?;
     let times_s = found.t_s.iter().map(|t| t + crossing_s);
     estimate.t_s.extend(times_s);
     estimate.r_ohm.extend(&found.r_ohm);

@@ -91,7 +91,7 @@ fn unfit(e: ihd_pinn::PinnError) -> IdentifyError {
 /// Trains the network on each mains half-cycle of the segment.
 ///
 /// # Errors
-/// [`IdentifyError::Unfit`] with what the network says.
+/// [`IdentifyError::Unfit`] with what the network reports.
 #[cfg(feature = "pinn")]
 pub fn identify(
     segment: &Segment,

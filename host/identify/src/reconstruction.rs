@@ -1,4 +1,4 @@
-//! What R(t) and L(t) say about the waveforms: the fit quality of estimators that have none of their
+//! What R(t) and L(t) imply for the waveforms: the fit quality of estimators that have none of their
 //! own.
 //!
 //! The current is what eq. (1) gives when the measured voltage drives it; the voltage is R·i + L·di/dt

@@ -14,10 +14,10 @@ use super::incoming::{Answer, Event, Incoming};
 use super::tap::Tap;
 use super::{Counters, FrameSink, LinkError, Transport};
 
-/// How long a command waits for its answer unless told otherwise.
+/// How long a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long the next command holds back after an answer stayed away, so that a late one is not
+/// After a time-out the next command first discards replies for this long, so that a late one is not
 /// taken for its own.
 const LATE: Duration = Duration::from_millis(50);
 
@@ -43,8 +43,8 @@ impl Client {
     /// Shakes hands with the device behind `transport`.
     ///
     /// # Errors
-    /// [`LinkError::Mismatch`] when the two do not fit, [`LinkError::NoAnswer`] when nothing says
-    /// hello, and what the transport says.
+    /// [`LinkError::Mismatch`] when the two do not fit, [`LinkError::NoAnswer`] when no hello
+    /// comes, and what the transport reports.
     pub fn connect(transport: Box<dyn Transport>) -> Result<Self, LinkError> {
         let build = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
         let ours = ours(ROLE_HOST, 0, std::process::id(), build, "host");
@@ -73,7 +73,7 @@ impl Client {
         Ok(client)
     }
 
-    /// What the device says of itself.
+    /// How the device describes itself.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
@@ -119,7 +119,7 @@ impl Client {
     ///
     /// # Errors
     /// [`LinkError::Refused`] above the rating or while a fault is active, else as every command:
-    /// [`LinkError::NoAnswer`] or what the transport says.
+    /// [`LinkError::NoAnswer`] or what the transport reports.
     pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
         self.order(&SetPower { power_w }, "SetPower")
     }
@@ -191,7 +191,7 @@ impl Client {
     /// transport's clock. A zero `timeout` takes what is there.
     ///
     /// # Errors
-    /// [`LinkError::Recording`] once when the recording fails, and what the transport says.
+    /// [`LinkError::Recording`] once when the recording fails, and what the transport reports.
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
         let deadline = self.transport.clock() + timeout;
         loop {
@@ -231,14 +231,14 @@ impl Client {
         self.transport.send(&frame[..length])?;
         self.tap.give(self.transport.clock(), &frame[..length]);
         let start = self.transport.clock();
-        // What was seen so far tells nothing about this command.
+        // Faults of the link seen so far do not explain a missing answer to this command.
         let before = self.incoming.counters();
         loop {
             while let Some(answer) = self.incoming.answers.pop_front() {
                 if let Answer::Reply(reply) = &answer
                     && reply.to == M::ID
                     && reply.outcome != Outcome::Ok
-                    // A device that refuses our hello says its own first, which tells why.
+                    // A device that refuses our hello sends its own first, which shows why.
                     && M::ID != Hello::ID
                 {
                     return Err(LinkError::Refused {

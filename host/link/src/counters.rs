@@ -45,14 +45,14 @@ pub struct SequenceCounters {
     pub received: u32,
     /// Sequence numbers never seen, whether the device dropped them or the link lost them.
     pub missing: u32,
-    /// Dropped since boot, as the device last said.
+    /// Dropped since boot, as the device last reported.
     pub dropped_by_device: u32,
     next: Option<u32>,
 }
 
 impl SequenceCounters {
-    /// Takes the number of something that arrived, whole or not, and what the device says it
-    /// dropped.
+    /// Takes the sequence number of something that arrived, whole or not, and the device's own count
+    /// of what it dropped.
     pub(super) fn see(&mut self, seq: u32, dropped_by_device: u32) {
         self.dropped_by_device = dropped_by_device;
         if let Some(next) = self.next {

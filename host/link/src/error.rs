@@ -1,4 +1,4 @@
-//! What goes wrong on the link, in words that say what to do.
+//! What goes wrong on the link, in words that advise what to do.
 
 use std::io;
 use std::time::Duration;
@@ -20,7 +20,7 @@ pub enum LinkError {
         device: String,
         /// What to do about it; begins with "; " or is empty.
         hint: String,
-        /// What the operating system says.
+        /// What the operating system reports.
         source: io::Error,
     },
     /// The device ended the link.
@@ -38,13 +38,13 @@ pub enum LinkError {
         device: String,
         /// "send" or "receive".
         doing: &'static str,
-        /// What the operating system says.
+        /// What the operating system reports.
         source: io::Error,
     },
     /// Device and host speak different protocols.
     #[error("{device} does not fit this host: {why}")]
     Mismatch {
-        /// The device, with its build where it told one.
+        /// The device, with its build where it sent one.
         device: String,
         /// What differs.
         why: Mismatch,
@@ -93,7 +93,7 @@ pub enum LinkError {
     OutOfStep {
         /// The device.
         device: String,
-        /// Blocks that it says it has replayed.
+        /// Blocks that it reports as replayed.
         taken: u32,
         /// Blocks that were sent and answered.
         sent: u32,
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_is_told_by_its_frequency_and_current() {
+    fn a_cell_is_named_by_its_frequency_and_current() {
         let text = outcome_text(Outcome::LookupRange, 7 * 17 + 16);
         assert!(text.contains("80.0 kHz, 80.0 A"), "{text}");
     }

@@ -12,7 +12,7 @@ use super::Counters;
 use super::assembler::{Assembler, Rejected};
 use super::window::{Window, WindowDefect};
 
-/// What a device says of its own accord.
+/// What a device sends of its own accord.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// One half-cycle in numbers.
@@ -30,7 +30,7 @@ pub enum Event {
     },
 }
 
-/// What a device says to a command.
+/// What a device answers to a command.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
     /// The device's hello.

@@ -1,7 +1,7 @@
 //! Replay: recorded pairs through a device's own sampling path, and its estimates back.
 //!
 //! Every block is replayed exactly once and every estimate comes back, whatever the link loses,
-//! repeats or cuts, or an error says that it could not be had: one message is under way at a time,
+//! repeats or cuts, or an error reports that it could not be had: one message is under way at a time,
 //! an answer counts only with the number of blocks before it, and after silence the device is asked
 //! which message was its last.
 
@@ -31,7 +31,7 @@ pub struct Replay<'a> {
     repeats: u32,
 }
 
-/// What a device says to the question for its last answer.
+/// What a device answers to the question for its last answer.
 enum Last {
     /// It is the message under way: here are its estimates.
     Same(Vec<u8>),
@@ -83,7 +83,7 @@ impl Client {
 /// Asks again when an answer stays away: for commands that may come twice.
 ///
 /// # Errors
-/// [`LinkError::NoAnswer`] after several tries, else what the command says.
+/// [`LinkError::NoAnswer`] after several tries, else the error of the command.
 pub fn persist<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
     let mut tries = 1;
     loop {

@@ -7,7 +7,7 @@ use serialport::SerialPort;
 
 use super::{LinkError, Transport};
 
-/// What the board's serial port is set to (`firmware/src/board/stm32g474/serial.rs`).
+/// Rate of the board's serial port in bit/s (`firmware/src/board/stm32g474/serial.rs`).
 pub const BAUD: u32 = 921_600;
 
 /// A serial port.
@@ -20,7 +20,7 @@ impl SerialTransport {
     /// Opens a port by its path.
     ///
     /// # Errors
-    /// [`LinkError::Connect`] with what the operating system said.
+    /// [`LinkError::Connect`] with what the operating system reports.
     pub fn open(path: &str) -> Result<Self, LinkError> {
         let device = format!("serial:{path}");
         match serialport::new(path, BAUD).open() {

@@ -22,7 +22,7 @@ impl TcpTransport {
     /// Connects to `HOST:PORT`; every address of the host is tried in turn.
     ///
     /// # Errors
-    /// [`LinkError::Connect`] with what the operating system said last.
+    /// [`LinkError::Connect`] with what the operating system reported last.
     pub fn connect(address: &str) -> Result<Self, LinkError> {
         let failed = |source: io::Error| LinkError::Connect {
             device: format!("tcp:{address}"),

@@ -37,7 +37,7 @@ pub trait FrameSink: Send {
     /// Takes the next bytes of the device, in whole frames from the first byte on.
     ///
     /// # Errors
-    /// What the sink's file or device says; the client then stops recording and tells it once.
+    /// What the sink's file or device reports; the client then stops recording and passes it on once.
     fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()>;
 
     /// Takes a frame that the host sends.

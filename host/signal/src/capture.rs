@@ -70,11 +70,11 @@ pub struct Capture {
     pub v_full_scale_v: Option<f64>,
     /// Likewise of the current channel, in ampere.
     pub i_full_scale_a: Option<f64>,
-    /// Switching frequencies in order of time; empty where the capture does not tell.
+    /// Switching frequencies in order of time; empty where the capture states none.
     pub f_sw: Vec<FrequencyStep>,
-    /// Mains frequency in hertz where the capture tells.
+    /// Mains frequency in hertz where the capture states it.
     pub mains_hz: Option<f64>,
-    /// Time of one mains zero crossing in seconds where the capture tells.
+    /// Time of one mains zero crossing in seconds where the capture states it.
     pub zero_crossing_s: Option<f64>,
     /// Truth, one entry a switching period in order of time; empty where there is none.
     pub truth: Vec<PeriodTruth>,

@@ -13,7 +13,7 @@ use super::Segment;
 /// Sums of one block, Σ x·e^(−jhωt), one an order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockSums<const ORDERS: usize> {
-    /// Of the voltage, in volt.
+    /// Of the voltage, in volt; 2/n of it is the amplitude.
     pub v: [Complex<f64>; ORDERS],
     /// Of the current, in ampere.
     pub i: [Complex<f64>; ORDERS],
@@ -30,7 +30,7 @@ pub struct Correlator<const ORDERS: usize> {
 }
 
 impl<const ORDERS: usize> Correlator<ORDERS> {
-    /// For a segment's sampling, blocks of `length` samples and these orders.
+    /// For a segment's sampling, blocks of `length` samples and these orders in multiples of f_sw.
     pub fn new(segment: &Segment, length: usize, orders: [f64; ORDERS]) -> Self {
         Self::with_rate(segment.f_sw_hz * segment.dt_s, length, orders)
     }
@@ -97,7 +97,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
 }
 
 impl<const ORDERS: usize> Correlator<ORDERS> {
-    /// Writes Σ Re{X_h·e^(jhωt)} to samples from `first` of the segment on, at most a block.
+    /// Writes Σ Re{X_h·e^(jhωt)}, in the phasors' unit, to samples from `first` of the segment on, at most a block.
     pub fn synthesise(&self, first: usize, phasors: &[Complex<f64>; ORDERS], out: &mut [f32]) {
         let turn = self.turn(first);
         let at: [Complex<f64>; ORDERS] = std::array::from_fn(|h| phasors[h] * turn[h].conj());
@@ -110,10 +110,9 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
     }
 }
 
-/// V and I of the whole segment's fundamental, amplitudes in volt and ampere: Σ V·I* over the
-/// blocks of one switching period, divided by √Σ|I|², so that a drift of the phase does not cancel.
-///
-/// Its ratio is the mean impedance that every estimator starts from.
+/// Mean impedance of the segment's fundamental in ohm, from which every estimator starts:
+/// Σ V·I* / Σ |I|² over blocks of one switching period, so that a drift of the phase does not
+/// cancel. Not a finite number where there is no current.
 pub fn mean_impedance(segment: &Segment) -> Complex<f64> {
     let length = (segment.samples_per_period().round() as usize).max(1);
     let correlator = Correlator::new(segment, length, [1.0]);

@@ -1,4 +1,4 @@
-//! What everything on the host speaks of: captures, the stretches that estimators take, loads and
+//! What everything on the host speaks of: captures, the segments that estimators take, loads and
 //! their truth; and what is done to samples before anybody estimates.
 //!
 //! ```text

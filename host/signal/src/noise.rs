@@ -18,7 +18,7 @@ const PERIODS: f64 = 16.0;
 /// Most windows that are looked at: their median is within 20 %.
 const MOST_WINDOWS: usize = 16;
 
-/// Standard deviation of one sample's white noise.
+/// Standard deviation of one sample's white noise; zero where it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct WhiteNoise {
     /// Of the voltage in volt.
@@ -63,8 +63,8 @@ impl WhiteNoise {
         }
     }
 
-    /// Deviations in volt and ampere; `None` where the segment was too short to tell.
-    pub fn told(self) -> Option<[f64; 2]> {
+    /// Deviations in volt and ampere; `None` where the segment was too short to measure them.
+    pub fn measured(self) -> Option<[f64; 2]> {
         (self != Self::default()).then_some([self.v_v, self.i_a])
     }
 }

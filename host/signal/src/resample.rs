@@ -32,7 +32,7 @@ impl AdcGrid {
 }
 
 /// Pairs of 12-bit codes on the grid, from its first instant to the last sample of the capture; what
-/// is beyond the ranges saturates. `time` tells when the samples were taken.
+/// is beyond the ranges saturates. `time` holds when the samples were taken.
 pub fn adc_pairs<T: Copy + Into<f64>>(
     time: &TimeBase,
     v_v: &[T],

@@ -1,4 +1,4 @@
-//! What every estimator takes: a stretch of evenly sampled coil voltage and current.
+//! What every estimator takes: evenly sampled coil voltage and current.
 
 /// Fewest switching periods that an estimator can work on.
 pub const MIN_PERIODS: f64 = 10.0;
@@ -6,10 +6,10 @@ pub const MIN_PERIODS: f64 = 10.0;
 /// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
 const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
 
-/// Latest time, either way, at which samples are still told apart, in seconds.
+/// Latest time, either way, at which samples still have different times, in seconds.
 const LATEST_S: f64 = 1e6;
 
-/// A stretch of a capture with one switching frequency, evenly sampled, without gaps.
+/// A part of a capture with one switching frequency, evenly sampled, without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Switching frequency in hertz.
@@ -60,7 +60,7 @@ impl Segment {
     }
 
     /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of
-    /// samples `from` up to `to` begins. Its middle tells: its first sample may lie just before.
+    /// samples `from` up to `to` begins. Its middle decides: its first sample may lie just before.
     pub fn crossing_of_s(&self, (from, to): (usize, usize)) -> f64 {
         let middle_s = 0.5 * (self.t_s(from) + self.t_s(to - 1));
         middle_s - self.since_crossing_s(middle_s)
@@ -144,7 +144,7 @@ impl Segment {
         check_channel("current", &self.i_a)
     }
 
-    /// The same stretch with other samples.
+    /// The same segment with other samples.
     pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
         Self {
             f_sw_hz: self.f_sw_hz,

@@ -6,7 +6,7 @@ pub const ORDERS: [usize; 4] = [1, 3, 5, 7];
 /// What one switching period, or two, show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeriodTruth {
-    /// Middle of the stretch that was measured, in seconds.
+    /// Middle of the periods measured, in seconds.
     pub t_s: f64,
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
@@ -16,7 +16,7 @@ pub struct PeriodTruth {
     pub l_h: [f64; ORDERS.len()],
     /// Amplitude of the current's fundamental in ampere.
     pub i_a: f64,
-    /// Mean of v i over mean of i², in ohm.
+    /// Mean of v i over mean of i², P/I_rms², in ohm.
     pub r_power_ohm: f64,
     /// Mean of v i in watt.
     pub p_w: f64,
@@ -59,9 +59,9 @@ impl Truth {
 /// Mean relative errors of R and L in percent (paper, section V).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mre {
-    /// Of R.
+    /// Of R in percent.
     pub r_pct: f64,
-    /// Of L.
+    /// Of L in percent.
     pub l_pct: f64,
 }
 

@@ -5,7 +5,7 @@ use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 
 #[test]
-fn noise_is_told_from_the_harmonics_of_a_modulated_square_wave() {
+fn noise_is_separated_from_the_harmonics_of_a_modulated_square_wave() {
     let trial = Trial::simulate(LoadKind::Behavioural, 45e3).unwrap();
     for (snr_db, tolerance) in [(30.0, 0.25), (50.0, 0.25), (65.0, 0.35)] {
         let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt();

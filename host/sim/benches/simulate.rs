@@ -1,6 +1,6 @@
 //! Speed of the simulator: `cargo bench --profile full -p ihd-sim --bench simulate`.
 //!
-//! The figures: 20 ms of field model in at most 3 s, of behavioural model in at most 0.2 s,
+//! Targets: 20 ms of field model in at most 3 s, of behavioural model in at most 0.2 s,
 //! one core, 20 ns steps, 16 rings x 44 depth nodes, sensing chain and truth included.
 
 use std::hint::black_box;

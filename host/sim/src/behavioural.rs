@@ -1,7 +1,7 @@
 //! Behavioural loads: R and L as a closed law of current amplitude and frequency.
 //!
-//! With these the paper's equation (1), v = R i + L di/dt, holds exactly, so they are truth (a) of
-//! the project's studies. Numbers: design notes, sections 6 and 7.
+//! With these the paper's equation (1), v = R i + L di/dt, holds exactly, so the ferromagnetic pot
+//! is the behavioural reference load of the project's studies.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +9,7 @@ use std::str::FromStr;
 /// What stands on the coil.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum PotKind {
-    /// Full-size ferromagnetic pot: truth (a).
+    /// Full-size ferromagnetic pot: the behavioural reference load.
     #[default]
     Ferromagnetic,
     /// Ferromagnetic pot of 12 cm.
@@ -71,13 +71,13 @@ pub struct UnknownPot(pub String);
 
 /// A load at one frequency, ready to be evaluated at every sample.
 #[derive(Clone, Copy, Debug)]
-pub struct Load {
+pub struct BehaviouralLoad {
     pot: PotKind,
     r_factor: f64,
     l_factor: f64,
 }
 
-impl Load {
+impl BehaviouralLoad {
     /// The load of a pot at a switching frequency in hertz.
     ///
     /// R ∝ f^½ by the skin effect; the part of L that is in magnetic material ∝ f^−0.3, the gap's
@@ -94,7 +94,7 @@ impl Load {
     /// R in ohm and L in henry at an amplitude of the current's fundamental in ampere.
     ///
     /// Ferromagnetic: R = (2.2 + 3.5/(1 + I/15))·(f/45k)^½ ohm,
-    /// L = 16 + (1 + 15/(1 + (I/14)^1.5))·(f/45k)^−0.3 µH (design notes, section 6).
+    /// L = 16 + (1 + 15/(1 + (I/14)^1.5))·(f/45k)^−0.3 µH, I in ampere, f in hertz.
     pub fn r_l(&self, i_a: f64) -> (f64, f64) {
         let (r, gap_uh, material_uh) = match self.pot {
             PotKind::Ferromagnetic => {
@@ -126,14 +126,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn truth_a_has_the_values_of_the_design() {
-        let load = Load::new(PotKind::Ferromagnetic, 45e3);
+    fn the_reference_load_has_its_values() {
+        let load = BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
         let (r0, l0) = load.r_l(0.0);
         assert!((r0 - 5.7).abs() < 1e-12 && (l0 - 32e-6).abs() < 1e-15);
         let (r, l) = load.r_l(14.0);
         assert!((r - (2.2 + 3.5 / (1.0 + 14.0 / 15.0))).abs() < 1e-12);
         assert!((l - 24.5e-6).abs() < 1e-15);
-        let (r4, l4) = Load::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
+        let (r4, l4) = BehaviouralLoad::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
         assert!((r4 / r0 - 2.0).abs() < 1e-12);
         assert!((l4 - (16.0 + 16.0 * 4f64.powf(-0.3)) * 1e-6).abs() < 1e-15);
     }

@@ -86,7 +86,7 @@ impl SimHob {
     pub fn new(config: &HobConfig) -> Self {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
         let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-        // Simulated boots are told apart by their seed.
+        // Simulated boots differ by their seed.
         let boot_id = config.seed as u32;
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);

@@ -250,7 +250,7 @@ impl Plant {
 mod tests {
     use super::*;
     use crate::adc::Noise;
-    use crate::behavioural::Load;
+    use crate::behavioural::BehaviouralLoad;
 
     fn at_full_power(load: LoadKind) -> Plant {
         let adc = Adc::new(Noise::default(), 1);
@@ -268,7 +268,7 @@ mod tests {
     #[test]
     fn the_load_point_is_the_law_at_the_envelope() {
         let point = at_full_power(LoadKind::Behavioural).load_point();
-        let (r, l) = Load::new(PotKind::Ferromagnetic, 50e3).r_l(point.i_a);
+        let (r, l) = BehaviouralLoad::new(PotKind::Ferromagnetic, 50e3).r_l(point.i_a);
         assert!(point.i_a > 30.0, "{point:?}");
         assert_eq!((point.r_ohm, point.l_h), (r, l));
     }

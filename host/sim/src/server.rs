@@ -22,7 +22,7 @@ pub enum ServerError {
     Listen {
         /// The address asked for.
         address: String,
-        /// What the operating system says.
+        /// What the operating system reports.
         source: io::Error,
     },
     /// A client could not be accepted.
@@ -30,7 +30,7 @@ pub enum ServerError {
     Accept {
         /// The address listened on.
         address: SocketAddr,
-        /// What the operating system says.
+        /// What the operating system reports.
         source: io::Error,
     },
 }

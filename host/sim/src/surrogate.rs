@@ -1,6 +1,8 @@
 //! The field model's surrogate: a table of R and L over frequency and current.
 
-use super::field::harmonic::{self, Impedance};
+use ihd_signal::Load;
+
+use super::field::harmonic;
 use super::field::{FieldError, FieldModel};
 
 /// Frequencies of the table in hertz, evenly spaced in ln f.
@@ -16,13 +18,13 @@ const I_POINTS: usize = 17;
 /// Fundamental impedance of a pot over frequency and current, from the describing function.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurrogatePot {
-    grid: Vec<[Impedance; I_POINTS]>,
+    grid: Vec<[Load; I_POINTS]>,
 }
 
 /// One frequency's column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurrogateLoad {
-    column: [Impedance; I_POINTS],
+    column: [Load; I_POINTS],
 }
 
 /// Largest deviations of the table from the describing function, in percent.
@@ -42,16 +44,16 @@ fn i_a(k: f64) -> f64 {
     I_KNEE_A * (libm::pow(1.0 + I_TO_A / I_KNEE_A, k / (I_POINTS - 1) as f64) - 1.0)
 }
 
-fn mix(a: Impedance, b: Impedance, w: f64) -> Impedance {
-    Impedance {
+fn mix(a: Load, b: Load, w: f64) -> Load {
+    Load {
         r_ohm: a.r_ohm + w * (b.r_ohm - a.r_ohm),
         l_h: a.l_h + w * (b.l_h - a.l_h),
     }
 }
 
 /// Weighted mean of the models' impedances: sectors of one pot carry the same current.
-pub fn exact(models: &[(f64, FieldModel)], f: f64, i: f64) -> Result<Impedance, FieldError> {
-    let mut sum = Impedance {
+pub fn exact(models: &[(f64, FieldModel)], f: f64, i: f64) -> Result<Load, FieldError> {
+    let mut sum = Load {
         r_ohm: 0.0,
         l_h: 0.0,
     };
@@ -68,7 +70,7 @@ impl SurrogatePot {
     pub fn new(models: &[(f64, FieldModel)]) -> Result<Self, FieldError> {
         let mut grid = Vec::with_capacity(F_POINTS);
         for k in 0..F_POINTS {
-            let mut column = [Impedance {
+            let mut column = [Load {
                 r_ohm: 0.0,
                 l_h: 0.0,
             }; I_POINTS];
@@ -83,7 +85,7 @@ impl SurrogatePot {
     /// A load of constant R and L, as the coil alone is.
     pub fn constant(r_ohm: f64, l_h: f64) -> Self {
         Self {
-            grid: vec![[Impedance { r_ohm, l_h }; I_POINTS]; F_POINTS],
+            grid: vec![[Load { r_ohm, l_h }; I_POINTS]; F_POINTS],
         }
     }
 

@@ -11,8 +11,8 @@ use ihd_shared::hob::EDGE_NS;
 use nalgebra::Complex;
 use serde::Serialize;
 
-use super::impedance::Impedance;
 use super::track::{ORDERS, Track};
+use ihd_signal::Load;
 
 /// What an estimator lets through: two boxcars of this length in seconds (the firmware's
 /// demodulator; longer ones let less through).
@@ -40,7 +40,7 @@ pub struct Aliasing {
 /// What it may cost without an anti-alias filter; `None` when nothing falls on the fundamental.
 ///
 /// The edges' strength comes from the harmonics that are seen, their duration from the hob's ratings.
-pub fn expected(track: &Track, dt_s: f64, z: Impedance) -> Option<Aliasing> {
+pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
     let n = 1.0 / (track.f_sw_hz * dt_s);
     let v1 = rms(track.v_v.first()?);
     let edge = edge_strength(track, v1);
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn whole_ratios_alias_and_61_to_3_hardly_does() {
-        let z = Impedance {
+        let z = Load {
             r_ohm: 4.0,
             l_h: 25e-6,
         };

@@ -17,7 +17,7 @@ const HINT_WIDTH: f64 = 0.1;
 /// bins reaches 10.
 const LINE_OVER_MEDIAN: f64 = 30.0;
 
-/// A line weaker than the strongest by this much in power tells nothing about the frequency: 1 % of
+/// A line weaker than the strongest by this much in power says nothing about the frequency: 1 % of
 /// amplitude.
 const WEAK: f64 = 1e-4;
 
@@ -31,7 +31,7 @@ const STEP_HZ: f64 = 150.0;
 /// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides it.
 const OFF_HOPS: usize = 10;
 
-/// A stretch with one switching frequency.
+/// Part of a run with one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
     /// The run it is a part of, cut to it.
@@ -43,7 +43,7 @@ pub struct Piece {
 /// What a search found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
-    /// Stretches with a carrier, in order of time.
+    /// Pieces with a carrier, in order of time.
     pub pieces: Vec<Piece>,
     /// Times in seconds between which there is none.
     pub off_s: Vec<(f64, f64)>,
@@ -56,7 +56,7 @@ pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
     })
 }
 
-/// Finds the stretches of a run in which it switches at one frequency, within `band_hz`.
+/// Finds the pieces of a run in which it switches at one frequency, within `band_hz`.
 pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
     let lines = Lines::of(capture, run, band_hz);
     let strongest = lines.frames.iter().map(|l| l.power).fold(0.0, f64::max);
@@ -121,7 +121,7 @@ fn on_ranges(valid: &[bool]) -> Vec<On> {
 }
 
 /// The part of a run in which it switches: where it goes on or off, the frames' windows reach beyond
-/// the edge, and the current's amplitude tells the place.
+/// the edge, and the current's amplitude shows the place.
 fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
     let window = lines.length * lines.every;
     let edge = |frame: usize, rising: bool| {

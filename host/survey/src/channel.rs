@@ -9,10 +9,10 @@ use super::finding::{Channel, Finding};
 use super::noise;
 use super::track::Track;
 
-/// Offset above which it is told, in percent of the rms value.
+/// Offset above which it is reported, in percent of the rms value.
 const OFFSET_PCT: f64 = 1.0;
 
-/// SNR below which it is told, in decibel: the paper's noisiest case is 30.
+/// SNR below which it is reported, in decibel: the paper's noisiest case is 30.
 const NOISY_DB: f64 = 25.0;
 
 /// Share of a channel's power in its fundamental below which it is dead.
@@ -25,11 +25,12 @@ pub struct ChannelSurvey {
     pub min: f64,
     /// Largest sample.
     pub max: f64,
-    /// Mean over the stretches with switching.
+    /// Mean over the pieces with switching.
     pub mean: f64,
     /// Rms value over them, the mean taken off.
     pub rms: f64,
-    /// Standard deviation of white noise; `None` when the capture is too short to tell.
+    /// Standard deviation of white noise; `None` when the capture is too short to measure
+    /// it.
     pub noise: Option<f64>,
     /// Signal-to-noise ratio in decibel (paper, section V).
     pub snr_db: Option<f64>,
@@ -80,7 +81,7 @@ pub(super) fn survey(
     if is_dead(which, tracks, variance) {
         findings.push(Finding::Dead { channel: which });
     } else {
-        tell(which, &out, clipped, findings);
+        report(which, &out, clipped, findings);
     }
     out
 }
@@ -100,7 +101,7 @@ fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
 }
 
 /// Clipping, offset and noise of a channel that is alive.
-fn tell(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Vec<Finding>) {
+fn report(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Vec<Finding>) {
     if clipped.samples > 0 {
         findings.push(Finding::Clipping {
             channel: which,

@@ -26,7 +26,8 @@ pub struct Clipped {
     pub level: f64,
 }
 
-/// Counts samples at the ends: of the range where it is known, else at levels where they pile up.
+/// Counts samples at the ends: at `full_scale`, in the channel's unit, where it is known, else at
+/// levels where they pile up.
 pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
     let (low, high) = x
         .iter()

@@ -36,7 +36,7 @@ pub enum SurveyError {
     TooShort {
         /// The capture.
         name: String,
-        /// Samples of the longest stretch.
+        /// Samples of the longest run.
         samples: usize,
         /// Its length in milliseconds.
         ms: f64,
@@ -73,14 +73,14 @@ pub enum SurveyError {
     },
     /// The frequency given is not there, another is.
     #[error(
-        "{name}: no switching frequency near the {told_khz:.2} kHz given; {found_khz:.2} kHz is there: leave \
+        "{name}: no switching frequency near the {specified_khz:.2} kHz given; {found_khz:.2} kHz is there: leave \
          the frequency out or correct it"
     )]
     NotAtHint {
         /// The capture.
         name: String,
         /// The frequency given, in kilohertz.
-        told_khz: f64,
+        specified_khz: f64,
         /// The one found, in kilohertz.
         found_khz: f64,
     },

@@ -117,17 +117,19 @@ pub enum Finding {
         /// After, in hertz.
         to_hz: f64,
     },
-    /// The capture says another switching frequency than it shows.
+    /// The capture states another switching frequency than it shows.
     FrequencyDiffers {
-        /// Told, in hertz.
-        told_hz: f64,
+        /// Given by the user or stated by the capture, in hertz.
+        #[serde(rename = "told_hz")]
+        specified_hz: f64,
         /// Measured, in hertz.
         measured_hz: f64,
     },
-    /// The mains frequency that was told differs from what the envelope shows.
+    /// The mains frequency specified differs from what the envelope shows.
     MainsDiffers {
-        /// Told, in hertz.
-        told_hz: f64,
+        /// Given by the user or stated by the capture, in hertz.
+        #[serde(rename = "told_hz")]
+        specified_hz: f64,
         /// Measured, in hertz.
         measured_hz: f64,
     },
@@ -280,21 +282,21 @@ impl fmt::Display for Finding {
                 to_hz * 1e-3
             ),
             Self::FrequencyDiffers {
-                told_hz,
+                specified_hz,
                 measured_hz,
             } => write!(
                 f,
-                "told to switch at {:.2} kHz, but shows {:.2} kHz, which is used: check the \
+                "a switching frequency of {:.2} kHz is specified, but {:.2} kHz is measured and used: check the \
                  frequency given, or the time base",
-                told_hz * 1e-3,
+                specified_hz * 1e-3,
                 measured_hz * 1e-3
             ),
             Self::MainsDiffers {
-                told_hz,
+                specified_hz,
                 measured_hz,
             } => write!(
                 f,
-                "told a mains frequency of {told_hz:.2} Hz, which is used, but the envelope shows \
+                "a mains frequency of {specified_hz:.2} Hz is specified and used, but the envelope shows \
                  {measured_hz:.2} Hz"
             ),
             Self::MainsUnknown {

@@ -1,7 +1,8 @@
-//! R and L of the phasors' fundamental, and what they tell about wiring and skew.
+//! R and L of the phasors' fundamental, and what they show of wiring and skew.
 
 use std::f64::consts::TAU;
 
+use ihd_signal::Load;
 use nalgebra::Complex;
 use serde::Serialize;
 
@@ -16,15 +17,6 @@ pub struct Wiring {
     pub inverted: bool,
 }
 
-/// R and L of one harmonic, least squares over time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Impedance {
-    /// Resistance in ohm.
-    pub r_ohm: f64,
-    /// Inductance in henry.
-    pub l_h: f64,
-}
-
 /// What a skew between the channels would do to R.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SkewCost {
@@ -32,11 +24,11 @@ pub struct SkewCost {
     pub skew_s: f64,
     /// Mean relative error of R in percent.
     pub r_pct: f64,
-    /// The same of L.
+    /// The same of L in percent.
     pub l_pct: f64,
 }
 
-/// Skews whose cost is told, in seconds.
+/// Skews whose cost is reported, in seconds.
 pub const SKEWS_S: [f64; 3] = [10e-9, 20e-9, 100e-9];
 
 /// Frames below this share of the largest current do not count for the skew's cost.
@@ -49,7 +41,7 @@ const FALLS: f64 = 0.75;
 /// Above this ratio it grows.
 const GROWS: f64 = 1.0 / FALLS;
 
-/// Energy of a harmonic relative to the fundamental below which it tells nothing: 0.3 % of
+/// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of
 /// amplitude.
 const VISIBLE: f64 = 1e-5;
 
@@ -81,10 +73,10 @@ impl Normal {
         self.right[1] += product(b, v);
     }
 
-    fn solve(&self) -> Option<Impedance> {
+    fn solve(&self) -> Option<Load> {
         let [aa, ab, bb] = self.n;
         let determinant = aa * bb - ab * ab;
-        let found = Impedance {
+        let found = Load {
             r_ohm: (bb * self.right[0] - ab * self.right[1]) / determinant,
             l_h: (aa * self.right[1] - ab * self.right[0]) / determinant,
         };
@@ -92,9 +84,9 @@ impl Normal {
     }
 }
 
-/// R and L of the harmonic at place `order` of [`ORDERS`] over a track; `None` when the rate or the
+/// R and L of the harmonic at place `order` of [`ORDERS`], least squares over a track; `None` when the rate or the
 /// length does not give it.
-pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Impedance> {
+pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Load> {
     let (v, i) = channels(track, order, wiring)?;
     let hop_s = track.t_s.get(1)? - track.t_s[0];
     let omega = TAU * track.f_sw_hz * f64::from(*ORDERS.get(order)?);
@@ -242,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn exchanged_and_reversed_probes_are_told_apart() {
+    fn exchanged_and_reversed_probes_are_distinguished() {
         for (r_ohm, l_h) in [(4.0, 22e-6), (0.1, 70e-6), (0.8, 18e-6), (9.0, 20e-6)] {
             for swapped in [false, true] {
                 for inverted in [false, true] {

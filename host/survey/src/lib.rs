@@ -1,5 +1,5 @@
 //! What is in a capture: switching frequency, mains, noise, clipping, wiring, aliasing, gaps; and the
-//! stretches that an estimator can work on.
+//! spans that an estimator can work on.
 //!
 //! ```text
 //! Capture ─► time: runs ─► carrier: pieces of one f_sw ─► track: phasors ─► mains, impedance, aliasing
@@ -23,7 +23,7 @@ pub mod time;
 pub mod track;
 
 use ihd_signal::segment::Segment;
-use ihd_signal::{Capture, TimeBase};
+use ihd_signal::{Capture, Load, TimeBase};
 use serde::Serialize;
 
 use self::aliasing::Aliasing;
@@ -31,12 +31,12 @@ use self::carrier::Piece;
 pub use self::channel::ChannelSurvey;
 pub use self::error::SurveyError;
 pub use self::finding::{Channel, Finding, Severity};
-use self::impedance::{Impedance, SkewCost, Wiring};
+use self::impedance::{SkewCost, Wiring};
 use self::mains::Mains;
 use self::time::Run;
 use self::track::Track;
 
-/// What a person tells about a capture; it goes before what the capture tells.
+/// Values given by the user; they override those stored in the capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hints {
     /// Switching frequency in hertz, to 10 %.
@@ -47,7 +47,7 @@ pub struct Hints {
     pub zero_crossing_s: Option<f64>,
 }
 
-/// A stretch of a capture that an estimator can work on.
+/// A part of a capture that an estimator can work on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Span {
     /// Index of its first sample.
@@ -61,7 +61,7 @@ pub struct Span {
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
     /// Mean R and L of the fundamental, weighted by the square of the current; wiring repaired.
-    pub load: Option<Impedance>,
+    pub load: Option<Load>,
 }
 
 impl Span {
@@ -91,9 +91,9 @@ pub struct Survey {
     pub start_s: f64,
     /// From first to last sample in seconds.
     pub duration_s: f64,
-    /// Sampling rate of the longest stretch in hertz.
+    /// Sampling rate of the longest run in hertz.
     pub rate_hz: f64,
-    /// Stretches to work on, in order of time.
+    /// Spans to work on, in order of time.
     pub spans: Vec<Span>,
     /// The mains.
     pub mains: Mains,
@@ -114,8 +114,8 @@ pub struct Survey {
     pub findings: Vec<Finding>,
 }
 
-/// Samples a period below which it is told: filters in the time domain degrade (design notes,
-/// section 5: 1 MS/s, 14 to 22 samples).
+/// Samples a switching period below which it is reported: filters in the time domain degrade
+/// (1 MS/s at the paper's frequencies: 14 to 22 samples).
 const COARSE: f64 = 12.0;
 
 impl Survey {
@@ -212,7 +212,7 @@ impl Survey {
         })
     }
 
-    /// The stretches, copied out of the capture surveyed.
+    /// The spans, copied out of the capture surveyed.
     pub fn segments(&self, capture: &Capture) -> Vec<Segment> {
         self.spans
             .iter()
@@ -220,7 +220,7 @@ impl Survey {
             .collect()
     }
 
-    /// One stretch, copied out of the capture surveyed.
+    /// One span, copied out of the capture surveyed.
     pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
         let range = span.first..span.first + span.samples;
         let copied = |x: &[f32]| {
@@ -272,7 +272,7 @@ fn strongest(tracks: &[Track]) -> usize {
     (0..tracks.len()).max_by(by_energy).unwrap_or(0)
 }
 
-/// What the impedance of the strongest track tells of the wiring.
+/// What the impedance of the strongest track shows of the wiring.
 fn wiring_findings(
     tracks: &[Track],
     strongest: usize,
@@ -303,7 +303,7 @@ fn wiring_findings(
     }
 }
 
-/// Amplitudes of the voltage's fundamental, stretch by stretch.
+/// Amplitudes of the voltage's fundamental, piece by piece.
 fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
     tracks
         .iter()
@@ -321,11 +321,11 @@ fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
         .collect()
 }
 
-/// What aliasing may cost the strongest stretch, and how finely it is sampled.
+/// What aliasing may cost the strongest piece, and how finely it is sampled.
 fn expected_aliasing(
     pieces: &[Piece],
     tracks: &[Track],
-    loads: &[Option<Impedance>],
+    loads: &[Option<Load>],
     strongest: usize,
     findings: &mut Vec<Finding>,
 ) -> Option<Aliasing> {
@@ -346,10 +346,10 @@ fn expected_aliasing(
     Some(aliasing)
 }
 
-/// Error of R by aliasing above which it is told, in percent.
+/// Error of R by aliasing above which it is reported, in percent.
 const ALIASING_PCT: f64 = 0.1;
 
-fn span((piece, load): (&Piece, &Option<Impedance>)) -> Span {
+fn span((piece, load): (&Piece, &Option<Load>)) -> Span {
     Span {
         first: piece.run.samples.start,
         samples: piece.run.samples.len(),

@@ -19,13 +19,13 @@ pub const LARGEST_HZ: f64 = 150e3;
 /// Rate to which samples are averaged for the search, in hertz: four times the largest frequency.
 const SEARCH_RATE_HZ: f64 = 4.0 * LARGEST_HZ;
 
-/// Length of a spectrum's frame in seconds: tells 1.25 kHz apart and follows the mains' envelope.
+/// Length of a spectrum's frame in seconds: resolves 1.25 kHz and follows the mains' envelope.
 const FRAME_S: f64 = 0.8e-3;
 
 /// Frames a frame's length: each begins an eighth later.
 pub(super) const HOPS: usize = 8;
 
-/// A line where a person says it is may be weaker than the strongest by this much in power; a third
+/// A line at the frequency that the user gave may be weaker than the strongest by this much in power; a third
 /// harmonic is weaker.
 const BESIDE: f64 = 0.1;
 

@@ -2,8 +2,8 @@
 //!
 //! The bus follows |sin|, or stops above zero where a capacitor holds it, and the load makes the
 //! coil's voltage a law of the bus: E(t) = c0 + c1 s + c2 s² with s = |sin 2πf(t − t0)|, the
-//! coefficients a stretch's own, f and t0 common. Less than a few half-cycles cannot tell a constant
-//! from a lower frequency: there the law is c1 s + c2 s² + c3 s³.
+//! coefficients a piece's own, f and t0 common. Less than a few half-cycles cannot separate a
+//! constant from a lower frequency: there the law is c1 s + c2 s² + c3 s³.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -17,8 +17,9 @@ use super::finding::Finding;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// Given, or told by the capture.
-    Told,
+    /// Given by the user or stated by the capture.
+    #[serde(rename = "told")]
+    Specified,
     /// From the envelope.
     Measured,
     /// Neither: a guess.
@@ -32,7 +33,7 @@ pub struct Mains {
     pub hz: f64,
     /// Where it comes from.
     pub hz_source: Source,
-    /// Time of one zero crossing in seconds: the first of the capture unless told otherwise.
+    /// Time of one zero crossing in seconds: the first of the capture unless one is specified.
     pub zero_crossing_s: f64,
     /// Where it comes from.
     pub zero_crossing_source: Source,
@@ -55,7 +56,7 @@ impl Mains {
 /// Most zero crossings that are listed: three hours.
 const MOST_CROSSINGS: usize = 1_000_000;
 
-/// The envelope of one stretch: times in seconds and amplitudes.
+/// The envelope of one piece: times in seconds and amplitudes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
     /// Times in seconds.
@@ -67,7 +68,7 @@ pub struct Envelope {
 /// Frequencies that are looked for, in hertz.
 pub const RANGE_HZ: (f64, f64) = (45.0, 65.0);
 
-/// Nominal frequencies, in hertz: all that a short capture is asked to tell apart.
+/// Nominal frequencies, in hertz: all that a short capture can be sorted into.
 const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 
 /// Half-cycles of 50 Hz from which on the frequency is measured freely.
@@ -82,7 +83,7 @@ const LEAST_MODULATION: f64 = 0.3;
 /// Share of the envelope's variance that the model must explain.
 const LEAST_EXPLAINED: f64 = 0.8;
 
-/// Frequency difference that is told, in hertz: more than any grid's.
+/// Frequency difference that is reported, in hertz: more than any grid's.
 const DIFFERS_HZ: f64 = 1.0;
 
 /// Time between the envelope's points that are used, in seconds.
@@ -91,47 +92,49 @@ const SPACING_S: f64 = 0.15e-3;
 /// First look at the envelope, in seconds; it doubles from there.
 const FIRST_LOOK_S: f64 = 60e-3;
 
-/// Frequency and a zero crossing: what was told, else what the envelope shows, else a guess that is
-/// noted.
+/// Frequency (hertz) and time of a zero crossing (seconds): those specified, else what the envelope
+/// shows, else a guess that is noted. `start_s` is the time of the capture's first sample.
 pub fn find(
     envelopes: &[Envelope],
-    told_hz: Option<f64>,
-    told_crossing_s: Option<f64>,
+    specified_hz: Option<f64>,
+    specified_crossing_s: Option<f64>,
     start_s: f64,
     findings: &mut Vec<Finding>,
 ) -> Mains {
     let envelopes: Vec<Envelope> = envelopes.iter().map(thinned).collect();
     let (span_s, modulation) = extent(&envelopes);
     let half_cycles = span_s * 2.0 * NOMINAL_HZ[0];
-    let told_hz = told_hz.filter(|f| f.is_finite() && *f > 0.0);
-    let told_crossing_s = told_crossing_s.filter(|t| t.is_finite());
+    let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
+    let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
     let seen = half_cycles >= LEAST_HALF_CYCLES && modulation >= LEAST_MODULATION;
     let free = half_cycles >= FREE_HALF_CYCLES;
-    let measured = seen.then(|| fit(&envelopes, told_hz, free)).flatten();
-    if let (Some(told_hz), true) = (told_hz, free && seen) {
+    let measured = seen.then(|| fit(&envelopes, specified_hz, free)).flatten();
+    if let (Some(specified_hz), true) = (specified_hz, free && seen) {
         let own = fit(&envelopes, None, true);
-        if let Some(own) = own.filter(|own| (own.hz - told_hz).abs() > DIFFERS_HZ) {
+        if let Some(own) = own.filter(|own| (own.hz - specified_hz).abs() > DIFFERS_HZ) {
             findings.push(Finding::MainsDiffers {
-                told_hz,
+                specified_hz,
                 measured_hz: own.hz,
             });
         }
     }
-    let hz = told_hz.or(measured.map(|m| m.hz)).unwrap_or(NOMINAL_HZ[0]);
-    let crossing_s = told_crossing_s.or(measured.map(|m| m.t0_s));
-    let source = |told: bool| match (told, measured) {
-        (true, _) => Source::Told,
+    let hz = specified_hz
+        .or(measured.map(|m| m.hz))
+        .unwrap_or(NOMINAL_HZ[0]);
+    let crossing_s = specified_crossing_s.or(measured.map(|m| m.t0_s));
+    let source = |specified: bool| match (specified, measured) {
+        (true, _) => Source::Specified,
         (false, Some(_)) => Source::Measured,
         (false, None) => Source::Assumed,
     };
     let mut mains = Mains {
         hz,
-        hz_source: source(told_hz.is_some()),
+        hz_source: source(specified_hz.is_some()),
         zero_crossing_s: crossing_s.unwrap_or(start_s),
-        zero_crossing_source: source(told_crossing_s.is_some()),
+        zero_crossing_source: source(specified_crossing_s.is_some()),
         modulation,
     };
-    if told_crossing_s.is_none() && measured.is_some() {
+    if specified_crossing_s.is_none() && measured.is_some() {
         let first = mains
             .crossings_s(start_s, start_s + 0.5 / hz)
             .first()
@@ -168,7 +171,7 @@ fn extent(envelopes: &[Envelope]) -> (f64, f64) {
     let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
         (a.min(t), b.max(t))
     });
-    // The deepest stretch counts: another one may be short.
+    // The deepest piece counts: another one may be short.
     let depth = envelopes.iter().map(|e| {
         let (low, high) = e
             .level
@@ -185,16 +188,16 @@ struct Fit {
     hz: f64,
     /// Zero crossing near the middle of what was fitted, in seconds.
     t0_s: f64,
-    /// Sum of squared residuals over that about the stretches' means.
+    /// Sum of squared residuals over that about the pieces' means.
     unexplained: f64,
 }
 
 /// Grid over the beginning, then a search that doubles its view; `free`: any frequency in range.
-fn fit(envelopes: &[Envelope], told_hz: Option<f64>, free: bool) -> Option<Fit> {
+fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<Fit> {
     let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
     let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
     let mut look_s = FIRST_LOOK_S.min(end_s - start_s);
-    let candidates: Vec<f64> = match (told_hz, free) {
+    let candidates: Vec<f64> = match (specified_hz, free) {
         (Some(f), _) => vec![f],
         (None, false) => NOMINAL_HZ.to_vec(),
         (None, true) => {
@@ -204,7 +207,7 @@ fn fit(envelopes: &[Envelope], told_hz: Option<f64>, free: bool) -> Option<Fit> 
         }
     };
     let law = if free { Law::Held } else { Law::ThroughZero };
-    let free = free && told_hz.is_none();
+    let free = free && specified_hz.is_none();
     let middle_s = start_s + 0.5 * look_s;
     let mut best: Option<Fit> = None;
     for hz in candidates {
@@ -350,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn one_half_cycle_tells_50_from_60() {
+    fn one_half_cycle_separates_50_from_60() {
         for (hz, half_s) in [(50.0, 10e-3), (60.0, 8.333e-3)] {
             let (m, _) = found(&[envelope(hz, 0.0, 0.0, half_s, 0.0)]);
             assert_eq!(m.hz, hz);
@@ -360,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn stretches_of_different_level_share_their_mains() {
+    fn pieces_of_different_level_share_their_mains() {
         let mut second = envelope(50.0, 2e-3, 15e-3, 40e-3, 0.0);
         second.level.iter_mut().for_each(|x| *x *= 0.3);
         let (m, _) = found(&[envelope(50.0, 2e-3, 0.0, 15e-3, 0.0), second]);
@@ -379,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_told_is_used_and_checked() {
+    fn what_is_specified_is_used_and_checked() {
         let e = [envelope(50.0, 0.0, 0.0, 40e-3, 0.0)];
         let mut findings = Vec::new();
         let m = find(&e, Some(60.0), Some(1e-3), 0.0, &mut findings);

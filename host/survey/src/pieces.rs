@@ -1,4 +1,4 @@
-//! A capture in stretches of one switching frequency.
+//! A capture in pieces of one switching frequency.
 
 use ihd_signal::Capture;
 use ihd_signal::segment::MIN_PERIODS;
@@ -11,7 +11,7 @@ use super::lines::LARGEST_HZ;
 use super::time::Run;
 use super::track::{self, Track};
 
-/// Relative difference of frequencies that is told.
+/// Relative difference of frequencies that is reported.
 const DIFFERS: f64 = 5e-3;
 
 /// Left-out pieces below this length in all are not worth a word, in seconds.
@@ -20,7 +20,7 @@ const SCRAPS_S: f64 = 0.5e-3;
 /// Frequency difference between neighbouring spans that is a step, in hertz.
 const STEP_HZ: f64 = 50.0;
 
-/// Stretches of one switching frequency, the frequency refined, with their phasors.
+/// Pieces of one switching frequency, the frequency refined, with their phasors.
 pub(super) fn find(
     capture: &Capture,
     hints: &Hints,
@@ -50,7 +50,7 @@ pub(super) fn find(
     let (mut pieces, mut tracks) = (Vec::new(), Vec::new());
     let mut scraps = (0, 0.0);
     let shows = |run: &Run| 2.0 * band.0 * run.dt_s < 1.0;
-    for run in told_parts(capture, runs).into_iter().filter(shows) {
+    for run in specified_parts(capture, runs).into_iter().filter(shows) {
         let found = carrier::find(capture, &run, band);
         for (from_s, to_s) in found.off_s {
             findings.push(Finding::CarrierAbsent { from_s, to_s });
@@ -77,8 +77,8 @@ pub(super) fn find(
     Ok((pieces, tracks))
 }
 
-/// Runs cut where the capture tells of another switching frequency.
-fn told_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
+/// Runs cut where the capture states another switching frequency.
+fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     let mut out = Vec::new();
     for run in runs {
         let mut start = run.samples.start;
@@ -98,15 +98,15 @@ fn told_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     out
 }
 
-/// Why no stretch was found.
+/// Why no piece was found.
 fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
     let name = capture.name.clone();
-    if let Some(told_hz) = hints.f_sw_hz {
+    if let Some(specified_hz) = hints.f_sw_hz {
         let elsewhere = carrier::find(capture, run, carrier::band(None));
         if let Some(piece) = elsewhere.pieces.first() {
             return SurveyError::NotAtHint {
                 name,
-                told_khz: told_hz * 1e-3,
+                specified_khz: specified_hz * 1e-3,
                 found_khz: piece.f_hz * 1e-3,
             };
         }
@@ -129,7 +129,7 @@ fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
     (Piece { f_hz, ..piece }, track)
 }
 
-/// Steps of the frequency, and where it is not what was told.
+/// Steps of the frequency, and where it is not the one specified.
 pub(super) fn frequency_findings(
     capture: &Capture,
     hints: &Hints,
@@ -146,18 +146,18 @@ pub(super) fn frequency_findings(
             });
         }
     }
-    let told = |t_s: f64| {
+    let specified_at = |t_s: f64| {
         let steps = &capture.f_sw;
         let before = steps.partition_point(|s| s.t_s <= t_s).max(1);
         hints.f_sw_hz.or(steps.get(before - 1).map(|s| s.f_sw_hz))
     };
     let differs = pieces.iter().find_map(|p| {
-        let told_hz = told(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
-        ((p.f_hz / told_hz - 1.0).abs() > DIFFERS).then_some((told_hz, p.f_hz))
+        let specified_hz = specified_at(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
+        ((p.f_hz / specified_hz - 1.0).abs() > DIFFERS).then_some((specified_hz, p.f_hz))
     });
-    if let Some((told_hz, measured_hz)) = differs {
+    if let Some((specified_hz, measured_hz)) = differs {
         findings.push(Finding::FrequencyDiffers {
-            told_hz,
+            specified_hz,
             measured_hz,
         });
     }

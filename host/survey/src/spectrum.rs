@@ -7,7 +7,7 @@ use super::track::hann;
 /// Longest frame, in samples.
 const LONGEST: usize = 1 << 17;
 
-/// Lowest level that is told, in decibel below the largest line.
+/// Lowest level that is shown, in decibel below the largest line.
 const FLOOR_DB: f64 = -120.0;
 
 /// Amplitudes of a channel under a Hann window up to `to_hz`, as frequency in hertz and decibel

@@ -18,7 +18,7 @@ fn settings(f_sw_hz: f64, duration_s: f64) -> Settings {
     }
 }
 
-/// A capture that tells nothing but its samples.
+/// A capture that states nothing but its samples.
 fn capture(settings: &Settings) -> Capture {
     let recording = record(settings, |_| ()).unwrap();
     Capture {
@@ -123,8 +123,12 @@ fn a_part_of_a_half_cycle_gives_its_frequency_and_says_what_it_lacks() {
             zero_crossing_s: Some(-start_s),
             ..Hints::default()
         };
-        let told = Survey::of(&capture(&s), &hints).unwrap();
-        assert!(!told.findings.iter().any(unknown), "{:?}", told.findings);
+        let hinted = Survey::of(&capture(&s), &hints).unwrap();
+        assert!(
+            !hinted.findings.iter().any(unknown),
+            "{:?}",
+            hinted.findings
+        );
     }
 }
 
@@ -249,7 +253,7 @@ fn the_cost_of_a_skew_is_what_a_skewed_capture_shows() {
             (cost.r_pct / shown - 1.0).abs() < 0.1,
             "{cost:?} but {shown} %"
         );
-        // Design notes, section 5: 20 ns costs 1 to 1.8 %.
+        // docs/accuracy.md, "Skew and calibration": 20 ns cost 1 to 1.8 %.
         if cost.skew_s == 20e-9 {
             assert!((1.0..1.8).contains(&cost.r_pct), "{cost:?}");
         }
@@ -257,7 +261,7 @@ fn the_cost_of_a_skew_is_what_a_skewed_capture_shows() {
 }
 
 #[test]
-fn a_whole_number_of_samples_a_period_aliases_as_told() {
+fn a_whole_number_of_samples_a_period_aliases_as_predicted() {
     // Every fifth sample of 100 a period, from each of five starts: five positions of the samples
     // relative to the edges.
     let mut s = settings(45e3, 10e-3);
@@ -265,7 +269,7 @@ fn a_whole_number_of_samples_a_period_aliases_as_told() {
     s.sensing.allow_aliasing = true;
     let fine = capture(&s);
     let reference = survey(&fine).spans[0].load.unwrap().r_ohm;
-    let (mut told_pct, mut square) = (0.0, 0.0);
+    let (mut predicted_pct, mut square) = (0.0, 0.0);
     for start in 0..5 {
         let every = |x: &[f32]| x.iter().skip(start).step_by(5).copied().collect();
         let coarse = Capture {
@@ -279,21 +283,25 @@ fn a_whole_number_of_samples_a_period_aliases_as_told() {
         };
         let got = survey(&coarse);
         let alias = |f: &&Finding| matches!(f, Finding::Aliasing { order: 19, .. });
-        let finding = got.findings.iter().find(alias).expect("aliasing is told");
+        let finding = got
+            .findings
+            .iter()
+            .find(alias)
+            .expect("aliasing is reported");
         assert_eq!(finding.severity(), Severity::Warning);
-        told_pct = got.aliasing.unwrap().r_pct;
+        predicted_pct = got.aliasing.unwrap().r_pct;
         let shown = 100.0 * (got.spans[0].load.unwrap().r_ohm / reference - 1.0);
         square += shown * shown / 5.0;
     }
     let shown_pct = square.sqrt();
     assert!(
-        (0.5..2.0).contains(&(told_pct / shown_pct)),
-        "told {told_pct} %, shown {shown_pct} %"
+        (0.5..2.0).contains(&(predicted_pct / shown_pct)),
+        "predicted {predicted_pct} %, shown {shown_pct} %"
     );
 }
 
 #[test]
-fn clipping_and_offsets_are_told_with_channel_and_size() {
+fn clipping_and_offsets_are_reported_with_channel_and_size() {
     let mut s = settings(45e3, 20e-3);
     s.sensing.rate = Rate::Hz(12.5e6);
     s.sensing.i_full_scale_a = 40.0;
@@ -305,7 +313,7 @@ fn clipping_and_offsets_are_told_with_channel_and_size() {
         }
         let got = survey(&c);
         let truth = c.i_a.iter().filter(|i| i.abs() > 39.9).count();
-        let told = got.findings.iter().find_map(|f| match f {
+        let clipping = got.findings.iter().find_map(|f| match f {
             Finding::Clipping {
                 channel: Channel::Current,
                 samples,
@@ -313,7 +321,7 @@ fn clipping_and_offsets_are_told_with_channel_and_size() {
             } => Some((*samples, *level)),
             _ => None,
         });
-        let (samples, level) = told.expect("clipping is told");
+        let (samples, level) = clipping.expect("clipping is reported");
         assert!(samples.abs_diff(truth) < truth / 10, "{samples} {truth}");
         assert!((level - 40.0).abs() < 0.1);
         let offset = got.findings.iter().find_map(|f| match f {
@@ -329,7 +337,7 @@ fn clipping_and_offsets_are_told_with_channel_and_size() {
 }
 
 #[test]
-fn a_dead_channel_and_a_gap_are_told() {
+fn a_dead_channel_and_a_gap_are_reported() {
     let mut s = settings(45e3, 20e-3);
     s.sensing.rate = Rate::Locked;
     let mut c = capture(&s);
@@ -349,4 +357,16 @@ fn a_dead_channel_and_a_gap_are_told() {
         channel: Channel::Current,
     };
     assert!(got.findings.contains(&dead), "{:?}", got.findings);
+}
+
+#[test]
+fn json_keeps_the_keys_that_users_have() {
+    let finding = Finding::MainsDiffers {
+        specified_hz: 60.0,
+        measured_hz: 50.0,
+    };
+    let json = serde_json::to_value(finding).unwrap();
+    assert_eq!(json["told_hz"], 60.0);
+    let source = serde_json::to_value(mains::Source::Specified).unwrap();
+    assert_eq!(source, "told");
 }

@@ -1,4 +1,4 @@
-//! Stretches of a capture in which samples are numbers, evenly spaced and without gaps.
+//! Runs: parts of a capture in which samples are numbers, evenly spaced and without gaps.
 
 use std::ops::Range;
 
@@ -44,7 +44,7 @@ impl Run {
 /// over stamps with few digits, short against the time between changes of frequency.
 const BLOCK: usize = 64;
 
-/// Cuts a capture into runs; tells what it had to cut.
+/// Cuts a capture into runs; reports what it had to cut.
 ///
 /// The channels and stamps must be of one length.
 pub fn runs(capture: &Capture, findings: &mut Vec<Finding>) -> Vec<Run> {

@@ -23,9 +23,9 @@ pub struct Track {
     pub f_sw_hz: f64,
     /// Times of the frames' middles in seconds.
     pub t_s: Vec<f64>,
-    /// Voltage, one vector an order that the rate can show.
+    /// Voltage in volt, one vector an order of [`ORDERS`] that the rate can show.
     pub v_v: Vec<Vec<Complex<f64>>>,
-    /// Current, likewise.
+    /// Current in ampere, likewise.
     pub i_a: Vec<Vec<Complex<f64>>>,
     /// Samples a frame.
     pub frame: usize,
@@ -36,7 +36,7 @@ pub struct Track {
 pub struct Fundamental {
     /// Times in seconds.
     pub t_s: Vec<f64>,
-    /// Current in ampere.
+    /// Its phasors, amplitudes in ampere.
     pub i_a: Vec<Complex<f64>>,
 }
 
@@ -47,7 +47,7 @@ pub fn hann(n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Phasors of a run at `f_hz`, frames overlapping by half.
+/// Phasors of a run at `f_hz` in hertz, frames overlapping by half.
 pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
     let per_period = 1.0 / (f_hz * run.dt_s);
     let mismatch = |p: &u32| {

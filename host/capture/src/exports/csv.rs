@@ -13,7 +13,7 @@ pub const HEADING: &str = "time_s,v_V,i_A";
 /// else with as many figures as it has.
 ///
 /// # Errors
-/// What the operating system says.
+/// What the operating system reports.
 pub fn write(
     capture: &Capture,
     out: &mut impl Write,

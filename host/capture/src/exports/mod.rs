@@ -36,7 +36,7 @@ pub enum ExportError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system or the format's library says.
+        /// What the operating system or the format's library reports.
         what: String,
     },
     /// Writing an MCAP failed.

@@ -102,7 +102,7 @@ impl Archive {
 /// Writes everything that the capture holds.
 ///
 /// # Errors
-/// What the operating system says.
+/// What the operating system reports.
 pub fn write(capture: &Capture, file: File, progress: &mut dyn FnMut(f64)) -> io::Result<()> {
     let mut archive = Archive {
         zip: ZipWriter::new(BufWriter::with_capacity(1 << 16, file)),

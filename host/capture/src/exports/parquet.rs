@@ -24,13 +24,13 @@ const SCHEMA: &str =
 /// Writes time, voltage and current, and what is known of the mains and the frequency as metadata.
 ///
 /// # Errors
-/// What the operating system or the library says.
+/// What the operating system or the library reports.
 pub fn write(
     capture: &Capture,
     file: File,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(), ParquetError> {
-    let mut told: Vec<KeyValue> = capture
+    let mut metadata: Vec<KeyValue> = capture
         .metadata
         .iter()
         .map(|(key, value)| KeyValue::new(key.clone(), value.clone()))
@@ -42,11 +42,11 @@ pub fn write(
         ("i_full_scale_a", capture.i_full_scale_a),
     ];
     for (key, value) in numbers {
-        told.extend(value.map(|x| KeyValue::new(key.to_owned(), x.to_string())));
+        metadata.extend(value.map(|x| KeyValue::new(key.to_owned(), x.to_string())));
     }
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
-        .set_key_value_metadata(Some(told))
+        .set_key_value_metadata(Some(metadata))
         .build();
     let schema = Arc::new(parse_message_type(SCHEMA)?);
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties))?;

@@ -101,16 +101,16 @@ impl<A: Arrays> ArraySource<A> {
             None => clock_of_scalars(&arrays),
         };
         // Tektronix' MAT has one vector, and its unit as a text.
-        let told = |name: &str| {
+        let text_of = |name: &str| {
             let found = arrays.iter().find(|a| a.name.eq_ignore_ascii_case(name));
             found.and_then(|a| a.text.as_deref())
         };
-        let unit_told = told("verticalUnits").filter(|_| columns.len() == 1);
+        let unit_stated = text_of("verticalUnits").filter(|_| columns.len() == 1);
         let channel = |k: &usize| {
             let (name, unit) = heading(&arrays[*k]);
             Channel {
                 name,
-                unit: unit.or_else(|| Unit::parse(unit_told?)),
+                unit: unit.or_else(|| Unit::parse(unit_stated?)),
                 full_scale: None,
             }
         };

@@ -274,7 +274,7 @@ impl Read for Input {
 /// Decodes `bytes` bytes of `source`, a chunk at a time.
 ///
 /// # Errors
-/// What the operating system says, or an unexpected end.
+/// What the operating system reports, or an unexpected end.
 pub fn decode_from<F: FnMut(f64) + ?Sized>(
     source: &mut impl Read,
     bytes: u64,

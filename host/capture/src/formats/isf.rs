@@ -65,10 +65,10 @@ impl Header {
     fn number(&self, short: &str) -> Result<f64, FormatError> {
         let value = self.get(short).and_then(|v| v.parse::<f64>().ok());
         value.filter(|x| x.is_finite()).ok_or_else(|| {
-            let told = self.get(short).unwrap_or("nothing");
+            let found = self.get(short).unwrap_or("nothing");
             FormatError::at_byte(
                 0,
-                format!("{short} in the header must be a number, is `{told}`"),
+                format!("{short} in the header must be a number, is `{found}`"),
             )
         })
     }

@@ -2,7 +2,7 @@
 //!
 //! After MathWorks' *MAT-File Format* (R2023a), chapter 1. A reader of its own: the crate `matfile`
 //! (0.5) calls itself alpha, keeps every array as f64 beside the file in memory, unpacks without a
-//! bound and tells no offsets.
+//! bound and reports no offsets.
 
 use std::io::Read;
 

@@ -1,6 +1,6 @@
 //! Readers of what scopes and programs write, one module a format.
 //!
-//! A reader looks at the header first and tells the channels; samples are read only of the channels
+//! A reader looks at the header first and lists the channels; samples are read only of the channels
 //! that are wanted. Every declared length is compared with the file's before anything is allocated.
 
 pub mod arrays;
@@ -26,16 +26,17 @@ use super::error::FormatError;
 pub struct Channel {
     /// Name in the file; may be empty.
     pub name: String,
-    /// Unit where the file tells.
+    /// Unit where the file states it.
     pub unit: Option<Unit>,
-    /// Largest magnitude the channel can show, in [`Channel::unit`], where the file tells.
+    /// Largest magnitude the channel can show, in [`Channel::unit`], where the file states
+    /// it.
     pub full_scale: Option<f64>,
 }
 
 /// Samples of the channels that were asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Samples {
-    /// When they were taken; `None` where the file does not tell.
+    /// When they were taken; `None` where the file does not state it.
     pub time: Option<TimeBase>,
     /// One column a wanted channel in the order asked for, in the channel's unit; equal lengths.
     pub columns: Vec<Vec<f32>>,
@@ -61,7 +62,7 @@ pub trait Source {
     /// Its channels, at least one.
     fn channels(&self) -> &[Channel];
 
-    /// What else the header tells, as text: the format, the instrument.
+    /// What else the header states, as text: the format, the instrument.
     fn metadata(&self) -> BTreeMap<String, String>;
 
     /// Reads the samples of the channels with these indices into [`Source::channels`].

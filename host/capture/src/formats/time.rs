@@ -22,7 +22,7 @@ pub struct NotAscending {
 /// Stamps may be rounded to multiples of `resolution_s` (0: exact), so that two of them can be
 /// equal; they count as even when all lie within one and a half of it (both the first and the k-th
 /// may be off), or a thousandth of the interval, of an even grid. `declared_s`, the interval that
-/// the file tells, is taken where it is as good as the one from the first to the last stamp.
+/// the file states, is taken where it is as good as the one from the first to the last stamp.
 ///
 /// # Errors
 /// [`NotAscending`] for stamps that are neither even nor ascending.

@@ -249,7 +249,7 @@ impl<'a> In<'a> {
     }
 }
 
-/// Reads a message of `/samples`; `as_codes` tells which of its two layouts it has.
+/// Reads a message of `/samples`; `as_codes` selects which of its two layouts it has.
 ///
 /// # Errors
 /// [`CdrError`] when it is not of this layout.

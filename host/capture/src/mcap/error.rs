@@ -17,7 +17,7 @@ pub enum McapFileError {
         path: PathBuf,
         /// How far it was read or written.
         offset: u64,
-        /// What the operating system says.
+        /// What the operating system reports.
         source: io::Error,
     },
     /// The file exists already.

@@ -124,7 +124,7 @@ impl Gathered {
             Topic::FSw => {
                 let step: FSw = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
                 let f_sw = &mut self.capture.f_sw;
-                // A recorder repeats it, so that a part of the file tells it too.
+                // A recorder repeats it, so that a part of the file holds it too.
                 if f_sw.last().is_none_or(|last| last.f_sw_hz != step.f_sw_hz) {
                     f_sw.push(FrequencyStep {
                         t_s: step.t_s,

@@ -1,4 +1,4 @@
-//! What a device says, as the file's JSON messages: SI units and words in place of codes.
+//! What a device sends, as the file's JSON messages: SI units and words in place of codes.
 
 use ihd_link::{Counters, Window, WindowDefect};
 use ihd_shared::fault::Fault;

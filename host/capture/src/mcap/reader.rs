@@ -30,13 +30,13 @@ pub enum Item<'a> {
 /// A message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Message<'a> {
-    /// What it tells.
+    /// Which topic it belongs to.
     pub topic: Topic,
     /// Whether samples are codes (or f32).
     pub as_codes: bool,
     /// Nanoseconds after the beginning of the capture.
     pub log_time_ns: u64,
-    /// Its bytes, laid out as [`super::topics`] says.
+    /// Its bytes, laid out as in [`super::topics`].
     pub data: &'a [u8],
 }
 

@@ -32,10 +32,10 @@ pub fn write(capture: &Capture, path: &Path) -> Result<(), McapFileError> {
     let mut writer = Writer::create(path, Existing::Replace, true)?;
     write_head(&mut writer, capture)?;
     let pair = |k: usize| [capture.v_v[k], capture.i_a[k]];
-    for run in runs(&capture.time, capture.len().min(capture.i_a.len())) {
-        let pairs = (run.from..run.to).map(pair);
-        let message = cdr::singles(&run.when, pairs);
-        writer.message(Topic::Samples, run.when.t0_s(), &message)?;
+    for batch in batches(&capture.time, capture.len().min(capture.i_a.len())) {
+        let pairs = (batch.from..batch.to).map(pair);
+        let message = cdr::singles(&batch.when, pairs);
+        writer.message(Topic::Samples, batch.when.t0_s(), &message)?;
     }
     write_truth(&mut writer, capture)?;
     writer.finish()
@@ -87,7 +87,7 @@ pub fn write_truth(writer: &mut Writer, capture: &Capture) -> Result<(), McapFil
 }
 
 /// Samples of one message.
-pub struct Run<'a> {
+pub struct Batch<'a> {
     /// Index of the first pair.
     pub from: usize,
     /// Index behind the last pair.
@@ -98,8 +98,8 @@ pub struct Run<'a> {
 
 /// Cuts `n` pairs into messages of at most [`PAIRS_PER_MESSAGE`], each evenly spaced where its
 /// samples are.
-pub fn runs(time: &TimeBase, n: usize) -> Vec<Run<'_>> {
-    let mut runs = Vec::new();
+pub fn batches(time: &TimeBase, n: usize) -> Vec<Batch<'_>> {
+    let mut batches = Vec::new();
     let mut from = 0;
     while from < n {
         let full = (from + PAIRS_PER_MESSAGE).min(n);
@@ -114,13 +114,13 @@ pub fn runs(time: &TimeBase, n: usize) -> Vec<Run<'_>> {
         if to == from {
             break;
         }
-        runs.push(Run { from, to, when });
+        batches.push(Batch { from, to, when });
         from = to;
     }
-    runs
+    batches
 }
 
-/// The beginning of `t_s` as one run: even as far as it goes, else with its stamps.
+/// The beginning of `t_s` as one batch: even as far as it goes, else with its stamps.
 fn stamped(t_s: &[f64], from: usize) -> (usize, When<'_>) {
     let (Some(&first), Some(&second)) = (t_s.first(), t_s.get(1)) else {
         return (from + t_s.len(), When::Stamps(t_s));
@@ -130,11 +130,11 @@ fn stamped(t_s: &[f64], from: usize) -> (usize, When<'_>) {
     let same =
         |w: &[f64]| (w[1] - w[0] - step_s).abs() <= EVEN_WITHIN_S + 4.0 * f64::EPSILON * w[1].abs();
     let even = 1 + t_s.windows(2).take_while(|w| same(w)).count();
-    let run = &t_s[..even];
-    let dt_s = (run[even - 1] - first) / (even - 1) as f64;
+    let evenly = &t_s[..even];
+    let dt_s = (evenly[even - 1] - first) / (even - 1) as f64;
     let fits = |(k, t): (usize, &f64)| (first + k as f64 * dt_s - t).abs() <= EVEN_WITHIN_S;
     // Short runs of jittering times would cost a message each.
-    if even >= t_s.len().min(16) && run.iter().enumerate().all(fits) {
+    if even >= t_s.len().min(16) && evenly.iter().enumerate().all(fits) {
         (from + even, When::Even { t0_s: first, dt_s })
     } else {
         (from + t_s.len(), When::Stamps(t_s))

@@ -22,7 +22,7 @@ use super::McapFileError;
 use super::cdr;
 use super::notes;
 use super::reader::{Item, Reader};
-use super::save::{describe, runs};
+use super::save::{batches, describe};
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, Writer};
 
@@ -50,10 +50,10 @@ struct Grid {
 }
 
 impl SessionRecorder {
-    /// Begins a recording of the device that said `hello`.
+    /// Begins a recording of the device that sent `hello`.
     ///
     /// # Errors
-    /// [`McapFileError::Exists`] when there is such a file, else what the operating system says.
+    /// [`McapFileError::Exists`] when there is such a file, else what the operating system reports.
     pub fn create(path: &Path, hello: &Hello) -> Result<Self, McapFileError> {
         let mut writer = Writer::create(path, Existing::Keep, false)?;
         let name = format!("{} ({})", hello.board, hello.build);
@@ -174,10 +174,12 @@ impl SessionRecorder {
             t0_s: zero_crossing_s + window.pair_time_s(0),
             dt_s: window.dt_s(),
         };
-        for run in runs(&time, window.pairs.len()) {
-            let pairs = window.pairs[run.from..run.to].iter().map(|p| [p.v, p.i]);
-            let t0_s = run.when.t0_s();
-            let message = cdr::codes(&run.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
+        for batch in batches(&time, window.pairs.len()) {
+            let pairs = window.pairs[batch.from..batch.to]
+                .iter()
+                .map(|p| [p.v, p.i]);
+            let t0_s = batch.when.t0_s();
+            let message = cdr::codes(&batch.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
             self.writer.message(Topic::Samples, t0_s, &message)?;
         }
         let note = notes::window(window, zero_crossing_s);
@@ -222,8 +224,9 @@ impl FrameSink for SessionRecorder {
         let counters = notes::link_counters(&self.incoming.counters());
         let began = self.began.unwrap_or_default();
         let t_s = self.flushed.saturating_sub(began).as_secs_f64();
-        let told = self.writer.json(Topic::LinkCounters, t_s, &counters);
-        told.and_then(|()| self.writer.finish())
+        let written = self.writer.json(Topic::LinkCounters, t_s, &counters);
+        written
+            .and_then(|()| self.writer.finish())
             .map_err(io::Error::other)
     }
 }
@@ -292,7 +295,7 @@ impl SessionReader {
         Ok(session)
     }
 
-    /// What the recorded device said of itself.
+    /// How the recorded device describes itself.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
@@ -302,7 +305,7 @@ impl SessionReader {
         self.incoming.counters()
     }
 
-    /// The first run of bytes so far that is no frame; [`SessionReader::counters`] tells how many
+    /// The first run of bytes so far that is no frame; [`SessionReader::counters`] counts how many
     /// there are.
     pub fn first_damage(&self) -> Option<LinkDamage> {
         self.first_damage

@@ -172,7 +172,7 @@ pub struct Mains {
     pub mains_hz: Option<f64>,
 }
 
-/// One half-cycle in numbers, as the device told it.
+/// One half-cycle in numbers, as the device reported it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Telemetry {
     /// Counts every telemetry that was due.
@@ -216,7 +216,7 @@ pub struct WindowNote {
     pub whole: Option<WholeWindow>,
 }
 
-/// What a whole window says of itself.
+/// The header of a whole window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WholeWindow {
     /// Half-cycle since boot.

@@ -64,7 +64,7 @@ impl Writer {
     /// Begins a file. `single`: samples are f32, else codes.
     ///
     /// # Errors
-    /// [`McapFileError::Exists`] when it is to be kept, else what the operating system says.
+    /// [`McapFileError::Exists`] when it is to be kept, else what the operating system reports.
     pub fn create(path: &Path, existing: Existing, single: bool) -> Result<Self, McapFileError> {
         let mut options = OpenOptions::new();
         options.write(true);

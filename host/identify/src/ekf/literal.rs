@@ -3,7 +3,7 @@
 //!
 //! What cannot be right as written, and is left so: Σ_w is indefinite (its cross term 10⁻⁵ exceeds
 //! √(10⁻⁷·10⁻⁶)), x̂₀ = 0 is a saddle, and (17) makes x2 a rate in A/s while (18) multiplies it by
-//! L/T_s. The estimate says which of these showed.
+//! L/T_s. The estimate notes which of these showed.
 
 use std::time::Instant;
 

@@ -24,17 +24,17 @@ use super::{Estimate, IdentifyError, Method, Settings};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Tuning {
-    /// Standard deviation of what i does beyond x2 in a sample of 20 ns: Euler's error.
+    /// Standard deviation of what i does beyond x2 in a sample of 20 ns: Euler's error, in I_rms.
     pub current: f64,
-    /// Standard deviation of the change of x2 in a sample of 20 ns: an edge of the bridge.
+    /// Standard deviation of the change of x2 in a sample of 20 ns: an edge of the bridge, in I_rms.
     pub slope: f64,
-    /// Standard deviation of the change of R and ωL in a sample of 20 ns.
+    /// Standard deviation of the change of R and ωL in a sample of 20 ns, in V_rms/I_rms.
     pub impedance: f64,
     /// Standard deviation of R and ωL at the start, as a share of the mean impedance.
     pub start: f64,
-    /// Least standard deviation of a measured current.
+    /// Least standard deviation of a measured current, in I_rms.
     pub current_floor: f64,
-    /// Least standard deviation of a measured voltage.
+    /// Least standard deviation of a measured voltage, in V_rms.
     pub voltage_floor: f64,
 }
 
@@ -57,9 +57,9 @@ const REFERENCE_S: f64 = 20e-9;
 /// A segment in units of its rms current and voltage, and the filter for it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prepared {
-    /// Current, sample by sample.
+    /// Current, sample by sample, in I_rms.
     pub i: Vec<f64>,
-    /// Voltage in the middle between each sample and the next.
+    /// Voltage in the middle between each sample and the next, in V_rms.
     pub v: Vec<f64>,
     /// Ampere and volt of one unit.
     i_unit_a: f64,

@@ -68,7 +68,7 @@ impl CalibrateArgs {
     /// Opens, surveys, calibrates, writes.
     ///
     /// # Errors
-    /// What the capture's reader, the survey or the calibration says; a file that cannot be written.
+    /// What the capture's reader, the survey or the calibration reports; a file that cannot be written.
     pub fn run(&self) -> Result<()> {
         let capture = self.capture.open()?;
         let survey = Survey::of(&capture, &self.hints.hints())?;

@@ -13,7 +13,7 @@ use super::capture_args::CaptureArgs;
 /// Convert a capture: what scopes write to MCAP, CSV, NPZ or Parquet.
 ///
 /// Formats are recognised by content when reading, by the ending when writing. docs/import.md lists them,
-/// what is detected and what the flags say.
+/// what is detected and what the flags state.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd convert scope.csv --out capture.mcap\n  \
@@ -32,7 +32,7 @@ pub struct ConvertArgs {
 }
 
 impl ConvertArgs {
-    /// Reads, writes and says what was converted.
+    /// Reads, writes and reports what was converted.
     ///
     /// # Errors
     /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].

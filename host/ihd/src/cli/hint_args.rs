@@ -1,11 +1,11 @@
-//! What a person tells about a capture's switching and mains.
+//! A capture's switching and mains as given by the user.
 
 use clap::Args;
 use ihd_survey::Hints;
 
 use super::simulate::quantity::quantity;
 
-/// Instead of what the capture tells or shows.
+/// Overrides what the capture states or shows.
 #[derive(Clone, Debug, Args)]
 pub struct HintArgs {
     /// Switching frequency in Hz, instead of the capture's

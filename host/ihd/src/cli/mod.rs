@@ -104,7 +104,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
 }
 
-/// An error and its causes in one line, each told once: many messages quote their cause already.
+/// An error and its causes in one line, each once: many messages quote their cause already.
 pub fn message(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {

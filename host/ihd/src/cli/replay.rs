@@ -34,13 +34,13 @@ pub struct ReplayArgs {
     /// How much faster than the capture's own time; without it as fast as the link allows
     #[arg(long, value_name = "FACTOR")]
     speed: Option<f64>,
-    /// Switching frequency in Hz, where the capture does not tell
+    /// Switching frequency in Hz, where the capture states none
     #[arg(long, value_parser = quantity, value_name = "HZ")]
     fsw: Option<f64>,
-    /// Mains frequency in Hz, where the capture does not tell
+    /// Mains frequency in Hz, where the capture states none
     #[arg(long, value_parser = quantity, value_name = "HZ")]
     mains: Option<f64>,
-    /// Time of a mains zero crossing in s, where the capture does not tell
+    /// Time of a mains zero crossing in s, where the capture states none
     #[arg(long, value_parser = quantity, value_name = "S", allow_negative_numbers = true)]
     zero_crossing: Option<f64>,
     /// Print the report as JSON

@@ -20,7 +20,7 @@ pub enum FigureError {
     Draw {
         /// Which file.
         path: String,
-        /// What the backend or the operating system says.
+        /// What the backend or the operating system reports.
         why: String,
     },
 }

@@ -29,7 +29,7 @@ fn refused(args: &str, code: i32, words: &[&str]) {
     let (got, stdout, stderr) = run(args);
     assert_eq!(got, code, "{args}: {stderr}");
     assert!(stdout.is_empty(), "{args}: {stdout}");
-    // A cause that the message quotes is not told again.
+    // A cause that the message quotes is not repeated.
     assert!(stderr.matches("os error").count() <= 1, "{args}: {stderr}");
     for word in words {
         assert!(stderr.contains(word), "{args}: {word:?} not in {stderr}");
@@ -141,8 +141,8 @@ fn the_trainer_identifies_and_teaches() {
     }
 }
 
-/// A capture of truth (a) (design notes, section 6) stands for the heating; nothing of the simulated
-/// hob's own load may be compared with it.
+/// A capture of the behavioural reference load stands for the heating; nothing of the simulated hob's
+/// own load may be compared with it.
 #[test]
 fn the_trainer_teaches_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
@@ -218,7 +218,7 @@ fn a_store_keeps_every_session_in_a_folder_of_its_own() {
 /// A simulated hob in a process of its own; ends with the test.
 struct HobProcess {
     child: Child,
-    /// What it says; with nobody to read it, it would end at the next line.
+    /// What it prints; with nobody to read it, it would end at the next line.
     stdout: BufReader<ChildStdout>,
 }
 
@@ -262,7 +262,7 @@ fn the_trainer_works_over_tcp() {
         report["device"].as_str().map(|d| d.contains(&address)),
         Some(true)
     );
-    // Nobody tells the truth over a link.
+    // No truth comes over a link.
     assert!(report["points"][0]["truth"].is_null(), "{report:#}");
     assert!(report["points"][0]["pinn_errors"].is_null(), "{report:#}");
     assert!((number(&report, "/points/0/pinn/l_h") / 19e-6 - 1.0).abs() < 0.1);

@@ -51,15 +51,15 @@ fn samples(path: &Path) -> ihd_signal::Capture {
 fn every_format_that_is_written_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let first = folder.path().join("a.mcap");
-    let told = converted(&[
+    let report = converted(&[
         &fixture("tek_wfm3le_v.wfm"),
         &fixture("tek_wfm3le_i.wfm"),
         "--out",
         first.to_str().unwrap(),
     ]);
-    assert_eq!(told["samples"], 300);
-    assert_eq!(told["format"], "Tektronix WFM 3");
-    assert!((told["rate_hz"].as_f64().unwrap() / 2e6 - 1.0).abs() < 1e-9);
+    assert_eq!(report["samples"], 300);
+    assert_eq!(report["format"], "Tektronix WFM 3");
+    assert!((report["rate_hz"].as_f64().unwrap() / 2e6 - 1.0).abs() < 1e-9);
     let whole = samples(&first);
     for ending in ["csv", "npz", "mcap"] {
         let next = folder.path().join(format!("b.{ending}"));
@@ -77,7 +77,7 @@ fn every_format_that_is_written_is_read_back() {
 fn flags_reach_the_capture() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.mcap");
-    let told = converted(&[
+    let report = converted(&[
         &fixture("picoscope.csv"),
         "--columns=1,3,2",
         "--units",
@@ -89,8 +89,8 @@ fn flags_reach_the_capture() {
         "--out",
         out.to_str().unwrap(),
     ]);
-    assert_eq!(told["rate_hz"], 1e6);
-    let (v, i) = (&told["v_V"], &told["i_A"]);
+    assert_eq!(report["rate_hz"], 1e6);
+    let (v, i) = (&report["v_V"], &report["i_A"]);
     // The current of ±30 A, in mA, doubled; the voltage of ±150 V and its third harmonic.
     assert!((v[1].as_f64().unwrap() - 60.0).abs() < 0.5, "{v}");
     assert!((i[1].as_f64().unwrap() - 135.0).abs() < 10.0, "{i}");
@@ -107,20 +107,20 @@ fn columns_go_by_their_headings_with_the_unit_or_without() {
     std::fs::write(&table, text).unwrap();
     let out = folder.path().join("a.mcap");
     for columns in ["t_s,coil_V,coil_A", "t,coil,coil_A"] {
-        let told = converted(&[
+        let report = converted(&[
             table.to_str().unwrap(),
             "--columns",
             columns,
             "--out",
             out.to_str().unwrap(),
         ]);
-        assert_eq!(told["v_V"][1].as_f64().unwrap(), 99.0, "{columns}");
-        assert_eq!(told["i_A"][1].as_f64().unwrap(), 9.0, "{columns}");
+        assert_eq!(report["v_V"][1].as_f64().unwrap(), 99.0, "{columns}");
+        assert_eq!(report["i_A"][1].as_f64().unwrap(), 9.0, "{columns}");
     }
 }
 
 #[test]
-fn wrong_usage_is_told_before_anything_is_written() {
+fn wrong_usage_is_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name).display().to_string();
     let good = fixture("siglent.csv");
@@ -152,7 +152,7 @@ fn wrong_usage_is_told_before_anything_is_written() {
     }
 }
 
-/// What is no capture, and what stderr says of it.
+/// What is no capture, and the text on stderr.
 #[test]
 fn what_is_no_capture_is_refused_by_name_and_place() {
     let folder = tempfile::tempdir().unwrap();
@@ -231,7 +231,7 @@ fn thousands_of_channels_are_no_trouble() {
     let path = path.to_str().unwrap();
     let out = folder.path().join("a.npz").display().to_string();
     refused(&[path, "--out", &out], &["--channels V,I", "and 4988 more"]);
-    let told = converted(&[path, "--channels", "CH4999,CH7", "--out", &out]);
-    assert_eq!(told["samples"], 20);
-    assert_eq!(told["v_V"][0], 4999.0);
+    let report = converted(&[path, "--channels", "CH4999,CH7", "--out", &out]);
+    assert_eq!(report["samples"], 20);
+    assert_eq!(report["v_V"][0], 4999.0);
 }

@@ -9,7 +9,7 @@ fn ihd() -> Command {
     Command::cargo_bin("ihd").expect("the command is built")
 }
 
-/// A mains cycle of truth (a), 50 kHz, 5 MS/s, 50 dB, as a table with other column names.
+/// A mains cycle of the behavioural reference load, 50 kHz, 5 MS/s, 50 dB, as a table with other column names.
 fn table(folder: &Path) -> (std::path::PathBuf, Vec<f64>) {
     use ihd_sim::recording::sensing::{Rate, Sensing};
     use ihd_sim::recording::settings::{LoadKind, Settings};
@@ -86,7 +86,7 @@ fn a_table_with_named_columns_is_identified_by_every_method() {
             assert!(entry.get(key).is_some(), "{method}: {key}");
         }
         if method == "ekf-paper" {
-            // As printed it does not find the load: the notes say so.
+            // As printed it does not find the load: the notes state it.
             assert!(!entry["notes"].as_array().expect("notes").is_empty());
             continue;
         }
@@ -112,7 +112,7 @@ fn a_table_with_named_columns_is_identified_by_every_method() {
 }
 
 #[test]
-fn what_cannot_be_identified_is_told_and_fails() {
+fn what_cannot_be_identified_is_reported_and_fails() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("short.csv");
     std::fs::write(&path, "time_s,v_V,i_A\n0,1,2\n1e-6,2,1\n2e-6,1,0\n").expect("a file");

@@ -1,5 +1,6 @@
-//! The estimators' accuracy on truth (a): what the issue asks for, at the lowest and the highest of
-//! the paper's frequencies, without noise and at 30 dB. `ihd study estimators` has all cells.
+//! The estimators' accuracy on the behavioural reference load against the targets of
+//! docs/accuracy.md, at the lowest and the highest of the paper's frequencies, without noise and at
+//! 30 dB. `ihd study estimators` has all cells.
 
 use ihd::study::estimators::published;
 use ihd_identify::accuracy::Accuracy;
@@ -15,7 +16,7 @@ fn accuracy(trial: &Trial, segment: &Segment, method: Method) -> Accuracy {
 }
 
 #[test]
-fn targets_on_truth_a_are_met_at_45_and_70_khz() {
+fn targets_on_the_reference_load_are_met_at_45_and_70_khz() {
     for f_sw_hz in [45e3, 70e3] {
         let trial = Trial::simulate(LoadKind::Behavioural, f_sw_hz).expect("the preset simulates");
         for snr_db in [None, Some(30.0)] {

@@ -15,7 +15,7 @@ pub struct Hob {
     pub f_mains_hz: f64,
     /// Amplitude of the current's fundamental at the crest of the envelope, A.
     pub crest_a: f64,
-    /// R and L of the pot relative to truth (a): (1, 1) is a ferromagnetic one.
+    /// R and L of the pot relative to the behavioural reference load: (1, 1) is a ferromagnetic one.
     pub pot: (f64, f64),
 }
 

@@ -4,9 +4,11 @@
 
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
+use ihd_signal::Load;
+
 use super::error::FieldError;
 use super::geometry::Geometry;
-use super::harmonic::{self, Impedance, magnitude};
+use super::harmonic::{self, magnitude};
 use super::layered::{self, Shield};
 use super::material::Material;
 use super::model::{FieldModel, Settings};
@@ -28,7 +30,7 @@ pub struct Cost {
 }
 
 impl Cost {
-    fn of(what: &'static str, f_hz: f64, i_a: f64, used: Impedance, better: Impedance) -> Self {
+    fn of(what: &'static str, f_hz: f64, i_a: f64, used: Load, better: Load) -> Self {
         Self {
             what,
             f_hz,
@@ -88,7 +90,7 @@ pub fn describing_function(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
         f_hz,
         i_a,
         used,
-        Impedance { r_ohm, l_h },
+        Load { r_ohm, l_h },
     ))
 }
 
@@ -126,8 +128,8 @@ pub fn harmonics_in_the_current(f_hz: f64, bus_v: f64, share: f64) -> Result<Cos
         what,
         f_hz,
         i_a,
-        Impedance { r_ohm, l_h },
-        Impedance {
+        Load { r_ohm, l_h },
+        Load {
             r_ohm: bridge.r_ohm,
             l_h: bridge.l_h,
         },
@@ -183,9 +185,9 @@ pub fn calibration(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
 /// Time steps of `steps` to the period instead of four times as many; 20 ns is 1111 at 45 kHz.
 pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> {
     let model = FieldModel::new(&Settings::paper())?;
-    let at = |steps| -> Result<Impedance, FieldError> {
+    let at = |steps| -> Result<Load, FieldError> {
         let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental(&model, f_hz, i_a, steps, 4)?;
-        Ok(Impedance { r_ohm, l_h })
+        Ok(Load { r_ohm, l_h })
     };
     Ok(Cost::of(
         "time steps of 20 ns instead of 5 ns",

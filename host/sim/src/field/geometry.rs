@@ -9,7 +9,7 @@ use super::error::{FieldError, in_range};
 /// resonance interval of 23-29 kHz with 1080 nF; the paper reads 27-36 kHz from its simulation and
 /// 29-34 kHz from its prototype. With 0.84 the interval is within the first and holds the second
 /// (test `resonance_interval_is_the_papers`). The paper leaves the ferrite's permeability,
-/// thickness and radius open, and does not say how its permeability law was evaluated at an
+/// thickness and radius open, and does not state how its permeability law was evaluated at an
 /// amplitude; `docs/simulator.md` shows what each could account for.
 pub const TURNS_CALIBRATION: f64 = 0.84;
 

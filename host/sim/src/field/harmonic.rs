@@ -4,6 +4,7 @@
 //! material at that node's amplitude. The same grids and gap as in the time domain, solved by
 //! repeated substitution. At zero amplitude this is the small-signal linear impedance.
 
+use ihd_signal::Load;
 use nalgebra::{Complex, DMatrix, DVector};
 
 use super::error::{FieldError, in_range};
@@ -15,18 +16,9 @@ const MAX_ITERATIONS: usize = 200;
 /// Relative change of the impedance at which the iteration ends.
 const SETTLED: f64 = 1e-10;
 
-/// Fundamental impedance at one operating point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Impedance {
-    /// R in ohm.
-    pub r_ohm: f64,
-    /// L in henry.
-    pub l_h: f64,
-}
-
-/// Impedance at `f_hz` (1 kHz to 1 MHz) and current amplitude `i_a` (0 to 1000 A; 0 is small
+/// R and L of the fundamental at `f_hz` (1 kHz to 1 MHz) and current amplitude `i_a` (0 to 1000 A; 0 is small
 /// signal).
-pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, FieldError> {
+pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Load, FieldError> {
     in_range("f_hz", f_hz, 1e3, 1e6, "1 kHz to 1 MHz")?;
     in_range("i_a", i_a, 0.0, 1e3, "0 to 1000 A")?;
     let omega = 2.0 * core::f64::consts::PI * f_hz;
@@ -47,7 +39,7 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Impedance, F
         let z = Complex::new(model.winding_r_ohm, 0.0) + Complex::i() * omega * lambda;
         change = magnitude(z - last) / magnitude(z);
         if change < SETTLED {
-            return Ok(Impedance {
+            return Ok(Load {
                 r_ohm: z.re,
                 l_h: z.im / omega,
             });

@@ -5,11 +5,11 @@
 //! Shares no grid and no code with [`super::gap`] and [`super::diffusion`]; conductors are exact,
 //! the shield's finite conductivity included. Plates are infinite: compare with a wide load.
 
+use ihd_signal::Load;
 use nalgebra::Complex;
 
 use super::error::{FieldError, in_range};
 use super::geometry::Geometry;
-use super::harmonic::Impedance;
 use super::material::{MU_0, Material};
 
 /// Wave numbers beyond this carry less than 1e-5 of the inductance of a coil 3 mm thick.
@@ -27,13 +27,13 @@ pub enum Shield {
     Conductor(f64),
 }
 
-/// Impedance at `f_hz` for the material's permeability at zero field.
+/// R and L at `f_hz` in hertz for the material's permeability at zero field.
 pub fn impedance(
     geometry: &Geometry,
     material: &Material,
     shield: Shield,
     f_hz: f64,
-) -> Result<Impedance, FieldError> {
+) -> Result<Load, FieldError> {
     geometry.check()?;
     material.check()?;
     in_range("f_hz", f_hz, 1e3, 1e6, "1 kHz to 1 MHz")?;
@@ -62,7 +62,7 @@ pub fn impedance(
     let density = geometry.turn_density_per_m2() * geometry.turns_calibration;
     let l = sum * (2.0 * core::f64::consts::PI * density * density * dk / 3.0);
     let z = Complex::i() * omega * l;
-    Ok(Impedance {
+    Ok(Load {
         r_ohm: z.re,
         l_h: z.im / omega,
     })

@@ -6,7 +6,7 @@ use super::gap::GapOperator;
 use super::geometry::Geometry;
 use super::material::Material;
 
-/// Standard resolution of the issue: rings over the load's radius.
+/// Standard resolution (docs/simulator.md): rings over the load's radius.
 pub const RINGS: usize = 16;
 
 /// Standard resolution: nodes into the depth of the load.
@@ -15,7 +15,7 @@ pub const DEPTH_NODES: usize = 44;
 /// What has to be chosen for a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Dimensions.
+    /// Dimensions in metre.
     pub geometry: Geometry,
     /// Load material.
     pub material: Material,

@@ -29,7 +29,7 @@ pub struct FluxStep {
 #[derive(Clone, Debug)]
 pub enum Law {
     /// Closed formulas.
-    Behavioural(behavioural::Load),
+    Behavioural(behavioural::BehaviouralLoad),
     /// A table fitted to the field model.
     Surrogate(Box<SurrogateLoad>),
 }

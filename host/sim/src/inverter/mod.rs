@@ -186,7 +186,7 @@ mod tests {
     use super::harmonic_analyser::HarmonicAnalyser;
     use super::load::Law;
     use super::*;
-    use crate::behavioural::{Load, PotKind};
+    use crate::behavioural::{BehaviouralLoad, PotKind};
     use crate::field::model::Settings;
     use crate::field::{FieldModel, harmonic};
     use crate::mains::Mains;
@@ -219,7 +219,7 @@ mod tests {
 
     #[test]
     fn the_meter_reads_the_behavioural_law() {
-        let law = Load::new(PotKind::Ferromagnetic, 45e3);
+        let law = BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
         let truth = run(
             LoadState::law(Law::Behavioural(law), 1111),
             45e3,

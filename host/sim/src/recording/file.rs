@@ -6,7 +6,7 @@ use std::path::Path;
 use ihd_capture::mcap::McapFileError;
 use ihd_capture::mcap::cdr;
 use ihd_capture::mcap::cdr::When;
-use ihd_capture::mcap::save::{Run, runs, write_head, write_truth};
+use ihd_capture::mcap::save::{Batch, batches, write_head, write_truth};
 use ihd_capture::mcap::topics::Topic;
 use ihd_capture::mcap::writer::{Existing, Writer};
 
@@ -37,7 +37,7 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     let mut writer = Writer::create(path, Existing::Replace, false)?;
     write_head(&mut writer, &capture)?;
     let units = [recording.volt_per_code(), recording.ampere_per_code()];
-    for Run { from, to, when } in runs(&capture.time, capture.len()) {
+    for Batch { from, to, when } in batches(&capture.time, capture.len()) {
         let t0_s = when.t0_s();
         let code = |k: usize| [recording.v_code[k], recording.i_code[k]];
         let message = cdr::codes(&when, units, (from..to).map(code));

@@ -45,7 +45,9 @@ impl PreparedLoad {
         let law = match self {
             Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
             Self::Surrogate(pot) => Law::Surrogate(Box::new(pot.at(f_sw_hz))),
-            Self::Behavioural(kind) => Law::Behavioural(behavioural::Load::new(*kind, f_sw_hz)),
+            Self::Behavioural(kind) => {
+                Law::Behavioural(behavioural::BehaviouralLoad::new(*kind, f_sw_hz))
+            }
         };
         Ok(match before {
             Some(state) => state.with_law(law, steps),

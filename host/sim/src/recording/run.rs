@@ -235,7 +235,7 @@ mod tests {
     fn truth_of_the_behavioural_load_is_its_law() {
         let r = record(&behavioural(10e-3), |_| ()).unwrap();
         assert_eq!(r.v_code.len(), 500_000);
-        let law = behavioural::Load::new(PotKind::Ferromagnetic, 45e3);
+        let law = behavioural::BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
         let mut compared = 0;
         for t in r.truth.iter().filter(|t| t.i_a > 2.0) {
             // The law sees the envelope of the past period: half a period late.

@@ -25,7 +25,7 @@ pub enum CalibrateError {
         /// What is wrong.
         finding: Finding,
     },
-    /// R and skew cannot be told apart.
+    /// R and skew cannot be separated.
     #[error(
         "{name}: only {khz:.2} kHz is seen, where R of the empty coil and a skew look alike: give its R \
          (no-pot,r=0.1), or capture several switching frequencies"
@@ -67,7 +67,7 @@ const STEEP: f64 = 0.15;
 ///
 /// # Errors
 /// [`CalibrateError`]: a capture without switching, clipped or wrongly connected; too little seen to
-/// tell skew from the load; a load that cannot be the reference.
+/// separate skew from the load; a load that cannot be the reference.
 pub fn estimate(
     capture: &Capture,
     survey: &Survey,

@@ -1,7 +1,7 @@
 //! Skew, gain and offset of the two channels: found from a reference, kept in a file, applied to
 //! captures.
 //!
-//! What a capture of a known load tells, and what it does not:
+//! What a capture of a known load shows, and what it does not:
 //! - **skew** (how much later the current is sampled) turns the impedance by −ω·skew. It is separable
 //!   from the load's own phase when that is known, or when several frequencies are seen: the phase
 //!   of R/(ωL) falls with frequency, that of a skew grows.
@@ -55,7 +55,7 @@ pub enum CalibrationFileError {
     Io {
         /// Which file.
         path: PathBuf,
-        /// What the system said.
+        /// What the operating system reports.
         source: std::io::Error,
     },
     /// It does not hold a calibration.
@@ -135,7 +135,7 @@ impl Calibration {
     /// Takes offsets, gain and skew out of a capture: what it then holds was measured at the times of
     /// the voltage's samples.
     ///
-    /// The current is interpolated within each stretch without gaps; its first and last
+    /// The current is interpolated within each run; its first and last
     /// samples repeat beyond the ends.
     pub fn apply(&self, capture: &mut Capture) {
         let v_gain = 1.0 / self.gain_ratio;

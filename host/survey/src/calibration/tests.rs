@@ -1,6 +1,6 @@
 //! Calibration against the simulator's sensing chain, whose settings are the truth.
 
-use ihd_sim::behavioural::{Load, PotKind};
+use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
 use ihd_sim::pot::{Metal, Pot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
@@ -64,7 +64,7 @@ fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
     assert!((found.i_offset_a + 0.7).abs() < 0.1, "{found:?}");
 
     // R and L as the simulator has them.
-    let (r_ohm, l_h) = Load::new(PotKind::None, 45e3).r_l(0.0);
+    let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::None, 45e3).r_l(0.0);
     let known = Reference::NoPot {
         r_ohm: Some(r_ohm),
         l_h: Some(l_h),
@@ -95,7 +95,7 @@ fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
 #[test]
 fn a_known_load_gives_skew_and_gains() {
     let pot = Pot::new(Metal::Stainless, 0.21);
-    let (r_ohm, l_h) = Load::new(PotKind::Stainless, 45e3).r_l(0.0);
+    let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let mut s = settings(pot, chain(Some(50.0)), 3);
     (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
     let both = Reference::Load {
@@ -119,15 +119,15 @@ fn a_known_load_gives_skew_and_gains() {
 }
 
 #[test]
-fn the_deviation_told_is_that_of_many_seeds() {
+fn the_deviation_reported_is_that_of_many_seeds() {
     let pot = Pot::new(Metal::Stainless, 0.21);
-    let (r_ohm, l_h) = Load::new(PotKind::Stainless, 45e3).r_l(0.0);
+    let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let both = Reference::Load {
         r_ohm: Some(r_ohm),
         l_h: Some(l_h),
     };
     let mut skews = Vec::new();
-    let mut told = 0.0;
+    let mut reported = 0.0;
     for seed in 0..16 {
         let mut s = settings(pot, chain(Some(30.0)), 100 + seed);
         s.duration_s = 2e-3;
@@ -135,15 +135,15 @@ fn the_deviation_told_is_that_of_many_seeds() {
         (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
         let found = calibrated(&capture(&s), both).unwrap();
         skews.push(found.skew_s);
-        told = found.skew_sigma_s;
+        reported = found.skew_sigma_s;
     }
     let n = skews.len() as f64;
     let mean = skews.iter().sum::<f64>() / n;
     let shown = (skews.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     // 16 seeds know a deviation to some 18 %.
     assert!(
-        (0.5..2.0).contains(&(told / shown)),
-        "told {told:e} s, shown {shown:e} s"
+        (0.5..2.0).contains(&(reported / shown)),
+        "reported {reported:e} s, shown {shown:e} s"
     );
     assert!((mean - 37e-9).abs() < 1e-9, "{mean:e}");
 }
@@ -168,7 +168,7 @@ fn applied_it_takes_the_error_out_of_another_capture() {
         let (_, truth) = with(Sensing::default());
         let (mut c, wrong) = with(chain(None));
         assert!((wrong.r_ohm / truth.r_ohm - 1.0).abs() > 0.02);
-        let (r_ohm, l_h) = Load::new(PotKind::None, 45e3).r_l(0.0);
+        let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::None, 45e3).r_l(0.0);
         let known = Reference::NoPot {
             r_ohm: Some(r_ohm),
             l_h: Some(l_h),

@@ -1,9 +1,9 @@
-//! Captures that tell wrong things, or nothing.
+//! Captures that state wrong things, or nothing.
 
 use super::*;
 
 #[test]
-fn what_was_told_wrongly_is_told_back() {
+fn what_was_specified_wrongly_is_reported() {
     let mut s = settings(45e3, 20e-3);
     s.sensing.rate = Rate::Locked;
     let mut c = capture(&s);

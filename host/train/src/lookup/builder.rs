@@ -168,12 +168,12 @@ impl LookupBuilder {
 mod tests {
     use ihd_shared::lookup::plausible;
     use ihd_shared::lookup::prior::prior;
-    use ihd_sim::behavioural::{Load, PotKind};
+    use ihd_sim::behavioural::{BehaviouralLoad as Load, PotKind};
 
     use super::super::curve::LoadPoint;
     use super::*;
 
-    /// The exact curve of truth (a) up to a current.
+    /// The exact curve of the behavioural reference load up to a current.
     fn curve(f_sw_hz: f64, i_max_a: f64) -> LoadCurve {
         let load = Load::new(PotKind::Ferromagnetic, f_sw_hz);
         let points = (0..400).map(|k| {

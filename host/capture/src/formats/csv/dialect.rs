@@ -1,4 +1,4 @@
-//! What the prelude of a table says, in the dialects of scopes; docs/import.md shows each.
+//! What the prelude of a table states, in the dialects of scopes; docs/import.md shows each.
 
 use std::collections::BTreeMap;
 
@@ -112,7 +112,7 @@ impl Layout {
     }
 }
 
-/// Checks what Tektronix' CSV says of its kind: analogue, and then with its length.
+/// Checks what Tektronix' CSV states of its kind: analogue, and then with its length.
 fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
     let wrong = |what: String| Err(FormatError::at_line(1, what));
     match prelude.value(&["waveform type"]) {
@@ -213,11 +213,11 @@ fn metadata(prelude: &Prelude, headings: &[Heading]) -> BTreeMap<String, String>
     let maker = maker(prelude, headings);
     let format = maker.map_or("CSV".to_owned(), |maker| format!("CSV, {maker}"));
     let mut all = BTreeMap::from([("format".to_owned(), format)]);
-    let told = [
+    let stated = [
         ("instrument", &["model", "model number"][..]),
         ("probe_attenuation", &["probe attenuation", "probe atten"]),
     ];
-    for (key, keys) in told {
+    for (key, keys) in stated {
         if let Some(value) = prelude.value(keys) {
             all.insert(key.to_owned(), value.to_owned());
         }

@@ -10,7 +10,7 @@ pub struct Heading {
     pub name: String,
     /// The cell as the file has it.
     pub text: String,
-    /// Unit where it is told.
+    /// Unit where the file states it.
     pub unit: Option<Unit>,
 }
 
@@ -57,7 +57,7 @@ impl Heading {
 /// One heading for each of the table's columns.
 ///
 /// The last row of the prelude has the names, or the units with the names in the row before; makers
-/// that tell units under a key (`Vertical Units`) are asked after that.
+/// that state units under a key (`Vertical Units`) are asked after that.
 pub fn headings(prelude: &Prelude) -> Vec<Heading> {
     let mut rows = prelude.rows.iter().rev();
     let last = rows.next().filter(|_| !prelude.beside);

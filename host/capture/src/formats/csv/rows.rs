@@ -9,7 +9,7 @@ use crate::error::FormatError;
 /// Longest line that is read, in bytes: 10 000 columns of 100 characters.
 pub const LONGEST_LINE: usize = 1 << 20;
 
-/// What is said of a longer line.
+/// The error text for a longer line.
 pub fn too_long() -> String {
     format!("a line of more than {LONGEST_LINE} bytes: this is no table")
 }

@@ -21,7 +21,7 @@ use crate::report::identified;
 /// Identify R(t) and L(t) of the load in a capture.
 ///
 /// Switching frequency and mains are found in the capture where they are not given. A method that
-/// fails on a stretch says why; the others go on.
+/// fails on a stretch reports why; the others go on.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \
@@ -57,7 +57,7 @@ pub struct IdentifyArgs {
     /// With the method pinn: no wall-clock limit, so that two runs give the same digits
     #[arg(long)]
     deterministic: bool,
-    /// Identify even where the survey says that R and L would be wrong
+    /// Identify even where the survey finds that R and L would be wrong
     #[arg(long)]
     anyway: bool,
     /// Print the estimates as JSON, one object a method and stretch
@@ -151,7 +151,7 @@ impl IdentifyArgs {
                 bar.set_message(method.name());
                 let mut watch = Watch {
                     truth: truth.as_ref(),
-                    say: &mut |text| bar.set_message(format!("{method}: {text}")),
+                    report: &mut |text| bar.set_message(format!("{method}: {text}")),
                 };
                 let result = run_watched(method, segment, &settings, &mut watch);
                 let result = result.map(|mut estimate| {

@@ -1,4 +1,4 @@
-//! What `ihd identify` says: text, JSON, CSV.
+//! What `ihd identify` prints: text, JSON, CSV.
 
 use std::fmt::Write;
 use std::path::Path;

@@ -43,7 +43,7 @@ impl InspectArgs {
     /// Opens, surveys, reports.
     ///
     /// # Errors
-    /// What the capture's reader or the survey says; [`UnfitCapture`] after the report.
+    /// What the capture's reader or the survey reports; [`UnfitCapture`] after the report.
     pub fn run(&self) -> Result<()> {
         let capture = self.capture.open()?;
         let survey = Survey::of(&capture, &self.hints.hints())?;

@@ -11,29 +11,29 @@ use crate::report::table::Table;
 
 /// A finding with its words.
 #[derive(Serialize)]
-struct Told<'a> {
+struct Reported<'a> {
     severity: Severity,
     message: String,
     #[serde(flatten)]
     finding: &'a Finding,
 }
 
-/// The survey as one JSON object; its numbers in the units that their names say.
+/// The survey as one JSON object; its numbers in the units that their names state.
 pub fn json(survey: &Survey) -> impl Serialize {
     #[derive(Serialize)]
     struct Report<'a> {
         #[serde(flatten)]
         survey: &'a Survey,
-        findings: Vec<Told<'a>>,
+        findings: Vec<Reported<'a>>,
     }
-    let told = |finding| Told {
+    let reported = |finding| Reported {
         severity: Finding::severity(finding),
         message: finding.to_string(),
         finding,
     };
     Report {
         survey,
-        findings: survey.findings.iter().map(told).collect(),
+        findings: survey.findings.iter().map(reported).collect(),
     }
 }
 
@@ -113,7 +113,7 @@ fn channel(c: &ChannelSurvey, unit: &str, full_scale: Option<f64>) -> String {
 
 fn mains(survey: &Survey) -> String {
     let word = |source| match source {
-        Source::Told => "told",
+        Source::Specified => "given",
         Source::Measured => "measured",
         Source::Assumed => "assumed",
     };
@@ -133,7 +133,7 @@ fn mains(survey: &Survey) -> String {
 fn spans(survey: &Survey) -> String {
     let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
     for span in &survey.spans {
-        let load = |value: fn(&ihd_survey::impedance::Impedance) -> f64| {
+        let load = |value: fn(&ihd_signal::Load) -> f64| {
             span.load
                 .as_ref()
                 .map_or("-".to_owned(), |z| format!("{:.3}", value(z)))

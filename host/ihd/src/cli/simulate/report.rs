@@ -11,7 +11,7 @@ use ihd_sim::recording::prepared;
 use ihd_sim::recording::run::Recording;
 use ihd_sim::recording::settings::{LoadKind, PRESETS, Settings};
 
-/// Smallest current amplitude whose R and L are told, in ampere.
+/// Smallest current amplitude whose R and L are printed, in ampere.
 const SMALLEST_A: f64 = 0.5;
 
 fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f64) {

@@ -29,7 +29,7 @@ pub struct EstimatorsArgs {
     /// Seeds of the noise
     #[arg(long, default_value_t = 10)]
     seeds: u64,
-    /// Two seeds, and truth (a) alone
+    /// Two seeds, and the behavioural reference load alone
     #[arg(long)]
     quick: bool,
     /// Print the cells as JSON

@@ -57,8 +57,8 @@ impl Display for SnrWord {
     }
 }
 
-/// The paper's Tables 1 to 3 with the PINN's presets, the EKF and the lock-in, on truth a and on the
-/// field model; report.md, cells.json and figures.
+/// The paper's Tables 1 to 3 with the PINN's presets, the EKF and the lock-in, on the behavioural
+/// reference load and on the field model; report.md, cells.json and figures.
 ///
 /// Every finished cell is a file in the folder, every training a checkpoint: run it again with the
 /// same --out and it goes on.
@@ -82,7 +82,8 @@ pub struct PaperArgs {
     /// Folder with presets of your own, *.toml
     #[arg(long, value_name = "DIR")]
     presets: Option<PathBuf>,
-    /// Loads, with commas between them: behavioural is truth a, where v = R i + L di/dt holds
+    /// Loads, with commas between them: behavioural is the reference load, where v = R i + L di/dt
+    /// holds
     #[arg(
         long,
         value_enum,
@@ -113,8 +114,8 @@ pub struct PaperArgs {
     /// Most epochs of the presets with a VI-MLP; 5000 as the paper's if not given
     #[arg(long)]
     epochs: Option<usize>,
-    /// One seed, truth a, no noise and 30 dB; presets with a VI-MLP at 45 kHz without noise, cut after
-    /// 100 epochs
+    /// One seed, the behavioural reference load, no noise and 30 dB; presets with a VI-MLP at 45 kHz
+    /// without noise, cut after 100 epochs
     #[arg(long)]
     quick: bool,
     /// Folder of the cells, the report and the figures
@@ -231,10 +232,10 @@ impl PaperArgs {
         if !self.quick {
             return true;
         }
-        let truth_a = job.load == LoadKind::Behavioural;
+        let reference_load = job.load == LoadKind::Behavioural;
         let known = job.snr_db.is_none() || job.snr_db == Some(30.0);
         let slow = job.epochs.is_some();
         let first = job.f_sw_hz == 1e3 * self.khz[0] && job.snr_db.is_none();
-        truth_a && job.seed == 1 && known && (!slow || first)
+        reference_load && job.seed == 1 && known && (!slow || first)
     }
 }

@@ -25,7 +25,7 @@ pub const SNR_DB: [Option<f64>; 4] = [None, Some(70.0), Some(50.0), Some(30.0)];
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reference {
-    /// Truth (a), for which v = R·i + L·di/dt holds exactly.
+    /// The behavioural reference load, for which v = R·i + L·di/dt holds exactly.
     Behavioural,
     /// Field model; R and L of the waveform's own fundamental, period by period.
     FieldWaveform,
@@ -63,9 +63,9 @@ pub struct Plan {
 /// Mean relative errors in percent, R and L.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
-    /// Of R.
+    /// Of R in percent.
     pub r_pct: f64,
-    /// Of L.
+    /// Of L in percent.
     pub l_pct: f64,
 }
 

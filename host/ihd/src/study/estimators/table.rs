@@ -41,7 +41,7 @@ pub fn markdown(cells: &[Cell], seeds: u64) -> String {
 
 fn title(reference: Reference) -> &'static str {
     match reference {
-        Reference::Behavioural => "Truth (a): v = R·i + L·di/dt holds exactly",
+        Reference::Behavioural => "Behavioural reference load: v = R·i + L·di/dt holds exactly",
         Reference::FieldWaveform => "Field model, against the waveform's own fundamental",
         Reference::FieldDescribing => "Field model, against the describing function",
     }
@@ -138,7 +138,8 @@ fn field_table(cells: &[&Cell]) -> String {
 
 /// The targets, each with the cell that comes nearest to its limit.
 fn verdicts(cells: &[Cell]) -> String {
-    let mut out = String::from("### Targets on truth (a), whole half-cycle\n\n");
+    let mut out =
+        String::from("### Targets on the behavioural reference load, whole half-cycle\n\n");
     let own = |m: Method| {
         let of = move |c: &&Cell| c.reference == Reference::Behavioural && c.method == m;
         cells.iter().filter(of)
@@ -233,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_that_is_missed_is_told() {
+    fn a_target_that_is_missed_is_reported() {
         let errors = |x: f64| Errors { r_pct: x, l_pct: x };
         let cell = |x: f64| Cell {
             reference: Reference::Behavioural,

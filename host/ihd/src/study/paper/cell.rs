@@ -16,7 +16,7 @@ use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point, folder_setting
 /// Entries of a loss curve or of R(t) that are kept.
 const KEPT: usize = 250;
 
-/// An estimate over the last half-cycle, and what else its estimator says.
+/// An estimate over the last half-cycle, and what else its estimator gives.
 struct Found {
     estimate: Estimate,
     nmse_pct: Option<(f64, f64)>,
@@ -73,7 +73,7 @@ pub(super) fn run(
         elapsed_s: found.estimate.elapsed.as_secs_f64(),
         steps: identified.map_or(0, |i| i.iterations),
         stopped: identified.map_or(String::new(), |i| i.stopped_because.to_string()),
-        track: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
+        trajectory: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
         truth: thinned(truth_points.filter(|p| inside(p.0)).collect()),
         noise_in_samples: job
             .snr_db
@@ -129,7 +129,7 @@ fn network(
     let truth = fundamental(&trial.truth);
     let mut watch = Watch {
         truth: Some(&truth),
-        say: progress,
+        report: progress,
     };
     let mut estimate = Estimate::new(Method::Pinn, noisy.f_sw_hz);
     let found = half_cycle(
@@ -145,12 +145,13 @@ fn network(
         source,
     })?;
     estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
-    let said = &found.reconstruction;
-    let clean = |x: &[f64]| -> Vec<f64> { said.sample.iter().map(|n| x[from + n]).collect() };
+    let reconstruction = &found.reconstruction;
+    let clean =
+        |x: &[f64]| -> Vec<f64> { reconstruction.sample.iter().map(|n| x[from + n]).collect() };
     Ok(Found {
         nmse_pct: Some((
-            nmse_pct(&said.v_volt, &clean(&trial.clean.v_v)),
-            nmse_pct(&said.i_ampere, &clean(&trial.clean.i_a)),
+            nmse_pct(&reconstruction.v_volt, &clean(&trial.clean.v_v)),
+            nmse_pct(&reconstruction.i_ampere, &clean(&trial.clean.i_a)),
         )),
         estimate,
         identified: Some(found),
@@ -182,7 +183,7 @@ fn power_error_pct(
 }
 
 /// Mean squared noise of voltage and current over the half-cycle, each over its largest sample
-/// squared: eqs. (5) and (6) for a VI branch that says the waveforms without noise.
+/// squared: eqs. (5) and (6) for a VI branch that gives the waveforms without noise.
 fn noise_in_samples(noisy: &Segment, clean: &Segment, (from, to): (usize, usize)) -> f64 {
     let share = |x: &[f64], clean: &[f64]| {
         let largest = x.iter().fold(0.0_f64, |m, x| m.max(x.abs()));

@@ -95,10 +95,10 @@ fn load(path: &Path, cells: &[&Cell]) -> Drawn {
     let quantities: [(&str, Value); 2] = [("R / Ω", |p| p.1), ("L / µH", |p| p.2 * 1e6)];
     for (area, (label, value)) in areas.iter().zip(quantities) {
         let start_s = cells[0].truth.first().map_or(0.0, |p| p.0);
-        let curve = |name: &str, track: &[(f64, f64, f64)], style: Style| Curve {
+        let curve = |name: &str, trajectory: &[(f64, f64, f64)], style: Style| Curve {
             style,
             name: name.to_owned(),
-            points: track
+            points: trajectory
                 .iter()
                 .map(|p| ((p.0 - start_s) * 1e3, value(p)))
                 .collect(),
@@ -106,7 +106,7 @@ fn load(path: &Path, cells: &[&Cell]) -> Drawn {
         let mut curves = vec![curve("truth", &cells[0].truth, Style::Reference)];
         for (k, cell) in cells.iter().enumerate() {
             let name = cell.job.contender.name();
-            curves.push(curve(name, &cell.track, Style::Solid(k)));
+            curves.push(curve(name, &cell.trajectory, Style::Solid(k)));
         }
         // What fails may be far off: the truth's range sets the axis.
         let truth = curves[0].points.iter().map(|p| p.1);

@@ -77,18 +77,18 @@ impl Job {
 pub struct LossAt {
     /// Step or epoch.
     pub step: usize,
-    /// Physics term, eq. (4).
+    /// Physics term, the paper's eq. (4).
     pub l_f: f64,
-    /// Data terms, eqs. (5) and (6).
+    /// Data terms, the paper's eqs. (5) and (6), together.
     pub l_i: f64,
 }
 
 /// Errors in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
-    /// Mean relative error of R.
+    /// Mean relative error of R in percent.
     pub r_pct: f64,
-    /// Of L.
+    /// Of L, likewise.
     pub l_pct: f64,
 }
 
@@ -124,7 +124,7 @@ pub struct Cell {
     pub nmse_pct: Option<(f64, f64)>,
     /// P/I_rms² against the waveform's own, mean weighted with I², in percent; PINN only.
     pub power_r_pct: Option<f64>,
-    /// The same against R of the describing function, on the field model.
+    /// The same against R of the describing function, on the field model, in percent.
     #[serde(default)]
     pub power_describing_pct: Option<f64>,
     /// Wall-clock time in seconds.
@@ -134,7 +134,8 @@ pub struct Cell {
     /// Why it stopped.
     pub stopped: String,
     /// (time in seconds, R in ohm, L in henry) of the estimate.
-    pub track: Vec<(f64, f64, f64)>,
+    #[serde(rename = "track")]
+    pub trajectory: Vec<(f64, f64, f64)>,
     /// The same of the truth.
     pub truth: Vec<(f64, f64, f64)>,
     /// What the noise of single samples contributes to the data terms, normalised as they are; `None`
@@ -201,7 +202,7 @@ impl Point {
 }
 
 /// Runs the jobs in order; a cell whose file lies in `folder` is read instead. `progress` hears the
-/// number of finished cells and what the network says meanwhile.
+/// number of finished cells and what the network reports meanwhile.
 ///
 /// # Errors
 /// [`PaperStudyError`].
@@ -238,7 +239,7 @@ pub fn study(
             &path,
             &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
         )?;
-        // The cell's own file tells all from here on.
+        // The cell's own file holds all from here on.
         if checkpoint.exists() {
             fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
         }

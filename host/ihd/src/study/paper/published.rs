@@ -6,9 +6,9 @@ use crate::study::estimators::{F_SW_HZ, SNR_DB};
 /// Errors of one operating point in percent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
-    /// Mean relative errors of R and L (Tables 1 and 2).
+    /// Mean relative errors of R and L in percent (Tables 1 and 2).
     pub mre_pct: (f64, f64),
-    /// Normalised mean squared errors of v and i (Table 3; without noise the text's about 0.01 and
+    /// Normalised mean squared errors of v and i in percent (Table 3; without noise the text's about 0.01 and
     /// 0.02).
     pub nmse_pct: (f64, f64),
 }

@@ -60,7 +60,10 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
          describing function, what a sinusoidal current would see.\n",
     );
     for (load, title) in [
-        (LoadKind::Behavioural, "Truth a: v = R i + L di/dt holds"),
+        (
+            LoadKind::Behavioural,
+            "Behavioural reference load: v = R i + L di/dt holds",
+        ),
         (
             LoadKind::Surrogate,
             "Surrogate: a table fitted to the field model",
@@ -209,7 +212,7 @@ mod tests {
             elapsed_s: 1.0,
             steps: 0,
             stopped: String::new(),
-            track: Vec::new(),
+            trajectory: Vec::new(),
             truth: Vec::new(),
             noise_in_samples: None,
             losses: Vec::new(),
