@@ -12,6 +12,7 @@
 mod reader;
 
 use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::MAX_PAYLOAD;
 use ihd_shared::wire::messages::{Hello, Message};
 use reader::{Reader, framed_raw};
 
@@ -37,7 +38,7 @@ fn stream(bytes: &[u8]) -> (Vec<u8>, Vec<Owned>) {
         // A byte more or less a step, and up to the longest payload.
         let scale = if what & 0x80 == 0 { 1 } else { 4 };
         let (id, seq) = (reader.u8(), reader.u16());
-        let payload = reader.bytes(length * scale);
+        let payload = reader.bytes((length * scale).min(MAX_PAYLOAD));
         let mut frame = framed_raw(id, seq, payload);
         let at = usize::from(reader.u8()) % frame.len();
         match what % 4 {
