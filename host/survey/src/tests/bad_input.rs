@@ -66,6 +66,17 @@ fn captures_with_nothing_in_them_are_refused_with_the_reason() {
     assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
 }
 
+/// Found by fuzzing: relative errors of an L of zero were infinite.
+#[test]
+fn both_probes_on_one_wire_give_finite_numbers() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    c.i_a.clone_from(&c.v_v);
+    let survey = survey(&c);
+    assert_eq!(survey.skew, []);
+    let text = format!("{survey:?}");
+    assert!(!text.contains(" inf") && !text.contains("NaN"), "{text}");
+}
+
 /// Any samples and times: a survey of finite numbers, or a typed error.
 #[test]
 fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
