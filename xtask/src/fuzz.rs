@@ -13,7 +13,7 @@ use cargo_metadata::MetadataCommand;
 use crate::workspace::{Workspace, first_line, run};
 
 /// What `cargo xtask test` gives to all targets together.
-const SMOKE_SECONDS: u64 = 75;
+const SMOKE_SECONDS: u64 = 78;
 
 /// What cargo-fuzz passes too: counters at every edge for libFuzzer, and the operands of comparisons.
 const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \

@@ -37,7 +37,8 @@ pub struct Aliasing {
     pub l_pct: f64,
 }
 
-/// What it may cost without an anti-alias filter; `None` when nothing falls on the fundamental.
+/// What it may cost without an anti-alias filter; `None` when nothing falls on the fundamental, and where R
+/// or L is zero.
 ///
 /// The edges' strength comes from the harmonics that are seen, their duration from the hob's ratings.
 pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
@@ -64,13 +65,15 @@ pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
     let order = first?;
     let x = std::f64::consts::TAU * track.f_sw_hz * z.l_h;
     let part = FRAC_1_SQRT_2 * power.sqrt() * x.hypot(z.r_ohm);
-    Some(Aliasing {
+    let aliasing = Aliasing {
         samples_per_period: n,
         order,
         v_pct: 100.0 * power.sqrt(),
         r_pct: 100.0 * part / z.r_ohm.abs(),
         l_pct: 100.0 * part / x.abs(),
-    })
+    };
+    // Without any R or L there is nothing to relate an error to.
+    (aliasing.r_pct.is_finite() && aliasing.l_pct.is_finite()).then_some(aliasing)
 }
 
 /// h |V_h| of the edges: the largest of the harmonics that are seen, and what a square wave with the

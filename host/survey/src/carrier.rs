@@ -69,11 +69,12 @@ pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
     let mut end = run.samples.start;
     let ranges = on_ranges(&valid);
     for on in &ranges {
-        let part = switching(capture, run, &lines, on);
+        // The amplitude that tells an edge may reach into the stretch before.
+        let part = switching(capture, run, &lines, on).part(end..run.samples.end);
         if on.off_before {
             found.off_s.push((run.t_s(end), part.t0_s));
         }
-        end = part.samples.end;
+        end = end.max(part.samples.end);
         let within = lines.within(&part.samples, &on.frames);
         steps(capture, &part, &lines, &valid, within, &mut found.pieces);
     }

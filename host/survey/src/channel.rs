@@ -32,7 +32,7 @@ pub struct ChannelSurvey {
     /// Standard deviation of white noise; `None` when the capture is too short to measure
     /// it.
     pub noise: Option<f64>,
-    /// Signal-to-noise ratio in decibel (paper, section V).
+    /// Signal-to-noise ratio in decibel (paper, section V); `None` also without any signal.
     pub snr_db: Option<f64>,
     /// Samples at an end of the range.
     pub clipped: usize,
@@ -77,7 +77,8 @@ pub(super) fn survey(
     });
     let signal =
         |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
-    out.snr_db = out.noise.filter(|s| *s > 0.0).map(signal);
+    let measured = out.noise.filter(|s| *s > 0.0).map(signal);
+    out.snr_db = measured.filter(|db| db.is_finite());
     if is_dead(which, tracks, variance) {
         findings.push(Finding::Dead { channel: which });
     } else {

@@ -185,6 +185,8 @@ pub fn skew_costs(tracks: &[Track], wiring: Wiring) -> Vec<SkewCost> {
                 (c - 1.0 - r / (w * l) * s).abs()
             }),
         })
+        // Without any R or L there is nothing to relate an error to.
+        .filter(|cost| cost.r_pct.is_finite() && cost.l_pct.is_finite())
         .collect()
 }
 

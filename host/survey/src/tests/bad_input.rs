@@ -66,6 +66,43 @@ fn captures_with_nothing_in_them_are_refused_with_the_reason() {
     assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
 }
 
+/// Found by fuzzing: relative errors of an L of zero were infinite.
+#[test]
+fn both_probes_on_one_wire_give_finite_numbers() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    c.i_a.clone_from(&c.v_v);
+    let survey = survey(&c);
+    assert_eq!(survey.skew, []);
+    let text = format!("{survey:?}");
+    assert!(!text.contains(" inf") && !text.contains("NaN"), "{text}");
+}
+
+/// Found by fuzzing: where noise hides the carrier now and then, stretches shared samples.
+#[test]
+fn spans_of_a_carrier_in_noise_do_not_overlap() {
+    use rand::{RngExt, SeedableRng};
+    let mut c = capture(&settings(45e3, 1e-3));
+    let dt_s = 1.0 / 216e3;
+    for seed in 0..10 {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut sample = |k: usize, lag: f64| {
+            let t_s = k as f64 * dt_s;
+            let bus = (std::f64::consts::TAU * 59.0 * t_s).sin().abs();
+            let noise = 2.2 * rng.random_range(-1.0..1.0);
+            (40.0 * bus * ((std::f64::consts::TAU * 89e3 * t_s - lag).cos() + noise)) as f32
+        };
+        c.v_v = (0..18_000).map(|k| sample(k, 0.0)).collect();
+        c.i_a = (0..18_000).map(|k| sample(k, 1.0)).collect();
+        c.time = TimeBase::Even { t0_s: 0.0, dt_s };
+        let Ok(survey) = Survey::of(&c, &Hints::default()) else {
+            continue;
+        };
+        for pair in survey.spans.windows(2) {
+            assert!(pair[0].first + pair[0].samples <= pair[1].first, "{seed}");
+        }
+    }
+}
+
 /// Any samples and times: a survey of finite numbers, or a typed error.
 #[test]
 fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {

@@ -100,7 +100,7 @@ fn at_zero_current(points: &[LoadPoint]) -> Option<LoadPoint> {
     let back = a.i_a / (b.i_a - a.i_a);
     let line = |a: f64, b: f64| {
         // R and L fall with current; a slope the other way is noise.
-        a + ((a - b) * back).clamp(0.0, CONTINUED_BY * a)
+        a + ((a - b) * back).clamp(0.0, CONTINUED_BY * a.max(0.0))
     };
     Some(LoadPoint {
         i_a: 0.0,
@@ -143,6 +143,18 @@ mod tests {
         // One that begins far up says nothing about zero.
         let high = (0..20).map(|k| line(k + 10));
         assert!(LoadCurve::from_half_cycle(45e3, high).points[0].i_a > 10.0);
+    }
+
+    /// Found by fuzzing: a panic in `clamp`.
+    #[test]
+    fn a_negative_resistance_is_continued_as_it_is() {
+        let line = |k: u32| LoadPoint {
+            i_a: 1.0 + f64::from(k),
+            r_ohm: -2.0,
+            l_h: 20e-6,
+        };
+        let curve = LoadCurve::from_half_cycle(45e3, (0..20).map(line));
+        assert_eq!(curve.points[0].r_ohm, -2.0);
     }
 
     #[test]
