@@ -367,7 +367,9 @@ fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
     for span in spans {
         let slack_s = 0.02 * 0.5 / mains.hz;
         let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
-        out.extend(crossings.windows(2).map(|w| (w[0], w[1])));
+        let pairs = crossings.windows(2).map(|w| (w[0], w[1]));
+        // A mains frequency that nothing has may be too high for the clock's digits.
+        out.extend(pairs.filter(|(from_s, to_s)| from_s < to_s));
     }
     out
 }

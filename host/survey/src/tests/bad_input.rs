@@ -103,6 +103,22 @@ fn spans_of_a_carrier_in_noise_do_not_overlap() {
     }
 }
 
+/// Found by fuzzing: half-cycles without length.
+#[test]
+fn half_cycles_last() {
+    let hints = Hints {
+        mains_hz: Some(1e19),
+        ..Hints::default()
+    };
+    let survey = Survey::of(&capture(&settings(45e3, 5e-3)), &hints).unwrap();
+    assert!(
+        survey
+            .half_cycles_s
+            .iter()
+            .all(|(from_s, to_s)| from_s < to_s)
+    );
+}
+
 /// Any samples and times: a survey of finite numbers, or a typed error.
 #[test]
 fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
