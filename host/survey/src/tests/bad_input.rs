@@ -103,6 +103,19 @@ fn spans_of_a_carrier_in_noise_do_not_overlap() {
     }
 }
 
+/// Found by fuzzing: steps told out of order made stretches share samples.
+#[test]
+fn steps_in_any_order_do_not_make_spans_overlap() {
+    let mut c = capture(&settings(45e3, 20e-3));
+    let step = |t_s| ihd_signal::FrequencyStep { t_s, f_sw_hz: 45e3 };
+    c.f_sw = [0.0, 12e-3, 6e-3].map(step).to_vec();
+    let spans = survey(&c).spans;
+    assert!(spans.len() > 1);
+    for pair in spans.windows(2) {
+        assert!(pair[0].first + pair[0].samples <= pair[1].first);
+    }
+}
+
 /// Found by fuzzing: half-cycles without length.
 #[test]
 fn half_cycles_last() {
