@@ -116,6 +116,16 @@ fn steps_in_any_order_do_not_make_spans_overlap() {
     }
 }
 
+/// Found by fuzzing: steps of time that are infinite.
+#[test]
+fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    // Each of the steps between them is infinite.
+    let ends = [-1.7e308, 1.7e308];
+    c.time = TimeBase::Stamps((0..c.len()).map(|k| ends[k % 2]).collect());
+    assert!(Survey::of(&c, &Hints::default()).is_err());
+}
+
 /// Found by fuzzing: half-cycles without length.
 #[test]
 fn half_cycles_last() {
