@@ -126,6 +126,18 @@ fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
     assert!(Survey::of(&c, &Hints::default()).is_err());
 }
 
+/// Found by fuzzing: a duration that is no number.
+#[test]
+fn a_first_or_last_stamp_that_is_no_number_is_passed_over() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    let mut t_s: Vec<f64> = (0..c.len()).map(|k| c.time.at(k).unwrap()).collect();
+    let duration_s = t_s[c.len() - 2] - t_s[1];
+    t_s[0] = f64::NAN;
+    t_s[c.len() - 1] = f64::INFINITY;
+    c.time = TimeBase::Stamps(t_s);
+    assert!((survey(&c).duration_s - duration_s).abs() < 1e-9);
+}
+
 /// Found by fuzzing: half-cycles without length.
 #[test]
 fn half_cycles_last() {
