@@ -147,14 +147,12 @@ impl Gaps {
         // Two stamps may lie further apart than a number can tell.
         let step = |n: usize| (t_s[n] - t_s[n - 1]).min(f64::MAX);
         let near = |n: usize| n > piece.start && n < piece.end;
-        let (here, neighbour) = (
-            step(k),
-            if near(k + 1) {
-                step(k + 1)
-            } else {
-                step(k - 1)
-            },
-        );
+        // Two samples alone have no other step to compare theirs with.
+        let neighbour = [k + 1, k - 1].into_iter().find(|&n| near(n));
+        let Some(neighbour) = neighbour.map(step) else {
+            return false;
+        };
+        let here = step(k);
         if here < 1.4 * neighbour {
             return false;
         }

@@ -126,6 +126,16 @@ fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
     assert!(Survey::of(&c, &Hints::default()).is_err());
 }
 
+/// Found by fuzzing: a panic where the first stretch has two samples.
+#[test]
+fn two_stamped_samples_before_a_hole_are_passed_over() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    c.v_v[2] = f32::NAN;
+    let t_s = (0..c.len()).map(|k| c.time.at(k).unwrap());
+    c.time = TimeBase::Stamps(t_s.collect());
+    assert_eq!(survey(&c).spans[0].first, 3);
+}
+
 /// Found by fuzzing: a duration that is no number.
 #[test]
 fn a_first_or_last_stamp_that_is_no_number_is_passed_over() {
