@@ -104,17 +104,19 @@ fn damage(capture: &mut Capture, reader: &mut Reader<'_>) {
     } else {
         &mut capture.i_a
     };
+    // One that was cut ends earlier.
+    let part = from.min(channel.len())..to.min(channel.len());
     match what % 24 {
-        0 => channel[from..to].fill(f32::NAN),
-        1 => channel[from..to].fill(0.0),
-        2 => channel[from..to].fill(f32::from_bits(reader.u32())),
+        0 => channel[part].fill(f32::NAN),
+        1 => channel[part].fill(0.0),
+        2 => channel[part].fill(f32::from_bits(reader.u32())),
         3 => {
             let factor = f32::from_bits(reader.u32());
-            channel[from..to].iter_mut().for_each(|x| *x *= factor);
+            channel[part].iter_mut().for_each(|x| *x *= factor);
         }
         4 => {
             let offset = f32::from_bits(reader.u32());
-            channel[from..to].iter_mut().for_each(|x| *x += offset);
+            channel[part].iter_mut().for_each(|x| *x += offset);
         }
         5 => {
             let limit = reader.between(0.0, 350.0) as f32;

@@ -145,7 +145,7 @@ impl Survey {
         } else {
             (Wiring::default(), vec![None; tracks.len()])
         };
-        let start_s = capture.time.at(0).unwrap_or(0.0);
+        let (start_s, end_s) = extent_s(capture, &runs);
         let mains = mains::find(
             &envelopes(&tracks, wiring),
             hints.mains_hz.or(capture.mains_hz),
@@ -168,7 +168,7 @@ impl Survey {
             name: capture.name.clone(),
             samples: capture.len(),
             start_s,
-            duration_s: capture.time.at(capture.len() - 1).unwrap_or(start_s) - start_s,
+            duration_s: end_s - start_s,
             rate_hz: longest.map_or(0.0, |r| 1.0 / r.dt_s),
             half_cycles_s: half_cycles(&mains, &spans),
             spans,
@@ -259,6 +259,17 @@ fn check(capture: &Capture) -> Result<(), SurveyError> {
         }
         _ => Ok(()),
     }
+}
+
+/// Times of the first and the last sample in seconds; where those are no numbers, of the first and the
+/// last in a run.
+fn extent_s(capture: &Capture, runs: &[Run]) -> (f64, f64) {
+    let stamp = |k| capture.time.at(k).filter(|t_s| t_s.is_finite());
+    let first = stamp(0).or(runs.first().map(|r| r.t0_s));
+    let last = stamp(capture.len().saturating_sub(1));
+    let last = last.or(runs.last().map(|r| r.t_s(r.samples.end.saturating_sub(1))));
+    let start_s = first.unwrap_or(0.0);
+    (start_s, last.unwrap_or(start_s))
 }
 
 /// Index of the track with the largest current.
@@ -367,7 +378,9 @@ fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
     for span in spans {
         let slack_s = 0.02 * 0.5 / mains.hz;
         let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
-        out.extend(crossings.windows(2).map(|w| (w[0], w[1])));
+        let pairs = crossings.windows(2).map(|w| (w[0], w[1]));
+        // A mains frequency that nothing has may be too high for the clock's digits.
+        out.extend(pairs.filter(|(from_s, to_s)| from_s < to_s));
     }
     out
 }

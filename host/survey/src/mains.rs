@@ -68,6 +68,9 @@ pub struct Envelope {
 /// Frequencies that are looked for, in hertz.
 pub const RANGE_HZ: (f64, f64) = (45.0, 65.0);
 
+/// Specified frequencies whose crossing is looked for, in hertz: beyond, there is none to be seen in a capture.
+const SPECIFIED_HZ: (f64, f64) = (1.0, 1e3);
+
 /// Nominal frequencies, in hertz: all that a short capture can be sorted into.
 const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 
@@ -110,7 +113,9 @@ pub fn find(
     let half_cycles = span_s * 2.0 * NOMINAL_HZ[0];
     let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
     let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
-    let seen = half_cycles >= LEAST_HALF_CYCLES && modulation >= LEAST_MODULATION;
+    let seen = half_cycles >= LEAST_HALF_CYCLES
+        && modulation >= LEAST_MODULATION
+        && specified_hz.is_none_or(|hz| (SPECIFIED_HZ.0..=SPECIFIED_HZ.1).contains(&hz));
     let free = half_cycles >= FREE_HALF_CYCLES;
     let measured = seen.then(|| fit(&envelopes, specified_hz, free)).flatten();
     if let (Some(specified_hz), true) = (specified_hz, free && seen) {
@@ -396,6 +401,16 @@ mod tests {
             let e = [envelope(50.0, 0.0, -0.1, to_s, 0.0)];
             let m = find(&e, Some(50.0), None, -0.1, &mut Vec::new());
             assert!(m.zero_crossing_s.is_finite());
+        }
+    }
+
+    /// Found by fuzzing: thousands of halvings down from a half-cycle of 1e150 s.
+    #[test]
+    fn no_crossing_is_looked_for_at_a_frequency_that_no_mains_has() {
+        let e = [envelope(50.0, 0.0, 0.0, 40e-3, 0.0)];
+        for hz in [1e-150, 1e-3, 1e19] {
+            let m = find(&e, Some(hz), None, 0.0, &mut Vec::new());
+            assert_eq!((m.hz, m.zero_crossing_source), (hz, Source::Assumed));
         }
     }
 

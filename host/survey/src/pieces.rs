@@ -89,7 +89,8 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
             if at > guard && at + guard < run.samples.len() as f64 {
                 let (at, guard) = (run.samples.start + at as usize, guard as usize);
                 out.push(run.part(start..at.saturating_sub(guard)));
-                start = at + guard;
+                // A file may tell its steps in any order.
+                start = start.max(at + guard);
             }
         }
         out.push(run.part(start..run.samples.end));

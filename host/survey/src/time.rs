@@ -144,16 +144,15 @@ impl Gaps {
     /// Whether there is a gap before sample `k`: a step half again as long as the median of the
     /// three steps before and of the three after. Where the rate falls, the ones after are as long.
     fn note(&mut self, t_s: &[f64], k: usize, piece: &Range<usize>) -> bool {
-        let step = |n: usize| t_s[n] - t_s[n - 1];
+        // Two stamps may lie further apart than a number can tell.
+        let step = |n: usize| (t_s[n] - t_s[n - 1]).min(f64::MAX);
         let near = |n: usize| n > piece.start && n < piece.end;
-        let (here, neighbour) = (
-            step(k),
-            if near(k + 1) {
-                step(k + 1)
-            } else {
-                step(k - 1)
-            },
-        );
+        // Two samples alone have no other step to compare theirs with.
+        let neighbour = [k + 1, k - 1].into_iter().find(|&n| near(n));
+        let Some(neighbour) = neighbour.map(step) else {
+            return false;
+        };
+        let here = step(k);
         if here < 1.4 * neighbour {
             return false;
         }

@@ -103,6 +103,79 @@ fn spans_of_a_carrier_in_noise_do_not_overlap() {
     }
 }
 
+/// Found by fuzzing: steps told out of order made stretches share samples.
+#[test]
+fn steps_in_any_order_do_not_make_spans_overlap() {
+    let mut c = capture(&settings(45e3, 20e-3));
+    let step = |t_s| ihd_signal::FrequencyStep { t_s, f_sw_hz: 45e3 };
+    c.f_sw = [0.0, 12e-3, 6e-3].map(step).to_vec();
+    let spans = survey(&c).spans;
+    assert!(spans.len() > 1);
+    for pair in spans.windows(2) {
+        assert!(pair[0].first + pair[0].samples <= pair[1].first);
+    }
+}
+
+/// Found by fuzzing: steps of time that are infinite.
+#[test]
+fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    // Each of the steps between them is infinite.
+    let ends = [-1.7e308, 1.7e308];
+    c.time = TimeBase::Stamps((0..c.len()).map(|k| ends[k % 2]).collect());
+    assert!(Survey::of(&c, &Hints::default()).is_err());
+}
+
+/// Found by fuzzing: a panic where the first stretch has two samples.
+#[test]
+fn two_stamped_samples_before_a_hole_are_passed_over() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    c.v_v[2] = f32::NAN;
+    let t_s = (0..c.len()).map(|k| c.time.at(k).unwrap());
+    c.time = TimeBase::Stamps(t_s.collect());
+    assert_eq!(survey(&c).spans[0].first, 3);
+}
+
+/// Found by fuzzing: a switching frequency that is no number.
+#[test]
+fn a_start_beyond_the_digits_of_time_leaves_numbers_finite() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    for t0_s in [-5.8e303, 1e300, 1e12] {
+        c.time = TimeBase::Even { t0_s, dt_s: 1e-6 };
+        if let Ok(survey) = Survey::of(&c, &Hints::default()) {
+            assert!(survey.spans.iter().all(|s| s.f_sw_hz.is_finite()));
+        }
+    }
+}
+
+/// Found by fuzzing: a duration that is no number.
+#[test]
+fn a_first_or_last_stamp_that_is_no_number_is_passed_over() {
+    let mut c = capture(&settings(45e3, 5e-3));
+    let mut t_s: Vec<f64> = (0..c.len()).map(|k| c.time.at(k).unwrap()).collect();
+    let duration_s = t_s[c.len() - 2] - t_s[1];
+    t_s[0] = f64::NAN;
+    t_s[c.len() - 1] = f64::INFINITY;
+    c.time = TimeBase::Stamps(t_s);
+    assert!((survey(&c).duration_s - duration_s).abs() < 1e-9);
+}
+
+/// Found by fuzzing: half-cycles without length.
+#[test]
+fn half_cycles_last() {
+    let hints = Hints {
+        mains_hz: Some(1e19),
+        ..Hints::default()
+    };
+    let survey = Survey::of(&capture(&settings(45e3, 5e-3)), &hints).unwrap();
+    assert!(
+        survey
+            .half_cycles_s
+            .iter()
+            .all(|(from_s, to_s)| from_s < to_s)
+    );
+}
+
 /// Any samples and times: a survey of finite numbers, or a typed error.
 #[test]
 fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
