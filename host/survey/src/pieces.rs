@@ -125,7 +125,13 @@ fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
     // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
     let f_hz = piece.f_hz.round();
     let rough = track::track(capture, &piece.run, f_hz);
-    let f_hz = f_hz + rough.frequency_error_hz();
+    // Frames are at least a period and a half apart: what turns faster than that can tell is noise.
+    let off_hz = rough.frequency_error_hz();
+    let f_hz = if off_hz.abs() < f_hz / 3.0 {
+        f_hz + off_hz
+    } else {
+        f_hz
+    };
     let track = track::track(capture, &piece.run, f_hz);
     (Piece { f_hz, ..piece }, track)
 }

@@ -100,6 +100,8 @@ fn spans_of_a_carrier_in_noise_do_not_overlap() {
         for pair in survey.spans.windows(2) {
             assert!(pair[0].first + pair[0].samples <= pair[1].first, "{seed}");
         }
+        // Found by fuzzing too: the phase of noise made them negative.
+        assert!(survey.spans.iter().all(|s| s.f_sw_hz > 0.0), "{seed}");
     }
 }
 
