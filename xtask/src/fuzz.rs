@@ -44,6 +44,8 @@ pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: Option<u64>) -> anyhow:
     for &target in &targets {
         let mut fuzzer = Command::new(programs.join(target));
         fuzzer.args(LIMITS).arg(format!("-max_total_time={time}"));
+        // A check of every change must end the same way twice; who fuzzes on purpose wants new inputs each time.
+        fuzzer.args(seconds.is_none().then_some("-seed=1"));
         // libFuzzer writes into the first folder only.
         fuzzer.arg(on.target.join("fuzz-corpus").join(target));
         let seeds = package.metadata["seeds"][target].as_array();
