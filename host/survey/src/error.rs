@@ -18,13 +18,16 @@ pub enum SurveyError {
         /// Times; as many as voltages where the time base is even.
         stamps: usize,
     },
-    /// A time step that cannot be.
+    /// Times that cannot be.
     #[error(
-        "{name}: the time from sample to sample is {dt_s} s, but must be a finite number above zero"
+        "{name}: the time from sample to sample is {dt_s} s, the first sample's {t0_s} s; the step must be a finite \
+         number above zero, and the start near enough to zero to tell the samples apart"
     )]
     TimeStep {
         /// The capture.
         name: String,
+        /// Time of the first sample in seconds.
+        t0_s: f64,
         /// The step in seconds.
         dt_s: f64,
     },

@@ -254,8 +254,15 @@ fn check(capture: &Capture) -> Result<(), SurveyError> {
         });
     }
     match capture.time {
-        TimeBase::Even { t0_s, dt_s } if !(dt_s > 0.0 && dt_s.is_finite() && t0_s.is_finite()) => {
-            Err(SurveyError::TimeStep { name: name(), dt_s })
+        // Far from zero, time has too few digits for its steps: 1e9 s for steps of 0.1 µs.
+        TimeBase::Even { t0_s, dt_s }
+            if !(dt_s > 0.0 && dt_s.is_finite() && t0_s.is_finite() && t0_s + dt_s > t0_s) =>
+        {
+            Err(SurveyError::TimeStep {
+                name: name(),
+                t0_s,
+                dt_s,
+            })
         }
         _ => Ok(()),
     }

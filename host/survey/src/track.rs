@@ -157,10 +157,6 @@ impl Track {
             return 0.0;
         };
         let hop_s = self.t_s[1] - self.t_s[0];
-        // So far from time zero that its digits end before a frame does.
-        if hop_s <= 0.0 {
-            return 0.0;
-        }
         let coarse = pulse_pair_hz(i_a, hop_s);
         let t0_s = self.t_s[0];
         let level = i_a
