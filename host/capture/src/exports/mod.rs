@@ -60,10 +60,7 @@ pub(super) fn write_npz(
     path: &Path,
     progress: Progress<'_>,
 ) -> Result<(), ExportError> {
-    let file = File::create(path);
-    let written =
-        file.and_then(|file| npz::write(capture, file, progress).map_err(io::Error::other));
-    whole(path, written)
+    created(path, |file| npz::write(capture, file, progress))
 }
 
 #[cfg(feature = "parquet")]
@@ -72,9 +69,15 @@ pub(super) fn write_parquet(
     path: &Path,
     progress: Progress<'_>,
 ) -> Result<(), ExportError> {
-    let file = File::create(path);
-    let written =
-        file.and_then(|file| parquet::write(capture, file, progress).map_err(io::Error::other));
+    created(path, |file| parquet::write(capture, file, progress))
+}
+
+/// Writes into a new file of that name.
+fn created<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
+    path: &Path,
+    write: impl FnOnce(File) -> Result<(), E>,
+) -> Result<(), ExportError> {
+    let written = File::create(path).and_then(|file| write(file).map_err(io::Error::other));
     whole(path, written)
 }
 
