@@ -16,13 +16,14 @@
 //! passed over.
 
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{F_SW_MAX_HZ, RATED_POWER_W};
+use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{Pot, State};
 
 use crate::half_cycle::Summary;
 use crate::pot::classify;
 use crate::power::PowerControl;
+use crate::pwm;
 use crate::realtime::Drive;
 
 /// Half-cycles with the bridge on before the pot is judged; the first one only builds the current
@@ -52,7 +53,7 @@ pub struct Control {
     half_cycles_in_state: u8,
     /// In a row, while heating.
     half_cycles_without_pot: u8,
-    /// Frequency of the last drive asked for; summaries of another one are of the past.
+    /// Frequency of the last drive asked for, of the grid; summaries of another one are of the past.
     requested_hz: u32,
     power: PowerControl,
 }
@@ -87,11 +88,7 @@ impl Control {
                 self.enter(State::Probing);
                 self.pot = Pot::Unknown;
                 self.power.restart();
-                self.requested_hz = F_SW_MAX_HZ;
-                Action::Drive(Drive {
-                    f_sw_hz: F_SW_MAX_HZ,
-                    on: true,
-                })
+                self.drive_at(pwm::HIGHEST_HZ)
             }
             (_, State::Probing | State::Heating) => Action::Keep,
         }
@@ -172,6 +169,10 @@ impl Control {
         if f_sw_hz == summary.f_sw_hz {
             return Action::Keep;
         }
+        self.drive_at(f_sw_hz)
+    }
+
+    fn drive_at(&mut self, f_sw_hz: u32) -> Action {
         self.requested_hz = f_sw_hz;
         Action::Drive(Drive { f_sw_hz, on: true })
     }
@@ -185,7 +186,7 @@ mod tests {
 
     fn summary(r_ohm: f64, l_uh: f64, i_a: f64) -> Summary {
         Summary {
-            f_sw_hz: F_SW_MAX_HZ,
+            f_sw_hz: pwm::HIGHEST_HZ,
             r: MicroOhm((r_ohm * 1e6) as i32),
             l: PicoHenry((l_uh * 1e6) as i32),
             i_crest_ma: (i_a * 1e3) as u32,
@@ -215,7 +216,7 @@ mod tests {
     fn probing() -> Control {
         let mut c = Control::default();
         let on = Drive {
-            f_sw_hz: F_SW_MAX_HZ,
+            f_sw_hz: pwm::HIGHEST_HZ,
             on: true,
         };
         assert_eq!(c.set_power(1_500), Action::Drive(on));
@@ -228,7 +229,24 @@ mod tests {
         assert_eq!(run(&mut c, POT, 2), Action::Keep);
         let action = run(&mut c, POT, 1);
         assert_eq!((c.state(), c.pot()), (State::Heating, Pot::Ferromagnetic));
-        assert!(matches!(action, Action::Drive(d) if d.on && d.f_sw_hz < F_SW_MAX_HZ));
+        assert!(matches!(action, Action::Drive(d) if d.on && d.f_sw_hz < pwm::HIGHEST_HZ));
+    }
+
+    /// A board answers with what its timers make of the frequency that was asked for.
+    #[test]
+    fn a_summary_at_the_frequency_of_the_timers_is_of_the_drive_asked_for() {
+        let mut c = Control::default();
+        let Action::Drive(probe) = c.set_power(1_500) else {
+            panic!("it must probe");
+        };
+        let seen = Summary {
+            f_sw_hz: pwm::nearest_hz(probe.f_sw_hz),
+            ..summary(POT.0, POT.1, POT.2)
+        };
+        for _ in 0..PROBE_HALF_CYCLES {
+            c.on_half_cycle(&seen, &prior());
+        }
+        assert_eq!(c.state(), State::Heating);
     }
 
     #[test]

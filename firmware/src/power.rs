@@ -12,6 +12,7 @@ use ihd_shared::lookup::RlLookup;
 
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
+use crate::pwm;
 
 /// Reactance kept above resonance at the crest, in percent of the coil's: 12 % of X are 6 % of f.
 pub const RESONANCE_MARGIN_PERCENT: i64 = 12;
@@ -90,8 +91,15 @@ fn trim_hz(f_sw_hz: u32, error_mw: u64, asked_mw: u64) -> u32 {
 const MAX_OF_TRIM: u32 = 3;
 
 impl PowerControl {
-    /// The frequency for the next half-cycle. `asked_mw` above zero, the inverter running.
+    /// The frequency of the grid for the next half-cycle. `asked_mw` above zero, the inverter running.
+    ///
+    /// The smallest step asked for is f/300, more than half of the grid's f²/22.3 MHz at every
+    /// frequency, so rounding never swallows it.
     pub fn next_frequency(&mut self, summary: &Summary, asked_mw: u64, lookup: &RlLookup) -> u32 {
+        pwm::nearest_hz(self.wanted_frequency(summary, asked_mw, lookup))
+    }
+
+    fn wanted_frequency(&mut self, summary: &Summary, asked_mw: u64, lookup: &RlLookup) -> u32 {
         let now = summary.f_sw_hz.clamp(F_SW_MIN_HZ, F_SW_MAX_HZ);
         if let Some(predicted) = predict_mw(lookup, now, summary.bus_peak_dv).filter(|&p| p > 0) {
             let ratio = (u64::from(summary.power_mw) << 10) / predicted;
@@ -195,7 +203,7 @@ mod tests {
 
     fn settle_on(load: &RlLookup, lookup: &RlLookup, asked_w: u64, plant: f64) -> (u32, f64) {
         let mut control = PowerControl::default();
-        let mut f = F_SW_MAX_HZ;
+        let mut f = pwm::HIGHEST_HZ;
         let mut power = 0.0;
         for _ in 0..60 {
             power = predict_mw(load, f, 3_253).map_or(0.0, |mw| mw as f64 * plant);
@@ -210,8 +218,10 @@ mod tests {
                 ..Summary::default()
             };
             let next = control.next_frequency(&summary, asked_w * 1_000, lookup);
+            assert_eq!(next, pwm::nearest_hz(next));
+            // Half of the grid's widest step beyond.
             assert!(
-                next + STEP_DOWN_HZ >= f && next <= f + STEP_UP_HZ,
+                next + STEP_DOWN_HZ + 144 >= f && next <= f + STEP_UP_HZ + 144,
                 "{f} -> {next}"
             );
             f = next;
@@ -271,6 +281,6 @@ mod tests {
             ..Summary::default()
         };
         let next = control.next_frequency(&summary, 2_000_000, &prior());
-        assert_eq!(next, 48_000);
+        assert_eq!(next, pwm::nearest_hz(48_000));
     }
 }
