@@ -11,9 +11,10 @@
 //! 0 W leads from Probing and Heating to Idle at once, a fault from any state to Faulted, and
 //! `ClearFault` from any state to Idle, with the power that was asked for forgotten.
 //!
-//! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
-//! effect at the next zero crossing, so the summary after that one still shows the old one and is
-//! passed over.
+//! It sees one summary per half-cycle and answers with a drive or a fault. The frequency of a new
+//! drive is searched in steps, one after each block ([`Control::advance`]), and found within the
+//! half-cycle. It takes effect at the next zero crossing, so the summary after that one still shows
+//! the old one and is passed over.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
@@ -109,6 +110,7 @@ impl Control {
 
     fn enter(&mut self, state: State) {
         self.state = state;
+        self.power.cancel();
         self.half_cycles_in_state = 0;
         self.half_cycles_without_pot = 0;
     }
@@ -165,11 +167,20 @@ impl Control {
             RATED_POWER_W
         };
         let asked_mw = u64::from(self.asked_w.min(limit_w)) * 1_000;
-        let f_sw_hz = self.power.next_frequency(summary, asked_mw, lookup);
-        if f_sw_hz == summary.f_sw_hz {
-            return Action::Keep;
+        // A thread too slow for one search a half-cycle ends the old one first.
+        if !self.power.is_searching() {
+            self.power.begin(summary, asked_mw);
         }
-        self.drive_at(f_sw_hz)
+        Action::Keep
+    }
+
+    /// One step of the search for a frequency, after each block: at most
+    /// [`crate::power::INSTRUCTIONS_PER_STEP`].
+    pub fn advance(&mut self, lookup: &RlLookup) -> Action {
+        match self.power.advance(lookup) {
+            Some(f_sw_hz) if f_sw_hz != self.requested_hz => self.drive_at(f_sw_hz),
+            _ => Action::Keep,
+        }
     }
 
     fn drive_at(&mut self, f_sw_hz: u32) -> Action {
@@ -209,6 +220,11 @@ mod tests {
                 ..summary(load.0, load.1, load.2)
             };
             action = control.on_half_cycle(&seen, &prior());
+            for _ in 0..crate::power::STEPS_PER_SEARCH {
+                if let drive @ Action::Drive(_) = control.advance(&prior()) {
+                    action = drive;
+                }
+            }
         }
         action
     }
