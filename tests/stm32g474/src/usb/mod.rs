@@ -8,12 +8,14 @@
 
 pub mod bus;
 mod endpoint;
-//HOST pub mod host;
+pub mod host;
 mod packet_memory;
 pub mod peripheral;
-//HOST pub mod transfer;
+pub mod stand_in;
+pub mod transfer;
 
 pub use bus::{Answer, Device, Handshake, Toggle};
-//HOST pub use host::{Cable, HostController};
+pub use host::{Cable, HostController};
 pub use peripheral::Usb;
-//HOST pub use transfer::{Outcome, Request, Status};
+pub use stand_in::StandIn;
+pub use transfer::{Outcome, Request, Status};
