@@ -210,7 +210,8 @@ impl Housekeeping {
         (Outcome::Ok, 0)
     }
 
-    /// To be called at least once per half-cycle: control, telemetry, faults.
+    /// To be called after each block: control, telemetry, faults. One step of the search for a
+    /// frequency is the longest it does.
     pub fn poll(&mut self, access: &mut impl Access) {
         let (summary, fault) = access.with(|rt| (rt.take_summary(), rt.fault()));
         if let Some(summary) = summary {
@@ -223,6 +224,9 @@ impl Housekeeping {
             let action = self.control.on_half_cycle(&summary, &self.active);
             self.act(access, action);
             self.send_telemetry(access, &summary);
+        } else {
+            let action = self.control.advance(&self.active);
+            self.act(access, action);
         }
         if fault != Fault::NONE && self.control.state() != State::Faulted {
             self.control.faulted();

@@ -9,7 +9,6 @@
 //! floating point or can panic.
 
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
@@ -18,6 +17,7 @@ use crate::demod::{Demodulator, correlate};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
 use crate::protection::Protection;
+use crate::pwm;
 use crate::recorder::Recorder;
 
 /// One block as the board delivers it.
@@ -45,7 +45,7 @@ pub struct Drive {
 impl Drive {
     /// Bridge off, sampling at the highest rate.
     pub const OFF: Self = Self {
-        f_sw_hz: F_SW_MAX_HZ,
+        f_sw_hz: pwm::HIGHEST_HZ,
         on: false,
     };
 }
@@ -87,8 +87,6 @@ pub struct RealTime {
     saturated_pairs: u32,
     /// Blocks since boot.
     blocks: u32,
-    /// The board's frequencies: the nearest to one asked for.
-    nearest_hz: Option<fn(u32) -> u32>,
     /// Samples come from a host; the bridge is off whatever `drive` says.
     replaying: bool,
     /// Version of the active lookup, for the windows' headers.
@@ -127,7 +125,6 @@ impl RealTime {
             fault_half_cycle: 0,
             saturated_pairs: 0,
             blocks: 0,
-            nearest_hz: None,
             replaying: false,
             lookup_version: 0,
         }
@@ -152,20 +149,13 @@ impl RealTime {
         self.drive()
     }
 
-    /// Asks for another drive: off at once, anything else at the next zero crossing. Ignored while
-    /// a fault is active.
+    /// Asks for another drive: off at once, anything else at the next zero crossing, at the nearest
+    /// frequency of the grid. Ignored while a fault is active.
     pub fn request(&mut self, drive: Drive) {
-        self.wanted = drive;
-        if drive.on
-            && let Some(nearest_hz) = self.nearest_hz
-        {
-            self.wanted.f_sw_hz = nearest_hz(drive.f_sw_hz);
-        }
-    }
-
-    /// Specifies which frequencies the board can make. Without this it can make any.
-    pub fn set_grid(&mut self, nearest_hz: fn(u32) -> u32) {
-        self.nearest_hz = Some(nearest_hz);
+        self.wanted = Drive {
+            f_sw_hz: pwm::nearest_hz(drive.f_sw_hz),
+            ..drive
+        };
     }
 
     /// Blocks from the ADC since boot.

@@ -19,7 +19,7 @@ use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::Access;
-use ihd_firmware::{nonvolatile, pwm, reset};
+use ihd_firmware::{nonvolatile, reset};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -87,10 +87,9 @@ fn main() -> ! {
     let p = embassy_stm32::init(clocks());
     defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-    let Some((interrupt_side, mut thread_side)) = sampling::split(r, l) else {
+    let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
     };
-    thread_side.with(|rt| rt.set_grid(pwm::nearest_hz));
     EXECUTOR.init(Executor::new()).run(|spawner| {
         let hello = hello(flags, last);
         start(spawner, p, hello, interrupt_side, thread_side);
