@@ -164,13 +164,20 @@ impl Plant {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
         for pair in &mut pairs {
             seen(&self.load_point());
-            *pair = self.adc.sample();
-            for _ in 0..STEPS_PER_SAMPLE {
-                self.step();
-            }
+            *pair = self.sample(|_| ());
         }
         self.warm_up();
         pairs
+    }
+
+    /// Takes one sample and simulates until the next; `current` gets the coil's current in ampere after every
+    /// integration step, as a comparator sees it. The pot does not warm up.
+    pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
+        let pair = self.adc.sample();
+        for _ in 0..STEPS_PER_SAMPLE {
+            current(self.step());
+        }
+        pair
     }
 
     /// One block's heat.
@@ -217,12 +224,13 @@ impl Plant {
         }
     }
 
-    fn step(&mut self) {
+    /// One integration step; the current after it.
+    fn step(&mut self) -> f64 {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
             let now = self.inverter.advance(self.drive.on);
             self.adc.advance(now.coil_v, now.i_a, dt_s);
-            return;
+            return now.i_a;
         }
         let n = self.inverter.step_in_period();
         if n == 0 {
@@ -243,6 +251,7 @@ impl Plant {
                 i_a: truth.i_a,
             };
         }
+        now.i_a
     }
 }
 
