@@ -60,11 +60,11 @@ pub struct Pins {
 }
 
 impl Pins {
-    /// A power stage on the pins and nothing in the USB socket.
-    pub fn new(plant: Plant) -> Self {
+    /// A power stage on the pins, and one end of a USB cable.
+    pub fn new(plant: Plant, usb: HostController) -> Self {
         Self {
             plant,
-            usb: HostController::new(),
+            usb,
             bridge: Bridge::Open,
             i_low_a: 0.0,
             i_high_a: 0.0,

@@ -204,7 +204,9 @@ impl Chip {
         self.serial.advance(now, hclk_hz, &self.file);
         self.flash.advance(now);
         if now >= self.next_usb_poll {
-            self.pins.usb.poll(&mut self.usb, crate::time::seconds(now) * 1e6);
+            let now_us = crate::time::seconds(now) * 1e6;
+            self.usb.set_time(now_us);
+            self.pins.usb.poll(&mut self.usb, now_us);
             self.next_usb_poll = now + USB_POLL;
         }
         if self.watchdog.bites_at.is_some_and(|at| now >= at) {
@@ -313,7 +315,7 @@ impl Chip {
     /// Writes `bytes` at an address of a peripheral.
     pub fn write(&mut self, address: u32, bytes: usize, value: u32) {
         if (PMA..PMA + PMA_BYTES).contains(&address) {
-            self.usb.pma_write(address - PMA, value, bytes);
+            self.usb.pma_write(address - PMA, bytes, value);
             return;
         }
         let aligned = address & !3;
