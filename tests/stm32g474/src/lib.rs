@@ -1,5 +1,6 @@
 //! An emulated STM32G474 that runs the flash image, with the simulated power stage on its pins.
 
+pub mod bench;
 pub mod chip;
 pub mod cpu;
 pub mod image;

@@ -232,7 +232,6 @@ impl Machine {
             state.pass(cycles);
             return Ok(());
         }
-        state.chip.log.now = state.chip.log.now;
         self.execute(until)
     }
 
@@ -320,7 +319,7 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
         sleeping: false,
         run_until: 0,
     };
-    let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, state)?;
+    let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB, state)?;
     // UC_CPU_ARM_CORTEX_M4.
     cpu.ctl_set_cpu_model(CORTEX_M4)?;
     cpu.mem_map(FLASH, PROGRAM_BYTES as u64, Prot::READ | Prot::EXEC)?;
@@ -360,7 +359,7 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
 }
 
 /// UC_CPU_ARM_CORTEX_M4 of Unicorn's list.
-const CORTEX_M4: i32 = unicorn_engine::ArmCpuModel::CORTEX_M4 as i32;
+const CORTEX_M4: i32 = 9;
 
 fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Result<(), uc_error> {
     cpu.mmio_map(

@@ -108,7 +108,7 @@ impl Chip {
             hrtim: Hrtim::default(),
             serial: Serial::default(),
             usb: Usb::new(),
-            flash: FlashController { pages, ..FlashController::default() },
+            flash: FlashController::with(pages),
             watchdog: Watchdog::default(),
             pins,
             adcs: [0, 1, 2].map(Converter::new),
@@ -136,11 +136,9 @@ impl Chip {
     /// Everything but memory, time and what is outside takes its state after a reset.
     pub fn after_reset(&mut self, why: Reset) {
         let options = self.file.word(reg::flash::flash_optr::ADDRESS);
-        let eccr = self.file.word(reg::flash::flash_eccr::ADDRESS);
         let flags = self.file.word(reg::rcc::rcc_csr::ADDRESS) & 0xFE00_0000;
         let was_on = self.hrtim.bridge(&self.file) != Bridge::Open;
         self.file = RegisterFile::default();
-        let _ = eccr;
         let (cause, options) = match why {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
@@ -152,9 +150,11 @@ impl Chip {
         self.file.set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
         self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
         let off_at = if was_on { Some(self.log.now) } else { self.hrtim.off_at };
-        self.hrtim = Hrtim { off_at, ..Hrtim::default() };
-        let serial = std::mem::take(&mut self.serial);
-        self.serial = Serial { sent: serial.sent, ..Serial::default() };
+        self.hrtim = Hrtim::default();
+        self.hrtim.off_at = off_at;
+        let sent = std::mem::take(&mut self.serial.sent);
+        self.serial = Serial::default();
+        self.serial.sent = sent;
         self.usb = Usb::new();
         self.nvic = Nvic::default();
         self.watchdog = Watchdog::default();
@@ -189,16 +189,35 @@ impl Chip {
         .unwrap_or(Ticks::MAX)
     }
 
-    /// Lets everything happen that is due now.
+    /// Lets everything happen that is due by now, each thing at its own moment.
     pub fn advance(&mut self) {
         let now = self.log.now;
-        if self.next_trigger.is_some_and(|at| now >= at) {
-            self.trigger();
+        while self.reset.is_none() {
+            let at = self.next_event();
+            if at > now {
+                break;
+            }
+            self.log.now = at;
+            self.happen();
+        }
+        self.log.now = now;
+        self.update_lines();
+    }
+
+    /// What is due at this moment.
+    fn happen(&mut self) {
+        let now = self.log.now;
+        if self.watchdog.bites_at.is_some_and(|at| now >= at) {
+            self.reset = Some(Reset::Watchdog);
+            return;
         }
         while let Some(k) = self.conversions.iter().position(|conversion| now >= conversion.at) {
             let done = self.conversions.swap_remove(k);
             let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
             self.transfers.extend(moved);
+        }
+        if self.next_trigger.is_some_and(|at| now >= at) {
+            self.trigger();
         }
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.serial.advance(now, hclk_hz, &self.file);
@@ -209,10 +228,6 @@ impl Chip {
             self.pins.usb.poll(&mut self.usb, now_us);
             self.next_usb_poll = now + USB_POLL;
         }
-        if self.watchdog.bites_at.is_some_and(|at| now >= at) {
-            self.reset = Some(Reset::Watchdog);
-        }
-        self.update_lines();
     }
 
     fn update_lines(&mut self) {
