@@ -185,7 +185,7 @@ impl Control {
 
     fn drive_at(&mut self, f_sw_hz: u32) -> Action {
         self.requested_hz = f_sw_hz;
-        Action::Drive(Drive { f_sw_hz, on: true })
+        Action::Drive(Drive::switching(f_sw_hz))
     }
 }
 
@@ -231,11 +231,8 @@ mod tests {
 
     fn probing() -> Control {
         let mut c = Control::default();
-        let on = Drive {
-            f_sw_hz: pwm::HIGHEST_HZ,
-            on: true,
-        };
-        assert_eq!(c.set_power(1_500), Action::Drive(on));
+        let probe = Drive::switching(pwm::HIGHEST_HZ);
+        assert_eq!(c.set_power(1_500), Action::Drive(probe));
         c
     }
 
@@ -245,7 +242,9 @@ mod tests {
         assert_eq!(run(&mut c, POT, 2), Action::Keep);
         let action = run(&mut c, POT, 1);
         assert_eq!((c.state(), c.pot()), (State::Heating, Pot::Ferromagnetic));
-        assert!(matches!(action, Action::Drive(d) if d.on && d.f_sw_hz < pwm::HIGHEST_HZ));
+        assert!(
+            matches!(action, Action::Drive(d) if d.is_switching() && d.f_sw_hz < pwm::HIGHEST_HZ)
+        );
     }
 
     /// A board answers with what its timers make of the frequency that was asked for.

@@ -301,7 +301,11 @@ impl Housekeeping {
                 pot: control.pot(),
                 asked_w: control.asked_w(),
                 delivered_mw: last.power_mw,
-                f_sw_hz: if rt.drive().on { rt.drive().f_sw_hz } else { 0 },
+                f_sw_hz: if rt.drive().is_switching() {
+                    rt.drive().f_sw_hz
+                } else {
+                    0
+                },
                 lookup_version: active.version,
                 half_cycles: rt.half_cycles(),
                 windows_recorded: windows.recorded,

@@ -228,7 +228,7 @@ impl Plant {
     fn step(&mut self) -> f64 {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
-            let now = self.inverter.advance(self.drive.on);
+            let now = self.inverter.advance(self.drive.is_switching());
             self.adc.advance(now.coil_v, now.i_a, dt_s);
             return now.i_a;
         }
@@ -237,7 +237,7 @@ impl Plant {
             let start = self.inverter.instant();
             self.analyser.push(0, start.coil_v, start.i_a);
         }
-        let now = self.inverter.advance(self.drive.on);
+        let now = self.inverter.advance(self.drive.is_switching());
         self.adc.advance(now.coil_v, now.i_a, dt_s);
         self.analyser.push(n + 1, now.coil_v, now.i_a);
         if n + 1 == STEPS_PER_PERIOD {
@@ -264,10 +264,7 @@ mod tests {
     fn at_full_power(load: LoadKind) -> Plant {
         let adc = Adc::new(Noise::default(), 1);
         let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
-        plant.set_drive(Drive {
-            f_sw_hz: 50_000,
-            on: true,
-        });
+        plant.set_drive(Drive::switching(50_000));
         while plant.t_s() < 5e-3 {
             plant.block(|_| ());
         }
@@ -320,10 +317,7 @@ mod tests {
             let mut plant = at_full_power(load);
             let before = plant.load_point();
             plant.set_pot(PotKind::None);
-            plant.set_drive(Drive {
-                f_sw_hz: 60_000,
-                on: true,
-            });
+            plant.set_drive(Drive::switching(60_000));
             while plant.t_s() < 6e-3 {
                 plant.block(|_| ());
             }

@@ -7,7 +7,7 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use ihd_firmware::mains::ZeroCrossing;
 use ihd_firmware::pwm::Periods;
-use ihd_firmware::realtime::{Block, Drive};
+use ihd_firmware::realtime::{Block, Bridge, Drive};
 use ihd_firmware::ring::Ring;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
@@ -97,14 +97,18 @@ impl Adc {
         if drive == self.drive {
             return;
         }
-        if !drive.on {
+        if drive.bridge == Bridge::Open {
             registers::bridge_off();
         }
         if drive.f_sw_hz != self.drive.f_sw_hz {
             registers::set_periods(Periods::nearest(drive.f_sw_hz));
         }
-        if drive.on && !self.drive.on {
-            registers::bridge_on();
+        if drive.bridge != self.drive.bridge {
+            match drive.bridge {
+                Bridge::Open => {}
+                Bridge::LowerOn => registers::bridge_lower_on(),
+                Bridge::Switching => registers::bridge_on(),
+            }
         }
         self.drive = drive;
     }

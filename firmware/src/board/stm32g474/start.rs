@@ -18,7 +18,7 @@ use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::protection::TRIP_CODE;
-use ihd_firmware::realtime::Access;
+use ihd_firmware::realtime::{Access, Bridge};
 use ihd_firmware::{nonvolatile, reset};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -237,9 +237,9 @@ impl Board {
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::hardware_fault();
         let blocks = path.with(|rt| {
-            // A trip counts while the bridge should run: switching on clears what is left of it.
+            // A trip counts while a switch should be closed: closing one clears what is left of it.
             if let Some(fault) = tripped
-                && rt.drive().on
+                && rt.drive().bridge != Bridge::Open
             {
                 rt.raise(fault);
             }
