@@ -202,8 +202,10 @@ fn serial_port(
     receive: embassy_stm32::Peri<'static, peripherals::PA3>,
     transmit: embassy_stm32::Peri<'static, peripherals::PA2>,
 ) -> Option<(serial::Receiver, serial::Sender)> {
-    static BUFFERS: StaticCell<([u8; 256], [u8; 256])> = StaticCell::new();
-    let (out, inbound) = BUFFERS.init(([0; 256], [0; 256]));
+    static TRANSMIT: StaticCell<[u8; serial::TRANSMIT_BUFFER]> = StaticCell::new();
+    static RECEIVE: StaticCell<[u8; serial::RECEIVE_BUFFER]> = StaticCell::new();
+    let out = TRANSMIT.init([0; serial::TRANSMIT_BUFFER]);
+    let inbound = RECEIVE.init([0; serial::RECEIVE_BUFFER]);
     let mut config = usart::Config::default();
     config.baudrate = serial::BAUD;
     let uart = BufferedUart::new(uart, receive, transmit, out, inbound, Irqs, config).ok()?;
