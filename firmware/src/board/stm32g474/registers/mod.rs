@@ -11,13 +11,15 @@
 //! `HRTIM_FAULTSOURCE_INTERNAL`) and github.com/stm32-rs/stm32g4xx-hal (`impl_faults!`). It has not
 //! run on a board.
 
+pub mod clocks;
+pub mod comparators;
+
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::{Exten, Ovrmod, SampleTime};
 use embassy_stm32::pac::adccommon::vals::{Ckmode, Dmacfg, Dual, Mdma};
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
-use embassy_stm32::pac::comp::vals::{Hysteresis, Inm, Polarity};
 use embassy_stm32::pac::hrtim::vals::Fault as FaultState;
 use ihd_firmware::pwm::{DEAD_TIME_NS, Periods};
 use ihd_firmware::reset::Flags;
@@ -196,22 +198,6 @@ pub fn set_periods(periods: Periods) {
             w.set_trst(timer, true);
         }
     });
-}
-
-/// COMP, COMP_CxCSR: the current's two polarities against their DAC1 thresholds (table "COMPx
-/// inverting input assignment": DAC1_CH1 for COMP1, DAC1_CH2 for COMP2); then locked until reset.
-pub fn start_comparators() {
-    for (comparator, threshold) in [(pac::COMP1, Inm::DACB), (pac::COMP2, Inm::DACB)] {
-        comparator.csr().write(|w| {
-            // Input 0 is PA1 for COMP1 and PA7 for COMP2 (table "COMPx non-inverting input").
-            w.set_inpsel(false);
-            w.set_inmsel(threshold);
-            w.set_polarity(Polarity::NOT_INVERTED);
-            w.set_hyst(Hysteresis::HYST20M);
-            w.set_en(true);
-        });
-        comparator.csr().modify(|w| w.set_lock(true));
-    }
 }
 
 /// ADC, "ADC deep-power-down mode and voltage regulator" to "ADC on-off control": regulator, calibration and switching on, for one ADC; its clock runs.
