@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ihd_firmware::realtime::Drive;
+use ihd_firmware::drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair};
 use ihd_sim::plant::Plant;
 
@@ -77,8 +77,12 @@ impl Pins {
     /// What the bridge does from now on.
     pub fn drive(&mut self, bridge: Bridge, f_sw_hz: f64) {
         self.bridge = bridge;
-        let on = matches!(bridge, Bridge::Switching { .. });
-        self.plant.set_drive(Drive { f_sw_hz: f_sw_hz.round() as u32, on });
+        let state = match bridge {
+            Bridge::Open => drive::Bridge::Open,
+            Bridge::LowerClosed => drive::Bridge::LowerOn,
+            Bridge::Switching { .. } => drive::Bridge::Switching,
+        };
+        self.plant.set_drive(drive::Drive { f_sw_hz: f_sw_hz.round() as u32, bridge: state });
     }
 
     /// What the bridge does.

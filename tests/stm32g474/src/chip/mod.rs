@@ -309,12 +309,18 @@ impl Chip {
             return self.usb.pma_read(address - PMA, bytes);
         }
         let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            // Its registers are checked there; the SVD lacks some.
+            self.check_usb_clock();
+            let word = self.usb.read(aligned - reg::usb_fs_device::BASE);
+            self.update_lines();
+            return word >> (8 * (address & 3));
+        }
         if !self.file.check_access(aligned, None, &mut self.log) {
             return 0;
         }
         let now = self.log.now;
         let word = match aligned {
-            a if in_block(a, reg::usb_fs_device::BASE, 0x100) => self.usb.read(a - reg::usb_fs_device::BASE),
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
@@ -334,6 +340,12 @@ impl Chip {
             return;
         }
         let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            self.check_usb_clock();
+            self.usb.write(aligned - reg::usb_fs_device::BASE, value);
+            self.update_lines();
+            return;
+        }
         let before = self.file.word(aligned);
         let shift = 8 * (address & 3);
         let mask = if bytes >= 4 { u32::MAX } else { ((1 << (8 * bytes)) - 1) << shift };
@@ -345,14 +357,16 @@ impl Chip {
         self.update_lines();
     }
 
+    fn check_usb_clock(&mut self) {
+        if !self.file.is(reg::rcc::rcc_apb1enr1::USBEN) {
+            self.log.broken("USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)");
+        }
+    }
+
     fn write_word(&mut self, address: u32, before: u32, value: u32) {
         let (file, log) = (&mut self.file, &mut self.log);
         let hclk_hz = clocks::hclk_hz(file);
         let stored = match address {
-            a if in_block(a, reg::usb_fs_device::BASE, 0x100) => {
-                self.usb.write(a - reg::usb_fs_device::BASE, value);
-                return;
-            }
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.write(a, value, file, log),
             a if in_block(a, reg::dma1::BASE, 0x400) => self.dma.write(a, value, file, log),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.write(a, value, file, log),
