@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ihd_firmware::realtime::Drive;
+use ihd_firmware::drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair};
 use ihd_sim::plant::Plant;
 
@@ -60,11 +60,11 @@ pub struct Pins {
 }
 
 impl Pins {
-    /// A power stage on the pins and nothing in the USB socket.
-    pub fn new(plant: Plant) -> Self {
+    /// A power stage on the pins, and one end of a USB cable.
+    pub fn new(plant: Plant, usb: HostController) -> Self {
         Self {
             plant,
-            usb: HostController::new(),
+            usb,
             bridge: Bridge::Open,
             i_low_a: 0.0,
             i_high_a: 0.0,
@@ -77,8 +77,12 @@ impl Pins {
     /// What the bridge does from now on.
     pub fn drive(&mut self, bridge: Bridge, f_sw_hz: f64) {
         self.bridge = bridge;
-        let on = matches!(bridge, Bridge::Switching { .. });
-        self.plant.set_drive(Drive { f_sw_hz: f_sw_hz.round() as u32, on });
+        let state = match bridge {
+            Bridge::Open => drive::Bridge::Open,
+            Bridge::LowerClosed => drive::Bridge::LowerOn,
+            Bridge::Switching { .. } => drive::Bridge::Switching,
+        };
+        self.plant.set_drive(drive::Drive { f_sw_hz: f_sw_hz.round() as u32, bridge: state });
     }
 
     /// What the bridge does.

@@ -12,7 +12,7 @@ use ihd_firmware::ring::Ring;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
 use super::registers;
-use crate::board::sampling::{SAMPLES_READY, SampleSource};
+use crate::board::sampling::SampleSource;
 
 /// Channels of the pins in the module's table.
 const VOLTAGE: u8 = 1;
@@ -37,11 +37,10 @@ static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
 /// Polls the sampling task, in the DMA's own interrupt.
 pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
-/// Half or all of the double block is filled. The executor runs in this interrupt, so nothing else
-/// of its priority comes between the flag and the task.
+/// Half or all of the double block is filled. The executor runs in this interrupt and its task is
+/// always ready, so that nothing comes between the flag and the task.
 #[interrupt]
 fn DMA1_CHANNEL1() {
-    SAMPLES_READY.wake();
     // SAFETY: this is the interrupt that the executor was started with.
     unsafe { SAMPLING_EXECUTOR.on_interrupt() }
 }

@@ -57,15 +57,17 @@ pub fn boosted(file: &RegisterFile) -> bool {
 }
 
 fn check_speed(file: &RegisterFile, log: &mut Log) {
-    let hz = hclk_hz(file);
+    // The range limits SYSCLK too, whatever the AHB divides it by.
+    let hz = sysclk_hz(file);
     let limit = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
         (1, true) => 170_000_000,
         (1, false) => 150_000_000,
         _ => 26_000_000,
     };
     if hz > limit {
-        log.broken(format!("HCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"));
+        log.broken(format!("SYSCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"));
     }
+    let hz = hclk_hz(file);
     let least = least_wait_states(file, hz);
     if u64::from(file.get(flash::flash_acr::LATENCY)) < least {
         log.broken(format!("HCLK {hz} Hz needs {least} wait states (RM0440 3.3.3)"));
@@ -142,7 +144,7 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
     }
     file.set(SWS, wanted);
     let new_hz = hclk_hz(file);
-    if old_hz <= 80_000_000 && new_hz > 80_000_000 && SWS.of(before) != 3 {
+    if old_hz <= 80_000_000 && new_hz > 85_000_000 && SWS.of(before) != 3 {
         log.broken(format!(
             "HCLK from {old_hz} to {new_hz} Hz in one step: HPRE must divide by two across it (RM0440 6.1.5, 7.2.7)"
         ));

@@ -76,6 +76,11 @@ pub struct FlashController {
 }
 
 impl FlashController {
+    /// A controller of pages with this content.
+    pub fn with(pages: Pages) -> Self {
+        Self { pages, ..Self::default() }
+    }
+
     /// When the operation under way ends.
     pub fn next(&self) -> Option<Ticks> {
         self.busy.map(|(_, until)| until)
@@ -132,7 +137,7 @@ impl FlashController {
             None => {}
         }
         let pages = std::mem::take(&mut self.pages);
-        *self = Self { pages, ..Self::default() };
+        *self = Self::with(pages);
     }
 
     fn begin(&mut self, operation: Operation, duration: Ticks, now: Ticks) {

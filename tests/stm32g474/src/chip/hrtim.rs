@@ -58,11 +58,7 @@ pub struct Hrtim {
     enabled: [bool; 2],
     /// When the outputs went from on to off, each time.
     pub off_at: Option<Ticks>,
-    /// Whether output 1 was set by software and holds.
-    fault_latched: bool,
     dead_time_locked: bool,
-    faults_locked: u32,
-    armed_inputs: u32,
 }
 
 const OUTPUT_1: u32 = 1;
@@ -143,7 +139,7 @@ impl Hrtim {
             }
             hrtim_common::oenr::ADDRESS => u32::from(self.enabled[0]) | u32::from(self.enabled[1]) << 1,
             hrtim_tima::cntar::ADDRESS => self.a.count(now),
-            hrtim_timb::cntbr::ADDRESS => self.b.count(now),
+            hrtim_timb::cntr::ADDRESS => self.b.count(now),
             _ => word,
         }
     }

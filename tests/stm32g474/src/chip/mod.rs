@@ -108,7 +108,7 @@ impl Chip {
             hrtim: Hrtim::default(),
             serial: Serial::default(),
             usb: Usb::new(),
-            flash: FlashController { pages, ..FlashController::default() },
+            flash: FlashController::with(pages),
             watchdog: Watchdog::default(),
             pins,
             adcs: [0, 1, 2].map(Converter::new),
@@ -136,11 +136,9 @@ impl Chip {
     /// Everything but memory, time and what is outside takes its state after a reset.
     pub fn after_reset(&mut self, why: Reset) {
         let options = self.file.word(reg::flash::flash_optr::ADDRESS);
-        let eccr = self.file.word(reg::flash::flash_eccr::ADDRESS);
         let flags = self.file.word(reg::rcc::rcc_csr::ADDRESS) & 0xFE00_0000;
         let was_on = self.hrtim.bridge(&self.file) != Bridge::Open;
         self.file = RegisterFile::default();
-        let _ = eccr;
         let (cause, options) = match why {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
@@ -152,9 +150,11 @@ impl Chip {
         self.file.set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
         self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
         let off_at = if was_on { Some(self.log.now) } else { self.hrtim.off_at };
-        self.hrtim = Hrtim { off_at, ..Hrtim::default() };
-        let serial = std::mem::take(&mut self.serial);
-        self.serial = Serial { sent: serial.sent, ..Serial::default() };
+        self.hrtim = Hrtim::default();
+        self.hrtim.off_at = off_at;
+        let sent = std::mem::take(&mut self.serial.sent);
+        self.serial = Serial::default();
+        self.serial.sent = sent;
         self.usb = Usb::new();
         self.nvic = Nvic::default();
         self.watchdog = Watchdog::default();
@@ -189,28 +189,45 @@ impl Chip {
         .unwrap_or(Ticks::MAX)
     }
 
-    /// Lets everything happen that is due now.
+    /// Lets everything happen that is due by now, each thing at its own moment.
     pub fn advance(&mut self) {
         let now = self.log.now;
-        if self.next_trigger.is_some_and(|at| now >= at) {
-            self.trigger();
+        while self.reset.is_none() {
+            let at = self.next_event();
+            if at > now {
+                break;
+            }
+            self.log.now = at;
+            self.happen();
+        }
+        self.log.now = now;
+        self.update_lines();
+    }
+
+    /// What is due at this moment.
+    fn happen(&mut self) {
+        let now = self.log.now;
+        if self.watchdog.bites_at.is_some_and(|at| now >= at) {
+            self.reset = Some(Reset::Watchdog);
+            return;
         }
         while let Some(k) = self.conversions.iter().position(|conversion| now >= conversion.at) {
             let done = self.conversions.swap_remove(k);
             let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
             self.transfers.extend(moved);
         }
+        if self.next_trigger.is_some_and(|at| now >= at) {
+            self.trigger();
+        }
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.serial.advance(now, hclk_hz, &self.file);
         self.flash.advance(now);
         if now >= self.next_usb_poll {
-            self.pins.usb.poll(&mut self.usb, crate::time::seconds(now) * 1e6);
+            let now_us = crate::time::seconds(now) * 1e6;
+            self.usb.set_time(now_us);
+            self.pins.usb.poll(&mut self.usb, now_us);
             self.next_usb_poll = now + USB_POLL;
         }
-        if self.watchdog.bites_at.is_some_and(|at| now >= at) {
-            self.reset = Some(Reset::Watchdog);
-        }
-        self.update_lines();
     }
 
     fn update_lines(&mut self) {
@@ -292,12 +309,18 @@ impl Chip {
             return self.usb.pma_read(address - PMA, bytes);
         }
         let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            // Its registers are checked there; the SVD lacks some.
+            self.check_usb_clock();
+            let word = self.usb.read(aligned - reg::usb_fs_device::BASE);
+            self.update_lines();
+            return word >> (8 * (address & 3));
+        }
         if !self.file.check_access(aligned, None, &mut self.log) {
             return 0;
         }
         let now = self.log.now;
         let word = match aligned {
-            a if in_block(a, reg::usb_fs_device::BASE, 0x100) => self.usb.read(a - reg::usb_fs_device::BASE),
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
@@ -313,10 +336,16 @@ impl Chip {
     /// Writes `bytes` at an address of a peripheral.
     pub fn write(&mut self, address: u32, bytes: usize, value: u32) {
         if (PMA..PMA + PMA_BYTES).contains(&address) {
-            self.usb.pma_write(address - PMA, value, bytes);
+            self.usb.pma_write(address - PMA, bytes, value);
             return;
         }
         let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            self.check_usb_clock();
+            self.usb.write(aligned - reg::usb_fs_device::BASE, value);
+            self.update_lines();
+            return;
+        }
         let before = self.file.word(aligned);
         let shift = 8 * (address & 3);
         let mask = if bytes >= 4 { u32::MAX } else { ((1 << (8 * bytes)) - 1) << shift };
@@ -328,14 +357,16 @@ impl Chip {
         self.update_lines();
     }
 
+    fn check_usb_clock(&mut self) {
+        if !self.file.is(reg::rcc::rcc_apb1enr1::USBEN) {
+            self.log.broken("USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)");
+        }
+    }
+
     fn write_word(&mut self, address: u32, before: u32, value: u32) {
         let (file, log) = (&mut self.file, &mut self.log);
         let hclk_hz = clocks::hclk_hz(file);
         let stored = match address {
-            a if in_block(a, reg::usb_fs_device::BASE, 0x100) => {
-                self.usb.write(a - reg::usb_fs_device::BASE, value);
-                return;
-            }
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.write(a, value, file, log),
             a if in_block(a, reg::dma1::BASE, 0x400) => self.dma.write(a, value, file, log),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.write(a, value, file, log),

@@ -40,6 +40,7 @@ enum Command {
 #[derive(Default)]
 struct Shared {
     attached: AtomicBool,
+    ended: AtomicBool,
     now_ns: AtomicU64,
     next_id: AtomicU64,
 }
@@ -87,6 +88,11 @@ impl Cable {
         self.shared.attached.load(Ordering::Relaxed)
     }
 
+    /// Whether the machine is gone.
+    pub fn ended(&self) -> bool {
+        self.shared.ended.load(Ordering::Relaxed)
+    }
+
     /// Emulated time.
     pub fn now(&self) -> Duration {
         Duration::from_nanos(self.shared.now_ns.load(Ordering::Relaxed))
@@ -118,6 +124,12 @@ pub struct HostController {
     reset_until_us: f64,
     /// Pipes that rest until a time, since the device was silent there.
     resting: BTreeMap<Pipe, f64>,
+}
+
+impl Drop for HostController {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+    }
 }
 
 impl HostController {

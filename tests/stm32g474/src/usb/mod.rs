@@ -7,6 +7,7 @@
 //! ```
 
 pub mod bus;
+pub mod client;
 mod endpoint;
 pub mod host;
 mod packet_memory;
@@ -15,6 +16,7 @@ pub mod stand_in;
 pub mod transfer;
 
 pub use bus::{Answer, Device, Handshake, Toggle};
+pub use client::Board;
 pub use host::{Cable, HostController};
 pub use peripheral::Usb;
 pub use stand_in::StandIn;
