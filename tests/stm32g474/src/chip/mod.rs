@@ -84,6 +84,8 @@ pub struct Chip {
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
+    /// When something happened last.
+    happened_at: Ticks,
     next_usb_poll: Ticks,
     /// Something asked for a reset.
     pub reset: Option<Reset>,
@@ -115,6 +117,7 @@ impl Chip {
             dma: Dma::default(),
             conversions: Vec::new(),
             next_trigger: None,
+            happened_at: 0,
             next_usb_poll: 0,
             reset: None,
             system: std::collections::HashMap::new(),
@@ -197,9 +200,12 @@ impl Chip {
             if at > now {
                 break;
             }
-            self.log.now = at;
+            // What was put on a line meanwhile begins now, not when the line fell silent.
+            self.happened_at = self.happened_at.max(at);
+            self.log.now = self.happened_at;
             self.happen();
         }
+        self.happened_at = now;
         self.log.now = now;
         self.update_lines();
     }

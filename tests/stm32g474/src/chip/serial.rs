@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::registers::lpuart1;
+use crate::registers::{lpuart1, rcc};
 use crate::time::{TICKS_PER_S, Ticks};
 use crate::violation::Log;
 
@@ -27,14 +27,19 @@ pub struct Serial {
     next_receive: Ticks,
     overrun: bool,
     complete: bool,
+    /// When the line will have been idle for a byte's time, and whether that was flagged.
+    idle_at: Option<Ticks>,
+    idle: bool,
 }
 
 impl Serial {
     /// Duration of a byte.
     fn byte_ticks(file: &RegisterFile, hclk_hz: u64) -> Ticks {
+        // RCC_CCIPR (RM0440, 7.4.27): 0 is PCLK, 2 is HSI16; the image has no LSE, and SYSCLK is PCLK.
+        let hz = if file.get(rcc::rcc_ccipr::LPUART1SEL) == 2 { 16_000_000 } else { hclk_hz };
         // BRR = 256 · clock / baud (RM0440, 38.4.7); PRESC is not used here.
         let brr = u64::from(file.get(lpuart1::brr::BRR)).max(0x300);
-        FRAME_BITS * brr * TICKS_PER_S / (256 * hclk_hz.max(1))
+        FRAME_BITS * brr * TICKS_PER_S / (256 * hz.max(1))
     }
 
     fn is_on(file: &RegisterFile) -> bool {
@@ -46,7 +51,7 @@ impl Serial {
         let sending = self.shifting.map(|(_, until)| until);
         let receiving = (Self::is_on(file) && file.is(lpuart1::cr1::RE) && !self.inbound.is_empty())
             .then_some(self.next_receive);
-        sending.into_iter().chain(receiving).min()
+        sending.into_iter().chain(receiving).chain(self.idle_at).min()
     }
 
     /// Does what is due.
@@ -73,6 +78,10 @@ impl Serial {
                 self.received = Some(byte);
             }
             self.next_receive = now + Self::byte_ticks(file, hclk_hz);
+            self.idle_at = Some(self.next_receive);
+        } else if self.idle_at.is_some_and(|at| now >= at) {
+            self.idle_at = None;
+            self.idle = listening;
         }
     }
 
@@ -82,6 +91,7 @@ impl Serial {
         (file.is(cr1::TXEIE) && self.holding.is_none() && Self::is_on(file))
             || (file.is(cr1::TCIE) && self.complete)
             || (file.is(cr1::RXNEIE) && (self.received.is_some() || self.overrun))
+            || (file.is(cr1::IDLEIE) && self.idle)
             || (file.is(cr3::EIE) && self.overrun)
     }
 
@@ -96,6 +106,7 @@ impl Serial {
                     (isr::TC, self.shifting.is_none()),
                     (isr::RXNE, self.received.is_some()),
                     (isr::ORE, self.overrun),
+                    (isr::IDLE, self.idle),
                     (isr::TEACK, file.is(lpuart1::cr1::TE)),
                     (isr::REACK, file.is(lpuart1::cr1::RE)),
                     (isr::BUSY, self.shifting.is_some()),
@@ -129,6 +140,7 @@ impl Serial {
             lpuart1::icr::ADDRESS => {
                 self.overrun &= lpuart1::icr::ORECF.of(value) == 0;
                 self.complete &= lpuart1::icr::TCCF.of(value) == 0;
+                self.idle &= lpuart1::icr::IDLECF.of(value) == 0;
             }
             lpuart1::brr::ADDRESS if Self::is_on(file) => {
                 log.broken("LPUART1 BRR written while UE is 1 (RM0440 38.7.5)");
