@@ -20,6 +20,7 @@ mod nonvolatile;
 mod registers;
 mod serial;
 mod start;
+mod start_up;
 mod usb;
 
 use ihd_shared::fault::Fault;
