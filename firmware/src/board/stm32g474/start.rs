@@ -15,8 +15,8 @@ use embassy_stm32::{Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::Access;
-use ihd_firmware::{nonvolatile, pwm, reset};
+use ihd_firmware::realtime::{Access, Bridge};
+use ihd_firmware::{nonvolatile, reset};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -63,7 +63,7 @@ struct Board {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let flags = registers::reset_flags();
+    let flags = registers::supply::reset_flags();
     let last = crash::read_crash_record();
     let p = registers::clocks::start();
     if let Some(core) = cortex_m::Peripherals::take() {
@@ -71,10 +71,9 @@ fn main() -> ! {
     }
     defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-    let Some((interrupt_side, mut thread_side)) = sampling::split(r, l) else {
+    let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
     };
-    thread_side.with(|rt| rt.set_grid(pwm::nearest_hz));
     EXECUTOR.init(Executor::new()).run(|spawner| {
         let hello = hello(flags, last);
         start(spawner, p, hello, interrupt_side, thread_side);
@@ -222,11 +221,11 @@ fn tell(load: Load) {
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
-        let tripped = registers::hardware_fault();
+        let tripped = registers::faults::hardware_fault();
         let blocks = path.with(|rt| {
-            // A trip counts while the bridge should run: switching on clears what is left of it.
+            // A trip counts while a switch should be closed: closing one clears what is left of it.
             if let Some(fault) = tripped
-                && rt.drive().on
+                && rt.drive().bridge != Bridge::Open
             {
                 rt.raise(fault);
             }

@@ -1,1 +1,23 @@
 //! USB: the chip's peripheral, and what is at the other end of the cable.
+//!
+//! ```text
+//!  firmware ── registers, packet memory ──► peripheral::Usb ◄── packets ── host::HostController ◄── host::Cable
+//!                                        (or any bus::Device)           polled by the machine's   held by other threads:
+//!                                                                       thread, emulated time     client, usbip
+//! ```
+
+pub mod bus;
+pub mod client;
+mod endpoint;
+pub mod host;
+mod packet_memory;
+pub mod peripheral;
+pub mod stand_in;
+pub mod transfer;
+
+pub use bus::{Answer, Device, Handshake, Toggle};
+pub use client::Board;
+pub use host::{Cable, HostController};
+pub use peripheral::Usb;
+pub use stand_in::StandIn;
+pub use transfer::{Outcome, Request, Status};

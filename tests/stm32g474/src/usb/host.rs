@@ -1,0 +1,312 @@
+//! The host's controller at the other end of the cable, in emulated time.
+//!
+//! Frames of a millisecond, in each of them as many transactions as full speed has room for (19 of 64
+//! bytes); NAK waits, STALL ends a transfer. Other threads hold a [`Cable`], by which they ask for transfers.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Bound::{Excluded, Unbounded};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::time::Duration;
+
+use super::bus::{Device, Toggle};
+use super::transfer::{Done, Outcome, Pipe, Progress, Request, Status, Transfer};
+
+#[cfg(test)]
+mod tests;
+
+const FRAME_US: f64 = 1_000.0;
+/// A start of frame on the bus.
+const START_US: f64 = 4.0;
+/// The longest transaction: none begins that would reach into the next frame.
+const LONGEST_US: f64 = 52.0;
+/// With nothing to do, the controller looks again after this.
+const IDLE_US: f64 = 10.0;
+/// A reset of the bus, and what a device then has to recover (USB 2.0, 7.1.7.5).
+const RESET_US: f64 = 10_000.0;
+const RECOVERY_US: f64 = 10_000.0;
+/// After SET_ADDRESS a device has this long (USB 2.0, 9.2.6.3).
+const ADDRESS_US: f64 = 2_000.0;
+/// More than this is not caught up with after a pause.
+const BEHIND_US: f64 = 5_000.0;
+
+enum Command {
+    Plug(bool),
+    Submit(u64, Request, Done),
+    Cancel(u64),
+}
+
+#[derive(Default)]
+struct Shared {
+    attached: AtomicBool,
+    ended: AtomicBool,
+    now_ns: AtomicU64,
+    next_id: AtomicU64,
+}
+
+/// A cable with a board at the other end: held by the threads that play the host's drivers.
+#[derive(Clone)]
+pub struct Cable {
+    commands: Sender<Command>,
+    shared: Arc<Shared>,
+}
+
+impl Cable {
+    /// A cable, unplugged, and the controller that the machine polls.
+    pub fn new() -> (Self, HostController) {
+        let (commands, receiver) = mpsc::channel();
+        let shared = Arc::<Shared>::default();
+        let controller = HostController::new(receiver, Arc::clone(&shared));
+        (Self { commands, shared }, controller)
+    }
+
+    /// Plugs the board in.
+    pub fn plug(&self) {
+        self.command(Command::Plug(true));
+    }
+
+    /// Pulls the cable out: every transfer ends.
+    pub fn unplug(&self) {
+        self.command(Command::Plug(false));
+    }
+
+    /// Asks for a transfer; `done` takes its end, or is dropped with the machine.
+    pub fn submit(&self, request: Request, done: impl FnOnce(Outcome) + Send + 'static) -> u64 {
+        let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
+        self.command(Command::Submit(id, request, Box::new(done)));
+        id
+    }
+
+    /// Takes a transfer back, if it is not over: then it ends as cancelled.
+    pub fn cancel(&self, id: u64) {
+        self.command(Command::Cancel(id));
+    }
+
+    /// Whether the board is plugged in and says so.
+    pub fn attached(&self) -> bool {
+        self.shared.attached.load(Ordering::Relaxed)
+    }
+
+    /// Whether the machine is gone.
+    pub fn ended(&self) -> bool {
+        self.shared.ended.load(Ordering::Relaxed)
+    }
+
+    /// Emulated time.
+    pub fn now(&self) -> Duration {
+        Duration::from_nanos(self.shared.now_ns.load(Ordering::Relaxed))
+    }
+
+    /// A machine that is gone takes no commands; what waits for their ends sees it.
+    fn command(&self, command: Command) {
+        let _ = self.commands.send(command);
+    }
+}
+
+/// The controller: polled by the machine's thread.
+pub struct HostController {
+    commands: Receiver<Command>,
+    shared: Arc<Shared>,
+    queues: BTreeMap<Pipe, VecDeque<Transfer>>,
+    toggles: BTreeMap<Pipe, Toggle>,
+    /// Served last.
+    last: Pipe,
+    plugged: bool,
+    /// The bus was reset since the device came: only then is there anything on it.
+    enabled: bool,
+    address: u8,
+    frame: u16,
+    /// When the bus is free; none before the first poll.
+    free_us: Option<f64>,
+    next_frame_us: f64,
+    /// Until then the bus is held in reset.
+    reset_until_us: f64,
+    /// Pipes that rest until a time, since the device was silent there.
+    resting: BTreeMap<Pipe, f64>,
+}
+
+impl Drop for HostController {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+    }
+}
+
+impl HostController {
+    fn new(commands: Receiver<Command>, shared: Arc<Shared>) -> Self {
+        Self {
+            commands,
+            shared,
+            queues: BTreeMap::new(),
+            toggles: BTreeMap::new(),
+            last: (0, false),
+            plugged: false,
+            enabled: false,
+            address: 0,
+            frame: 0,
+            free_us: None,
+            next_frame_us: 0.0,
+            reset_until_us: 0.0,
+            resting: BTreeMap::new(),
+        }
+    }
+
+    /// Does what the bus has had time for until `now_us`. To be called often: every ten microseconds or so.
+    pub fn poll(&mut self, device: &mut dyn Device, now_us: f64) {
+        let free = *self.free_us.get_or_insert(now_us);
+        if now_us < free {
+            return;
+        }
+        self.shared
+            .now_ns
+            .store((now_us * 1e3) as u64, Ordering::Relaxed);
+        while let Ok(command) = self.commands.try_recv() {
+            self.obey(command);
+        }
+        let mut time = free.max(now_us - BEHIND_US);
+        self.next_frame_us = self.next_frame_us.max(time - FRAME_US);
+        while time <= now_us {
+            self.watch(device);
+            time += self.advance(device, time);
+        }
+        self.free_us = Some(time);
+    }
+
+    fn obey(&mut self, command: Command) {
+        match command {
+            Command::Plug(plugged) => self.plugged = plugged,
+            Command::Submit(id, request, done) if request != Request::Reset && !self.enabled => {
+                Transfer::new(id, request, done).finish(Status::Gone);
+            }
+            Command::Submit(id, request, done) => {
+                let queue = self.queues.entry(request.pipe()).or_default();
+                queue.push_back(Transfer::new(id, request, done));
+            }
+            Command::Cancel(id) => {
+                for queue in self.queues.values_mut() {
+                    let place = queue.iter().position(|transfer| transfer.id == id);
+                    if let Some(transfer) = place.and_then(|place| queue.remove(place)) {
+                        transfer.finish(Status::Cancelled);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Notices when the device comes or goes.
+    fn watch(&mut self, device: &dyn Device) {
+        let attached = self.plugged && device.attached();
+        let before = self.shared.attached.swap(attached, Ordering::Relaxed);
+        if before && !attached {
+            self.enabled = false;
+            for transfer in self.queues.values_mut().flat_map(|queue| queue.drain(..)) {
+                transfer.finish(Status::Gone);
+            }
+        }
+    }
+
+    /// One thing on the bus; the microseconds that it takes.
+    fn advance(&mut self, device: &mut dyn Device, time: f64) -> f64 {
+        let attached = self.shared.attached.load(Ordering::Relaxed);
+        if time < self.reset_until_us && self.enabled {
+            self.next_frame_us = self.reset_until_us;
+            return IDLE_US;
+        }
+        if time >= self.next_frame_us {
+            self.next_frame_us += FRAME_US;
+            if !self.enabled {
+                device.missing_frame();
+                return START_US;
+            }
+            self.frame = (self.frame + 1) & 0x7FF;
+            device.start_of_frame(self.frame);
+            return START_US;
+        }
+        let left = self.next_frame_us - time;
+        if !attached || left < LONGEST_US {
+            return left.min(IDLE_US);
+        }
+        match self.next_pipe(time) {
+            Some(pipe) => self.transaction(device, pipe, time),
+            None => left.min(IDLE_US),
+        }
+    }
+
+    /// The next pipe with something to do, in turn.
+    fn next_pipe(&mut self, time: f64) -> Option<Pipe> {
+        self.resting.retain(|_, until| *until > time);
+        let after = self.queues.range((Excluded(self.last), Unbounded));
+        let mut in_turn = after.chain(self.queues.range(..=self.last));
+        let ready =
+            in_turn.find(|(pipe, queue)| !queue.is_empty() && !self.resting.contains_key(pipe));
+        self.last = *ready?.0;
+        Some(self.last)
+    }
+
+    fn transaction(&mut self, device: &mut dyn Device, pipe: Pipe, time: f64) -> f64 {
+        let Some(transfer) = self.queues.get_mut(&pipe).and_then(VecDeque::front_mut) else {
+            return IDLE_US;
+        };
+        let toggle = self.toggles.entry(pipe).or_default();
+        let (takes, progress) = transfer.step(device, self.address, toggle);
+        match progress {
+            Progress::Silence => {
+                self.resting.insert(pipe, self.next_frame_us);
+                takes
+            }
+            Progress::Over(status) => {
+                self.over(device, pipe, status, time);
+                takes
+            }
+            Progress::More | Progress::Refused => takes,
+        }
+    }
+
+    /// The first transfer of a pipe is over: what the controller has to know of it.
+    fn over(&mut self, device: &mut dyn Device, pipe: Pipe, status: Status, time: f64) {
+        let Some(transfer) = self.queues.get_mut(&pipe).and_then(VecDeque::pop_front) else {
+            return;
+        };
+        match transfer.request {
+            Request::Reset => {
+                device.bus_reset();
+                self.enabled = true;
+                self.address = 0;
+                self.toggles.clear();
+                self.reset_until_us = time + RESET_US;
+                self.resting.insert(pipe, time + RESET_US + RECOVERY_US);
+            }
+            Request::Control { setup, .. } => {
+                let waits = if status == Status::Done {
+                    self.heard(setup)
+                } else {
+                    0.0
+                };
+                // Drivers hear of the end by an interrupt at the next frame, so the next control transfer is not earlier.
+                self.resting
+                    .insert(pipe, self.next_frame_us.max(time + waits));
+            }
+            _ => {}
+        }
+        transfer.finish(status);
+    }
+
+    /// A control transfer was done: how long the device then has; some change what the controller does next.
+    fn heard(&mut self, setup: [u8; 8]) -> f64 {
+        match setup {
+            // SET_ADDRESS.
+            [0x00, 5, address, ..] => {
+                self.address = address & 0x7F;
+                return ADDRESS_US;
+            }
+            // SET_CONFIGURATION, SET_INTERFACE: all begin with DATA0.
+            [0x00, 9, ..] | [0x01, 11, ..] => self.toggles.clear(),
+            // CLEAR_FEATURE of an endpoint's halt.
+            [0x02, 1, 0, 0, endpoint, ..] => {
+                self.toggles.remove(&(endpoint & 0xF, endpoint & 0x80 != 0));
+            }
+            _ => {}
+        }
+        0.0
+    }
+}

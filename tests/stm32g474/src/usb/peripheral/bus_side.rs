@@ -1,0 +1,165 @@
+//! The peripheral as the bus sees it (RM0440, 45.5.2 and 45.5.5).
+
+use super::*;
+
+impl Usb {
+    /// What a reset does, be it the bus's or FRES: transactions complete already stay so.
+    pub(super) fn reset(&mut self) {
+        self.flags |= istr::RESET.mask();
+        self.address = 0;
+        self.silent = 0;
+        self.frames = 0;
+        self.endpoints.iter_mut().for_each(Endpoint::bus_reset);
+    }
+
+    fn powered(&self) -> bool {
+        !self.on(cntr::PDWN) && !self.on(cntr::FRES)
+    }
+
+    /// Something moves on the bus: a sleeping peripheral wakes.
+    fn activity(&mut self) {
+        self.silent = 0;
+        if self.on(cntr::FSUSP) {
+            self.flags |= istr::WKUP.mask();
+            self.control &= !cntr::LP_MODE.mask();
+        }
+    }
+
+    /// The register that answers for an endpoint: none before the reset is acknowledged, while asleep, or for others.
+    fn addressed(&self, address: u8, endpoint: u8, status: Field) -> Option<usize> {
+        let listens = self.powered()
+            && istr::RESET.of(self.flags) == 0
+            && !self.on(cntr::FSUSP)
+            && daddr::EF.of(self.address) != 0
+            && daddr::ADD.of(self.address) == u32::from(address);
+        let answers = |e: &Endpoint| {
+            e.get(ep0r::EA) == u32::from(endpoint) && e.get(status) != endpoint::DISABLED
+        };
+        self.endpoints.iter().position(answers).filter(|_| listens)
+    }
+
+    /// Puts a packet away; its handshake.
+    fn take(&mut self, index: usize, packet: &[u8]) -> Handshake {
+        if !self.memory.receive(index, packet) {
+            let length = packet.len();
+            self.report(format!(
+                "EP{index}R has no room for a packet of {length} bytes"
+            ));
+            return Handshake::Stall;
+        }
+        let endpoint = &mut self.endpoints[index];
+        endpoint.put(ep0r::STAT_RX, endpoint::NAK);
+        endpoint.put(ep0r::CTR_RX, 1);
+        Handshake::Ack
+    }
+}
+
+fn bit(toggle: Toggle) -> u32 {
+    u32::from(toggle == Toggle::Data1)
+}
+
+impl Device for Usb {
+    fn attached(&self) -> bool {
+        self.charging & PULL_UP != 0 && !self.on(cntr::PDWN)
+    }
+
+    fn bus_reset(&mut self) {
+        if self.powered() {
+            self.activity();
+            self.reset();
+        }
+    }
+
+    fn start_of_frame(&mut self, number: u16) {
+        if self.powered() {
+            self.activity();
+            self.frame = fnr::FN.of(number.into());
+            self.frames = (self.frames + 1).min(3);
+            self.flags |= istr::SOF.mask();
+        }
+    }
+
+    fn missing_frame(&mut self) {
+        // Asleep, it waits for nothing.
+        if !self.powered() || self.on(cntr::FSUSP) {
+            return;
+        }
+        self.frames = 0;
+        self.silent = (self.silent + 1).min(4);
+        self.flags |= istr::ESOF.mask();
+        if self.silent == 3 {
+            self.flags |= istr::SUSP.mask();
+        }
+    }
+
+    fn setup(&mut self, address: u8, endpoint: u8, packet: [u8; 8]) -> Handshake {
+        let Some(index) = self.addressed(address, endpoint, ep0r::STAT_RX) else {
+            return Handshake::Nothing;
+        };
+        let register = &self.endpoints[index];
+        // While the last one is not acknowledged, none is taken: it would be lost.
+        if register.get(ep0r::EP_TYPE) != endpoint::CONTROL || register.get(ep0r::CTR_RX) != 0 {
+            return Handshake::Nothing;
+        }
+        let handshake = self.take(index, &packet);
+        if handshake == Handshake::Ack {
+            let register = &mut self.endpoints[index];
+            register.put(ep0r::SETUP, 1);
+            register.put(ep0r::STAT_TX, endpoint::NAK);
+            register.put(ep0r::DTOG_RX, 1);
+            register.put(ep0r::DTOG_TX, 1);
+        }
+        handshake
+    }
+
+    fn out(&mut self, address: u8, endpoint: u8, toggle: Toggle, data: &[u8]) -> Handshake {
+        let Some(index) = self.addressed(address, endpoint, ep0r::STAT_RX) else {
+            return Handshake::Nothing;
+        };
+        let register = &mut self.endpoints[index];
+        match register.get(ep0r::STAT_RX) {
+            STALL => return Handshake::Stall,
+            VALID => {}
+            _ => return Handshake::Nak,
+        }
+        // Sent again, since our handshake was lost: acknowledged again.
+        if register.get(ep0r::DTOG_RX) != bit(toggle) {
+            return Handshake::Ack;
+        }
+        let control = register.get(ep0r::EP_TYPE) == endpoint::CONTROL;
+        let status_only = control && register.get(ep0r::EP_KIND) != 0;
+        if status_only && !data.is_empty() {
+            register.put(ep0r::STAT_RX, STALL);
+            return Handshake::Stall;
+        }
+        let handshake = self.take(index, data);
+        if handshake == Handshake::Ack {
+            let register = &mut self.endpoints[index];
+            register.put(ep0r::DTOG_RX, bit(toggle.next()));
+            register.put(ep0r::SETUP, 0);
+        }
+        handshake
+    }
+
+    fn input(&mut self, address: u8, endpoint: u8) -> Answer {
+        let Some(index) = self.addressed(address, endpoint, ep0r::STAT_TX) else {
+            return Answer::Nothing;
+        };
+        let data = self.memory.bytes(self.memory.sent(index));
+        let register = &mut self.endpoints[index];
+        match register.get(ep0r::STAT_TX) {
+            STALL => return Answer::Stall,
+            VALID => {}
+            _ => return Answer::Nak,
+        }
+        let second = register.get(ep0r::DTOG_TX) != 0;
+        let toggle = if second { Toggle::Data1 } else { Toggle::Data0 };
+        register.put(ep0r::STAT_TX, endpoint::NAK);
+        register.put(ep0r::CTR_TX, 1);
+        register.put(ep0r::DTOG_TX, bit(toggle.next()));
+        if register.get(ep0r::CTR_RX) == 0 {
+            register.put(ep0r::SETUP, 0);
+        }
+        Answer::Data(toggle, data)
+    }
+}
