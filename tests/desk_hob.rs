@@ -129,7 +129,7 @@ impl DeskHob {
 
     /// Steady alternating current at the switching frequency: I = V1 / |Z|, V = (R + jωL) I.
     fn pairs(&self, drive: Drive) -> [Pair; ADC_LOCK_P] {
-        if !drive.on || self.load_ohm == 0.0 {
+        if !drive.is_switching() || self.load_ohm == 0.0 {
             return [Pair::default(); ADC_LOCK_P];
         }
         let f = f64::from(drive.f_sw_hz);

@@ -19,7 +19,7 @@ fn record(f_sw_hz: u32, noise: Noise) -> HalfCycle {
     let mains = Mains::new(50.0);
     let half_s = mains.half_cycle_s();
     let mut plant = Plant::new(mains, PotKind::Ferromagnetic, Adc::new(noise, 7));
-    plant.set_drive(Drive { f_sw_hz, on: true });
+    plant.set_drive(Drive::switching(f_sw_hz));
     let (mut pairs, mut truth): (Vec<Pair>, _) = (Vec::new(), Vec::new());
     while plant.t_s() < 2.0 * half_s {
         // The window begins with the first whole block after the crossing at 10 ms.

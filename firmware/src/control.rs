@@ -11,18 +11,20 @@
 //! 0 W leads from Probing and Heating to Idle at once, a fault from any state to Faulted, and
 //! `ClearFault` from any state to Idle, with the power that was asked for forgotten.
 //!
-//! It sees one summary per half-cycle and answers with a drive or a fault. A new drive takes
-//! effect at the next zero crossing, so the summary after that one still shows the old one and is
-//! passed over.
+//! It sees one summary per half-cycle and answers with a drive or a fault. The frequency of a new
+//! drive is searched in steps, one after each block ([`Control::advance`]), and found within the
+//! half-cycle. It takes effect at the next zero crossing, so the summary after that one still shows
+//! the old one and is passed over.
 
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{F_SW_MAX_HZ, RATED_POWER_W};
+use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{Pot, State};
 
 use crate::half_cycle::Summary;
 use crate::pot::classify;
 use crate::power::PowerControl;
+use crate::pwm;
 use crate::realtime::Drive;
 
 /// Half-cycles with the bridge on before the pot is judged; the first one only builds the current
@@ -52,7 +54,7 @@ pub struct Control {
     half_cycles_in_state: u8,
     /// In a row, while heating.
     half_cycles_without_pot: u8,
-    /// Frequency of the last drive asked for; summaries of another one are of the past.
+    /// Frequency of the last drive asked for, of the grid; summaries of another one are of the past.
     requested_hz: u32,
     power: PowerControl,
 }
@@ -87,11 +89,7 @@ impl Control {
                 self.enter(State::Probing);
                 self.pot = Pot::Unknown;
                 self.power.restart();
-                self.requested_hz = F_SW_MAX_HZ;
-                Action::Drive(Drive {
-                    f_sw_hz: F_SW_MAX_HZ,
-                    on: true,
-                })
+                self.drive_at(pwm::HIGHEST_HZ)
             }
             (_, State::Probing | State::Heating) => Action::Keep,
         }
@@ -112,6 +110,7 @@ impl Control {
 
     fn enter(&mut self, state: State) {
         self.state = state;
+        self.power.cancel();
         self.half_cycles_in_state = 0;
         self.half_cycles_without_pot = 0;
     }
@@ -168,12 +167,25 @@ impl Control {
             RATED_POWER_W
         };
         let asked_mw = u64::from(self.asked_w.min(limit_w)) * 1_000;
-        let f_sw_hz = self.power.next_frequency(summary, asked_mw, lookup);
-        if f_sw_hz == summary.f_sw_hz {
-            return Action::Keep;
+        // A thread too slow for one search a half-cycle ends the old one first.
+        if !self.power.is_searching() {
+            self.power.begin(summary, asked_mw);
         }
+        Action::Keep
+    }
+
+    /// One step of the search for a frequency, after each block: at most
+    /// [`crate::power::INSTRUCTIONS_PER_STEP`].
+    pub fn advance(&mut self, lookup: &RlLookup) -> Action {
+        match self.power.advance(lookup) {
+            Some(f_sw_hz) if f_sw_hz != self.requested_hz => self.drive_at(f_sw_hz),
+            _ => Action::Keep,
+        }
+    }
+
+    fn drive_at(&mut self, f_sw_hz: u32) -> Action {
         self.requested_hz = f_sw_hz;
-        Action::Drive(Drive { f_sw_hz, on: true })
+        Action::Drive(Drive::switching(f_sw_hz))
     }
 }
 
@@ -185,7 +197,7 @@ mod tests {
 
     fn summary(r_ohm: f64, l_uh: f64, i_a: f64) -> Summary {
         Summary {
-            f_sw_hz: F_SW_MAX_HZ,
+            f_sw_hz: pwm::HIGHEST_HZ,
             r: MicroOhm((r_ohm * 1e6) as i32),
             l: PicoHenry((l_uh * 1e6) as i32),
             i_crest_ma: (i_a * 1e3) as u32,
@@ -208,17 +220,19 @@ mod tests {
                 ..summary(load.0, load.1, load.2)
             };
             action = control.on_half_cycle(&seen, &prior());
+            for _ in 0..crate::power::STEPS_PER_SEARCH {
+                if let drive @ Action::Drive(_) = control.advance(&prior()) {
+                    action = drive;
+                }
+            }
         }
         action
     }
 
     fn probing() -> Control {
         let mut c = Control::default();
-        let on = Drive {
-            f_sw_hz: F_SW_MAX_HZ,
-            on: true,
-        };
-        assert_eq!(c.set_power(1_500), Action::Drive(on));
+        let probe = Drive::switching(pwm::HIGHEST_HZ);
+        assert_eq!(c.set_power(1_500), Action::Drive(probe));
         c
     }
 
@@ -228,7 +242,26 @@ mod tests {
         assert_eq!(run(&mut c, POT, 2), Action::Keep);
         let action = run(&mut c, POT, 1);
         assert_eq!((c.state(), c.pot()), (State::Heating, Pot::Ferromagnetic));
-        assert!(matches!(action, Action::Drive(d) if d.on && d.f_sw_hz < F_SW_MAX_HZ));
+        assert!(
+            matches!(action, Action::Drive(d) if d.is_switching() && d.f_sw_hz < pwm::HIGHEST_HZ)
+        );
+    }
+
+    /// A board answers with what its timers make of the frequency that was asked for.
+    #[test]
+    fn a_summary_at_the_frequency_of_the_timers_is_of_the_drive_asked_for() {
+        let mut c = Control::default();
+        let Action::Drive(probe) = c.set_power(1_500) else {
+            panic!("it must probe");
+        };
+        let seen = Summary {
+            f_sw_hz: pwm::nearest_hz(probe.f_sw_hz),
+            ..summary(POT.0, POT.1, POT.2)
+        };
+        for _ in 0..PROBE_HALF_CYCLES {
+            c.on_half_cycle(&seen, &prior());
+        }
+        assert_eq!(c.state(), State::Heating);
     }
 
     #[test]

@@ -210,7 +210,8 @@ impl Housekeeping {
         (Outcome::Ok, 0)
     }
 
-    /// To be called at least once per half-cycle: control, telemetry, faults.
+    /// To be called after each block: control, telemetry, faults. One step of the search for a
+    /// frequency is the longest it does.
     pub fn poll(&mut self, access: &mut impl Access) {
         let (summary, fault) = access.with(|rt| (rt.take_summary(), rt.fault()));
         if let Some(summary) = summary {
@@ -223,6 +224,9 @@ impl Housekeeping {
             let action = self.control.on_half_cycle(&summary, &self.active);
             self.act(access, action);
             self.send_telemetry(access, &summary);
+        } else {
+            let action = self.control.advance(&self.active);
+            self.act(access, action);
         }
         if fault != Fault::NONE && self.control.state() != State::Faulted {
             self.control.faulted();
@@ -297,7 +301,11 @@ impl Housekeeping {
                 pot: control.pot(),
                 asked_w: control.asked_w(),
                 delivered_mw: last.power_mw,
-                f_sw_hz: if rt.drive().on { rt.drive().f_sw_hz } else { 0 },
+                f_sw_hz: if rt.drive().is_switching() {
+                    rt.drive().f_sw_hz
+                } else {
+                    0
+                },
                 lookup_version: active.version,
                 half_cycles: rt.half_cycles(),
                 windows_recorded: windows.recorded,

@@ -15,19 +15,44 @@ pub struct Tank {
     pub x_c_mohm: i64,
 }
 
-impl Tank {
-    /// The tank of a load at a switching frequency in hertz.
-    pub fn new(f_sw_hz: u32, r: MicroOhm, l: PicoHenry) -> Self {
-        let f = u64::from(f_sw_hz.max(1));
-        let l = l.0.max(0) as u64;
+/// What a switching frequency makes of the tank, whatever the load: the divisions of 64 bit.
+#[derive(Clone, Copy, Debug)]
+pub struct TankAt {
+    /// 2πf in milliohm per picohenry, 42-bit fixed point: below 2^33.
+    omega_q42: u64,
+    x_c_mohm: i64,
+}
+
+impl TankAt {
+    /// At a switching frequency in hertz, up to 300 kHz.
+    pub fn new(f_sw_hz: u32) -> Self {
+        /// 2π · 1e-9 · 2^42, in thousandths.
+        const OMEGA_PER_HZ: u64 = 27_633_741;
+        let f = u64::from(f_sw_hz.clamp(1, 300_000));
         Self {
-            r_mohm: i64::from(r.0) / 1_000,
-            // 2π = 6.2832: f·L stays below 2e14, so the product fits 64 bit.
-            x_l_mohm: (f * l / 1_000 * 62_832 / 10_000_000_000) as i64,
+            omega_q42: f * OMEGA_PER_HZ / 1_000,
             // 1/(2πfC) in milliohm: 1e12 / (6.2832 · f · C_nF).
             x_c_mohm: (10_000_000_000_000_000 / (62_832 * f * u64::from(RESONANCE_CAPACITANCE_NF)))
                 as i64,
         }
+    }
+
+    /// The tank of a load.
+    pub fn with_load(self, r: MicroOhm, l: PicoHenry) -> Tank {
+        // 33 by 31 bit.
+        let x_l_mohm = (self.omega_q42 * l.0.max(0) as u64) >> 42;
+        Tank {
+            r_mohm: i64::from(r.0 / 1_000),
+            x_l_mohm: x_l_mohm as i64,
+            x_c_mohm: self.x_c_mohm,
+        }
+    }
+}
+
+impl Tank {
+    /// The tank of a load at a switching frequency in hertz.
+    pub fn new(f_sw_hz: u32, r: MicroOhm, l: PicoHenry) -> Self {
+        TankAt::new(f_sw_hz).with_load(r, l)
     }
 
     /// Net reactance, in milliohm; positive above resonance.
@@ -38,7 +63,9 @@ impl Tank {
     /// Magnitude of the impedance, in milliohm.
     pub fn z_mohm(self) -> u64 {
         let x = self.x_mohm();
-        ((self.r_mohm * self.r_mohm + x * x) as u64).isqrt()
+        let square = (self.r_mohm * self.r_mohm + x * x) as u64;
+        // Below 65 ohm, which every load is, a root of 32 bit does.
+        u32::try_from(square).map_or_else(|_| square.isqrt(), |square| square.isqrt().into())
     }
 
     /// Whether the frequency is above resonance with at least `percent` of the coil's reactance to

@@ -19,6 +19,7 @@ extern crate std;
 
 pub mod control;
 pub mod demod;
+pub mod drive;
 pub mod ekf;
 pub mod fixed;
 pub mod half_cycle;

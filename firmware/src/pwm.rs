@@ -3,7 +3,8 @@
 //! One tick is 1/8 of a cycle of 170 MHz (HRTIM prescaler 2, 735 ps). The sampling period is 3·m
 //! ticks and the switching period 61·m, so 61 samples span exactly three periods whatever m is.
 //! The price is a grid of frequencies, 55 Hz wide at 34 kHz and 286 Hz at 80 kHz: who asks for a
-//! frequency gets the nearest of the grid, and the estimator uses that one.
+//! frequency gets the nearest of the grid, and control, estimator and telemetry use that one, on every
+//! board, the simulated one included. Only replay knows other frequencies: whatever was recorded.
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
@@ -29,10 +30,14 @@ pub struct Periods {
     pub sampling: u16,
 }
 
-fn m_of(f_sw_hz: u32) -> u32 {
-    let f = u64::from(P) * u64::from(f_sw_hz.max(1));
-    let m = (u64::from(TICK_HZ) + f / 2) / f;
-    (m as u32).clamp(M_MIN, M_MAX)
+const fn m_of(f_sw_hz: u32) -> u32 {
+    let f = P as u64 * f_sw_hz as u64;
+    // What asks for 0 Hz gets the lowest.
+    let m = match (TICK_HZ as u64 + f / 2).checked_div(f) {
+        Some(m) if m < M_MAX as u64 => m as u32,
+        _ => M_MAX,
+    };
+    if m < M_MIN { M_MIN } else { m }
 }
 
 impl Periods {
@@ -52,10 +57,16 @@ impl Periods {
 }
 
 /// The frequency of the grid nearest to one in hertz, to the nearest hertz.
-pub fn nearest_hz(f_sw_hz: u32) -> u32 {
+pub const fn nearest_hz(f_sw_hz: u32) -> u32 {
     let period = P * m_of(f_sw_hz);
     (TICK_HZ + period / 2) / period
 }
+
+/// The grid's lowest frequency, in hertz.
+pub const LOWEST_HZ: u32 = nearest_hz(F_SW_MIN_HZ);
+
+/// The grid's highest frequency, in hertz: the probe frequency.
+pub const HIGHEST_HZ: u32 = nearest_hz(F_SW_MAX_HZ);
 
 // The timer counts 16 bit, and its period may not be shorter than 96 ticks at this prescaler.
 const _: () = assert!(P * M_MAX <= 0xFFDF && ADC_LOCK_Q * M_MIN >= 96 && M_MIN < M_MAX);

@@ -9,15 +9,16 @@
 //! floating point or can panic.
 
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
 
 use crate::demod::{Demodulator, correlate};
+pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
 use crate::protection::Protection;
+use crate::pwm;
 use crate::recorder::Recorder;
 
 /// One block as the board delivers it.
@@ -31,23 +32,6 @@ pub struct Block<'a> {
     pub bus_dv: u16,
     /// Blocks lost since the last one (DMA overrun).
     pub lost: u32,
-}
-
-/// What the board does with the half-bridge, from the next block on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Drive {
-    /// Switching frequency, in hertz; the ADC trigger follows it whether the bridge runs or not.
-    pub f_sw_hz: u32,
-    /// Whether the bridge switches.
-    pub on: bool,
-}
-
-impl Drive {
-    /// Bridge off, sampling at the highest rate.
-    pub const OFF: Self = Self {
-        f_sw_hz: F_SW_MAX_HZ,
-        on: false,
-    };
 }
 
 /// A crossing sooner than this after the last one is an echo of it.
@@ -70,6 +54,8 @@ impl Access for RealTime {
 pub struct RealTime {
     drive: Drive,
     wanted: Drive,
+    /// How long the lower switch has been closed, while only it is.
+    lower_on_ns: u32,
     block_ns: u32,
     demod: Demodulator,
     ekf: Ekf,
@@ -87,8 +73,6 @@ pub struct RealTime {
     saturated_pairs: u32,
     /// Blocks since boot.
     blocks: u32,
-    /// The board's frequencies: the nearest to one asked for.
-    nearest_hz: Option<fn(u32) -> u32>,
     /// Samples come from a host; the bridge is off whatever `drive` says.
     replaying: bool,
     /// Version of the active lookup, for the windows' headers.
@@ -108,11 +92,12 @@ impl RealTime {
     pub const fn blank() -> Self {
         let drive = Drive {
             f_sw_hz: 0,
-            on: false,
+            bridge: Bridge::Open,
         };
         Self {
             drive,
             wanted: drive,
+            lower_on_ns: 0,
             block_ns: 0,
             demod: Demodulator::blank(),
             ekf: Ekf::blank(),
@@ -127,7 +112,6 @@ impl RealTime {
             fault_half_cycle: 0,
             saturated_pairs: 0,
             blocks: 0,
-            nearest_hz: None,
             replaying: false,
             lookup_version: 0,
         }
@@ -152,25 +136,27 @@ impl RealTime {
         self.drive()
     }
 
-    /// Asks for another drive: off at once, anything else at the next zero crossing. Ignored while
-    /// a fault is active.
+    /// Asks for another drive: off at once, anything else at the next zero crossing, at the nearest
+    /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive`]). Ignored while a fault is active.
     pub fn request(&mut self, drive: Drive) {
-        self.wanted = drive;
-        if drive.on
-            && let Some(nearest_hz) = self.nearest_hz
-        {
-            self.wanted.f_sw_hz = nearest_hz(drive.f_sw_hz);
-        }
-    }
-
-    /// Specifies which frequencies the board can make. Without this it can make any.
-    pub fn set_grid(&mut self, nearest_hz: fn(u32) -> u32) {
-        self.nearest_hz = Some(nearest_hz);
+        self.wanted = Drive {
+            f_sw_hz: pwm::nearest_hz(drive.f_sw_hz),
+            ..drive
+        };
     }
 
     /// Blocks from the ADC since boot.
     pub fn blocks(&self) -> u32 {
         self.blocks
+    }
+
+    /// Switching frequency in hertz, 0 while no power flows.
+    fn f_sw_hz(&self) -> u32 {
+        if self.drive.is_switching() {
+            self.drive.f_sw_hz
+        } else {
+            0
+        }
     }
 
     /// The drive in force at the bridge.
@@ -185,9 +171,8 @@ impl RealTime {
     /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
     /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
     pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
-        let on = replay && self.fault == Fault::NONE;
-        let drive = if on {
-            Drive { f_sw_hz, on }
+        let drive = if replay && self.fault == Fault::NONE {
+            Drive::switching(f_sw_hz)
         } else {
             Drive::OFF
         };
@@ -296,7 +281,7 @@ impl RealTime {
             Some(at) => self.cross_zero(block.pairs, usize::from(at).min(ADC_LOCK_P)),
             None => self.recorder.push(block.pairs, sums.saturated == 0),
         }
-        if self.drive.on
+        if self.drive.is_switching()
             && let Some(phasors) = self.demod.push(&sums)
         {
             self.ekf.step(&phasors);
@@ -331,7 +316,7 @@ impl RealTime {
         self.recorder.push(before, false);
         let duration_ns = u32::try_from(duration_ns).unwrap_or(u32::MAX);
         self.recorder.end(duration_ns);
-        let f_sw_hz = if self.drive.on { self.drive.f_sw_hz } else { 0 };
+        let f_sw_hz = self.f_sw_hz();
         self.summary = Some(
             self.accumulator
                 .finish(self.half_cycle, f_sw_hz, duration_ns),
@@ -342,7 +327,7 @@ impl RealTime {
             && self
                 .half_cycle
                 .is_multiple_of(u32::from(self.windows_every));
-        if due && self.drive.on && self.wanted == self.drive {
+        if due && self.drive.is_switching() && self.wanted == self.drive {
             self.recorder.begin(
                 self.half_cycle,
                 self.drive.f_sw_hz,
@@ -353,14 +338,18 @@ impl RealTime {
         }
     }
 
-    /// The wanted drive becomes the drive at a zero crossing; off at once.
+    /// The drive that [`Drive::next`] says, from the next block on.
     fn take_drive(&mut self, at_crossing: bool) {
-        let next = if self.fault == Fault::NONE {
+        if self.drive.bridge == Bridge::LowerOn {
+            self.lower_on_ns = self.lower_on_ns.saturating_add(self.block_ns);
+        }
+        let wanted = if self.fault == Fault::NONE {
             self.wanted
         } else {
             Drive::OFF
         };
-        if next == self.drive || (next.on && !at_crossing) {
+        let next = self.drive.next(wanted, at_crossing, self.lower_on_ns);
+        if next == self.drive {
             return;
         }
         if next.f_sw_hz != self.drive.f_sw_hz {
@@ -368,9 +357,10 @@ impl RealTime {
             self.ekf.set_frequency(next.f_sw_hz);
             self.protection.set_frequency(next.f_sw_hz);
         }
-        if !self.drive.on {
+        if !self.drive.is_switching() {
             self.ekf.restart();
         }
+        self.lower_on_ns = 0;
         self.demod = Demodulator::new(next.f_sw_hz);
         self.recorder.interrupt();
         self.drive = next;

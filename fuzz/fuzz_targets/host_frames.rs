@@ -18,7 +18,7 @@ mod reader;
 
 use host_frames_board::Board;
 use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::{Drive, RealTime};
+use ihd_firmware::realtime::{Bridge, Drive, RealTime};
 use ihd_link::incoming::{Answer, Event, Incoming};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
@@ -174,10 +174,7 @@ impl Device {
     fn replay_blocks(&mut self, reader: &mut Reader<'_>) {
         self.board.change(reader);
         let count = usize::from(reader.u8() % 6);
-        let drive = Drive {
-            on: true,
-            ..self.drive
-        };
+        let drive = Drive::switching(self.drive.f_sw_hz);
         // Five blocks do not fit a frame.
         let mut data: Vec<u8> = (0..count.min(4))
             .flat_map(|_| self.board.pairs(drive))
@@ -216,7 +213,8 @@ impl Device {
         self.blocks += 1;
         assert_eq!(self.drive, self.realtime.drive());
         self.check_drive();
-        if was.on && self.drive.on && was.f_sw_hz != self.drive.f_sw_hz {
+        if self.drive.is_switching() && was != self.drive {
+            assert_ne!(was.bridge, Bridge::Open);
             assert!(block.zero_crossing.is_some(), "{was:?} {:?}", self.drive);
         }
         self.housekeeping.poll(&mut *self.realtime);
@@ -235,7 +233,7 @@ impl Device {
             (F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&drive.f_sw_hz),
             "{drive:?}"
         );
-        if drive.on {
+        if drive.bridge != Bridge::Open {
             let control = self.housekeeping.control();
             assert_eq!(self.realtime.fault(), Fault::NONE);
             assert!(!self.realtime.is_replaying());

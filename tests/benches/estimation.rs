@@ -113,10 +113,7 @@ fn lookup(c: &mut Criterion) {
 fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<RealTime> {
     let mut realtime = Box::new(RealTime::new(START.0, START.1));
     realtime.set_windows_every(1);
-    realtime.request(Drive {
-        f_sw_hz: F_SW_HZ,
-        on: true,
-    });
+    realtime.request(Drive::switching(F_SW_HZ));
     let mut since_ns = 0;
     for pairs in blocks.iter().cycle().take(5 * blocks.len()) {
         let crosses = since_ns >= 10_000_000;

@@ -1,8 +1,9 @@
 //! The firmware closed over the simulated plant: power, and what stands on the coil.
 
+use ihd_firmware::pwm;
 use ihd_link::{Event, LinkError};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{F_SW_MIN_HZ, RATED_POWER_W};
+use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Outcome, Pot, State, Telemetry};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::HobConfig;
@@ -67,6 +68,18 @@ fn power_follows_requests_up_and_down() {
     kitchen.client.set_power(0).unwrap();
     let last = kitchen.watch(3).pop().unwrap();
     assert_eq!((last.state, last.f_sw_hz), (State::Idle, 0));
+}
+
+/// What a board's timers cannot make, the simulated one does not make either.
+#[test]
+fn every_frequency_is_one_that_a_board_can_make() {
+    let mut kitchen = Kitchen::new(HobConfig::default());
+    kitchen.client.set_power(1_500).unwrap();
+    let seen = kitchen.watch(SETTLED_AFTER);
+    assert_eq!(seen.last().unwrap().state, State::Heating);
+    for t in seen.iter().filter(|t| t.f_sw_hz > 0) {
+        assert_eq!(t.f_sw_hz, pwm::nearest_hz(t.f_sw_hz), "{t:?}");
+    }
 }
 
 #[test]
@@ -141,7 +154,7 @@ fn more_than_a_small_pot_takes_ends_at_the_lowest_frequency() {
         assert!(watt(t) <= f64::from(RATED_POWER_W / 2), "{t:?}");
     }
     for t in &seen[120..] {
-        assert_eq!(t.f_sw_hz, F_SW_MIN_HZ);
+        assert_eq!(t.f_sw_hz, pwm::LOWEST_HZ);
         assert!(watt(t) > 150.0, "{t:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! `cargo xtask budget`: what the board's image takes, module by module, and whether the sampling path can panic.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
@@ -16,7 +16,7 @@ const FLASH: [&str; 4] = [".vector_table", ".text", ".rodata", ".data"];
 const RAM: [&str; 3] = [".data", ".bss", ".uninit"];
 
 /// The interrupt of the sampling path, and the task it runs. The executor calls the task through a
-/// pointer, so the way is followed from both, and from whoever calls the task by its name.
+/// pointer, so the way is followed from both.
 const INTERRUPT: &str = "DMA1_CHANNEL1";
 const TASK: &str = "SamplingTask";
 
@@ -96,15 +96,9 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     if handler.is_empty() {
         bail!("the image has no panic handler by name; are its symbols stripped?");
     }
-    // By the readable name: compilers differ in how they write the other.
-    let polls = graph.starts(|name| holds(TASK)(name) && readable(name).ends_with("::poll"));
-    let interrupt = graph.starts(|name| name == INTERRUPT);
-    let callers = graph.callers(&polls);
-    if interrupt.is_empty() || callers.is_empty() {
-        bail!("the image has no {INTERRUPT}, no {TASK}, or nobody who polls it");
-    }
+    let roots = sampling_path(graph)?;
     let panics = graph.starts(|name| PANIC.iter().any(|part| name.contains(part)));
-    let (way, functions) = graph.path(&(&interrupt | &polls) | &callers, &panics);
+    let (way, functions) = graph.path(roots, &panics);
     if way.is_empty() {
         println!("no panic in the {functions} functions of the sampling path\n");
         return Ok(None);
@@ -112,6 +106,16 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     let way: Vec<_> = way.into_iter().map(readable).collect();
     let way = way.join(" -> ");
     Ok(Some(format!("the sampling path can panic: {way}")))
+}
+
+/// Where the sampling path begins.
+fn sampling_path(graph: &CallGraph) -> anyhow::Result<BTreeSet<u64>> {
+    let polls = graph.starts(|name| name.contains(TASK) && readable(name).ends_with("::poll"));
+    let interrupt = graph.starts(|name| name == INTERRUPT);
+    if interrupt.is_empty() || polls.is_empty() {
+        bail!("the image has no {INTERRUPT} or no {TASK}");
+    }
+    Ok(&interrupt | &polls)
 }
 
 fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, Bytes>> {

@@ -60,13 +60,6 @@ impl CallGraph {
         picked.map(|(start, _)| *start).collect()
     }
 
-    /// Functions that call one of those.
-    pub fn callers(&self, of: &BTreeSet<u64>) -> BTreeSet<u64> {
-        let calls = self.calls.iter();
-        let calls = calls.filter(|(_, called)| !called.is_disjoint(of));
-        calls.map(|(caller, _)| *caller).collect()
-    }
-
     /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
     /// looked at.
     pub fn path(&self, roots: BTreeSet<u64>, bad: &BTreeSet<u64>) -> (Vec<&str>, usize) {

@@ -3,8 +3,8 @@
 //! ```text
 //! priority   what                                                    may be delayed by
 //! hardware   comparator ─► HRTIM fault ─► outputs off                nothing
-//! 1          sample source's interrupt (DMA half or complete)        nothing
-//! 2          [`sampling`]: interrupt executor, one poll per block    the above, critical sections
+//! 1          sample source's interrupt (DMA half or complete) and,   critical sections
+//!            in it, [`sampling`]: the executor, one poll per block
 //! 3          link peripherals (USB, serial)                          the above
 //! thread     [`link`]: housekeeping, control, link                   everything
 //! ```

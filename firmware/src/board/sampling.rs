@@ -11,9 +11,9 @@ use core::pin::Pin;
 use core::sync::atomic::{AtomicBool, Ordering};
 use core::task::{Context, Poll};
 
+use embassy_executor::raw::{task_from_waker, wake_task_no_pend};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
-use embassy_sync::waitqueue::AtomicWaker;
 use ihd_firmware::realtime::{Access, Block, Drive, RealTime};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
@@ -27,9 +27,6 @@ unsafe impl Sync for Place {}
 
 static PLACE: Place = Place(UnsafeCell::new(RealTime::blank()));
 static TAKEN: AtomicBool = AtomicBool::new(false);
-
-/// Wakes the sampling task; for the sample source's interrupt.
-pub static SAMPLES_READY: AtomicWaker = AtomicWaker::new();
 
 /// Set after each block, for the link task: faults, summaries and windows may be there.
 pub static BLOCK_DONE: Signal<CriticalSectionRawMutex, ()> = Signal::new();
@@ -79,8 +76,9 @@ pub trait SampleSource: Unpin {
     fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool;
 }
 
-/// The sampling task. Written out, because an `async fn` carries a panic for being polled after its
-/// end.
+/// The sampling task: runs each time that its executor's interrupt comes, which is the sample
+/// source's own; there is no second entry. Written out, because an `async fn` carries a panic for
+/// being polled after its end.
 pub struct SamplingTask<S> {
     source: S,
     path: InterruptSide,
@@ -96,11 +94,14 @@ impl<S: SampleSource> SamplingTask<S> {
 impl<S: SampleSource> Future for SamplingTask<S> {
     type Output = ();
 
-    /// By this name `cargo xtask budget` finds the sampling path in the image.
-    #[inline(never)]
+    /// Inlined into the executor's part of the task, where the waker's kind is known: the check for
+    /// it, and its panic, are left out.
+    #[inline(always)]
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
         let this = self.get_mut();
-        SAMPLES_READY.register(cx.waker());
+        // Ready at once for the next interrupt. A waker would ask for that interrupt as well, and as
+        // this runs in it, for ever: embassy-executor 0.10 pends the executor's own (NVIC, STIR).
+        wake_task_no_pend(task_from_waker(cx.waker()));
         let path = &mut this.path;
         while this.source.next(|block| path.on_block(block)) {
             BLOCK_DONE.signal(());

@@ -102,7 +102,7 @@ impl Board {
     /// The pairs of the next block.
     pub fn pairs(&self, drive: Drive) -> [Pair; ADC_LOCK_P] {
         match &self.samples {
-            Samples::Load(r, l) if drive.on => self.steady(f64::from(drive.f_sw_hz), *r, *l),
+            Samples::Load(r, l) if drive.is_switching() => self.steady(f64::from(drive.f_sw_hz), *r, *l),
             Samples::Load(..) => [Pair::default(); ADC_LOCK_P],
             Samples::Repeated(pairs) => std::array::from_fn(|n| pairs[n % pairs.len()]),
         }

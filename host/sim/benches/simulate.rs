@@ -52,10 +52,7 @@ fn plant(c: &mut Criterion) {
     for load in [LoadKind::Field, LoadKind::Surrogate, LoadKind::Behavioural] {
         let adc = Adc::new(Noise::default(), 1);
         let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
-        plant.set_drive(Drive {
-            f_sw_hz: 45_000,
-            on: true,
-        });
+        plant.set_drive(Drive::switching(45_000));
         group.bench_function(format!("{load:?}"), |b| {
             // 150 blocks of three periods are 10 ms.
             b.iter(|| {

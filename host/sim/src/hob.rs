@@ -145,7 +145,7 @@ impl SimHob {
         };
         let drive = self.realtime.on_block(&block);
         self.plant.set_drive(drive);
-        if drive.on && self.truth.f_sw_hz == 0.0 {
+        if drive.is_switching() && self.truth.f_sw_hz == 0.0 {
             self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
         }
         self.run_link(self.plant.t_s() - start_s);

@@ -164,13 +164,20 @@ impl Plant {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
         for pair in &mut pairs {
             seen(&self.load_point());
-            *pair = self.adc.sample();
-            for _ in 0..STEPS_PER_SAMPLE {
-                self.step();
-            }
+            *pair = self.sample(|_| ());
         }
         self.warm_up();
         pairs
+    }
+
+    /// Takes one sample and simulates until the next; `current` gets the coil's current in ampere after every
+    /// integration step, as a comparator sees it. The pot does not warm up.
+    pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
+        let pair = self.adc.sample();
+        for _ in 0..STEPS_PER_SAMPLE {
+            current(self.step());
+        }
+        pair
     }
 
     /// One block's heat.
@@ -217,19 +224,20 @@ impl Plant {
         }
     }
 
-    fn step(&mut self) {
+    /// One integration step; the current after it.
+    fn step(&mut self) -> f64 {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
-            let now = self.inverter.advance(self.drive.on);
+            let now = self.inverter.advance(self.drive.is_switching());
             self.adc.advance(now.coil_v, now.i_a, dt_s);
-            return;
+            return now.i_a;
         }
         let n = self.inverter.step_in_period();
         if n == 0 {
             let start = self.inverter.instant();
             self.analyser.push(0, start.coil_v, start.i_a);
         }
-        let now = self.inverter.advance(self.drive.on);
+        let now = self.inverter.advance(self.drive.is_switching());
         self.adc.advance(now.coil_v, now.i_a, dt_s);
         self.analyser.push(n + 1, now.coil_v, now.i_a);
         if n + 1 == STEPS_PER_PERIOD {
@@ -243,6 +251,7 @@ impl Plant {
                 i_a: truth.i_a,
             };
         }
+        now.i_a
     }
 }
 
@@ -255,10 +264,7 @@ mod tests {
     fn at_full_power(load: LoadKind) -> Plant {
         let adc = Adc::new(Noise::default(), 1);
         let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
-        plant.set_drive(Drive {
-            f_sw_hz: 50_000,
-            on: true,
-        });
+        plant.set_drive(Drive::switching(50_000));
         while plant.t_s() < 5e-3 {
             plant.block(|_| ());
         }
@@ -311,10 +317,7 @@ mod tests {
             let mut plant = at_full_power(load);
             let before = plant.load_point();
             plant.set_pot(PotKind::None);
-            plant.set_drive(Drive {
-                f_sw_hz: 60_000,
-                on: true,
-            });
+            plant.set_drive(Drive::switching(60_000));
             while plant.t_s() < 6e-3 {
                 plant.block(|_| ());
             }

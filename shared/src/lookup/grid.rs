@@ -37,39 +37,44 @@ const STEPS_PER_OCTAVE_I_Q20: u64 = 4_104_555;
 ///
 /// The classic bit-by-bit method: square the mantissa, and the next bit of the logarithm is
 /// whether it passed 2. 20 multiplications, no table, exact to the last bit but truncation.
-pub fn log2_q20(x: u32) -> u64 {
+pub const fn log2_q20(x: u32) -> u64 {
     if x < 2 {
         return 0;
     }
     let whole = 31 - x.leading_zeros();
-    let mut mantissa = u64::from(x) << (31 - whole);
+    let mut mantissa = (x as u64) << (31 - whole);
     let mut fraction = 0u64;
-    for _ in 0..20 {
+    let mut bit = 0;
+    while bit < 20 {
         mantissa = (mantissa * mantissa) >> 31;
         fraction <<= 1;
         if mantissa >> 32 != 0 {
             mantissa >>= 1;
             fraction |= 1;
         }
+        bit += 1;
     }
-    (u64::from(whole) << 20) | fraction
+    ((whole as u64) << 20) | fraction
 }
 
-fn coordinate(x: u32, base: u32, steps_per_octave_q20: u64, knots: usize) -> u64 {
-    let octaves = log2_q20(x).saturating_sub(log2_q20(base));
+const LOG2_F_MIN_Q20: u64 = log2_q20(F_MIN_HZ);
+const LOG2_I_BEND_Q20: u64 = log2_q20(I_BEND_MA);
+
+fn coordinate(x: u32, log2_base_q20: u64, steps_per_octave_q20: u64, knots: usize) -> u64 {
+    let octaves = log2_q20(x).saturating_sub(log2_base_q20);
     ((octaves * steps_per_octave_q20) >> 24).min((knots as u64 - 1) * ONE)
 }
 
 /// Coordinate of a switching frequency, clamped to the grid.
 pub fn frequency_coordinate(f_sw_hz: u32) -> u64 {
-    coordinate(f_sw_hz, F_MIN_HZ, STEPS_PER_OCTAVE_F_Q20, FREQUENCIES)
+    coordinate(f_sw_hz, LOG2_F_MIN_Q20, STEPS_PER_OCTAVE_F_Q20, FREQUENCIES)
 }
 
 /// Coordinate of a current amplitude, clamped to the grid.
 pub fn current_coordinate(i_ma: u32) -> u64 {
     coordinate(
         i_ma.saturating_add(I_BEND_MA),
-        I_BEND_MA,
+        LOG2_I_BEND_Q20,
         STEPS_PER_OCTAVE_I_Q20,
         CURRENTS,
     )

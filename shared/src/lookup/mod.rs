@@ -44,22 +44,17 @@ impl RlLookup {
     /// interpolation of the same cells is 1 µΩ / 1 pH plus what the 16-bit coordinates cost,
     /// below 0.01 % on any plausible lookup.
     pub fn interpolate(&self, f_sw_hz: u32, i_ma: u32) -> (MicroOhm, PicoHenry) {
-        let (kf, wf) = grid::split(grid::frequency_coordinate(f_sw_hz), FREQUENCIES);
-        let (ki, wi) = grid::split(grid::current_coordinate(i_ma), CURRENTS);
-        let blend = |cells: &[[u16; CURRENTS]; FREQUENCIES]| -> u64 {
-            let row = |k: usize| {
-                u64::from(cells[k][ki]) * (grid::ONE - wi) + u64::from(cells[k][ki + 1]) * wi
-            };
-            row(kf) * (grid::ONE - wf) + row(kf + 1) * wf
-        };
-        // Cells times two 16-bit weights: 48 bit; the units' factors are 15625/64 µΩ and
-        // 15625/16 pH per code, 14 bit more.
-        let scale =
-            |q32: u64, shift: u32| ((q32 * 15_625 + (1 << (31 + shift))) >> (32 + shift)) as i32;
-        (
-            MicroOhm(scale(blend(&self.r), 6)),
-            PicoHenry(scale(blend(&self.l), 4)),
-        )
+        self.at_frequency(f_sw_hz).interpolate(i_ma)
+    }
+
+    /// What the lookup holds at one switching frequency, for several currents.
+    pub fn at_frequency(&self, f_sw_hz: u32) -> AtFrequency<'_> {
+        let (row, weight) = grid::split(grid::frequency_coordinate(f_sw_hz), FREQUENCIES);
+        AtFrequency {
+            lookup: self,
+            row,
+            weight,
+        }
     }
 
     /// Whether the cell rests on observations.
@@ -81,6 +76,37 @@ impl RlLookup {
     /// Number of observed cells, of [`CELLS`].
     pub fn observed_cells(&self) -> u32 {
         self.observed.iter().map(|b| b.count_ones()).sum()
+    }
+}
+
+/// A lookup at one switching frequency.
+#[derive(Clone, Copy, Debug)]
+pub struct AtFrequency<'a> {
+    lookup: &'a RlLookup,
+    row: usize,
+    /// Of the row above, in 16-bit fixed point.
+    weight: u64,
+}
+
+impl AtFrequency<'_> {
+    /// As [`RlLookup::interpolate`].
+    pub fn interpolate(&self, i_ma: u32) -> (MicroOhm, PicoHenry) {
+        let (kf, wf) = (self.row, self.weight);
+        let (ki, wi) = grid::split(grid::current_coordinate(i_ma), CURRENTS);
+        let blend = |cells: &[[u16; CURRENTS]; FREQUENCIES]| -> u64 {
+            let row = |k: usize| {
+                u64::from(cells[k][ki]) * (grid::ONE - wi) + u64::from(cells[k][ki + 1]) * wi
+            };
+            row(kf) * (grid::ONE - wf) + row(kf + 1) * wf
+        };
+        // Cells times two 16-bit weights: 48 bit; the units' factors are 15625/64 µΩ and
+        // 15625/16 pH per code, 14 bit more.
+        let scale =
+            |q32: u64, shift: u32| ((q32 * 15_625 + (1 << (31 + shift))) >> (32 + shift)) as i32;
+        (
+            MicroOhm(scale(blend(&self.lookup.r), 6)),
+            PicoHenry(scale(blend(&self.lookup.l), 4)),
+        )
     }
 }
 

@@ -1,4 +1,12 @@
 //! An emulated STM32G474 that runs the flash image, with the simulated power stage on its pins.
 
+pub mod bench;
+pub mod chip;
+pub mod cpu;
+pub mod image;
+pub mod machine;
+pub mod pins;
 pub mod registers;
+pub mod time;
 pub mod usb;
+pub mod violation;

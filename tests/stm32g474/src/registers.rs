@@ -15,6 +15,11 @@ impl Field {
         Self { address, bit, width }
     }
 
+    /// The same bits of another register.
+    pub const fn at(self, address: u32) -> Self {
+        Self { address, ..self }
+    }
+
     /// Its bits, in place.
     pub const fn mask(self) -> u32 {
         (((1u64 << self.width) - 1) << self.bit) as u32

@@ -4,12 +4,11 @@
 use core::ptr;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use cortex_m::peripheral::NVIC;
+use embassy_executor::InterruptExecutor;
 use ihd_firmware::realtime::{Block, Drive};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
-use super::vectors::Interrupt;
-use crate::board::sampling::{SAMPLES_READY, SampleSource};
+use crate::board::sampling::SampleSource;
 
 // CMSDK timer 0 (Arm DDI 0479, section 4.4), at 25 MHz on an an386.
 const CTRL: *mut u32 = 0x4000_0000 as *mut u32;
@@ -26,6 +25,9 @@ const BLOCKS: u32 = 8;
 /// Blocks of 37.5 µs in a half-cycle of 50 Hz.
 const BLOCKS_PER_HALF_CYCLE: u32 = 267;
 
+/// Polls the sampling task, in the tick's own interrupt.
+pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+
 static DUE: AtomicU32 = AtomicU32::new(0);
 static SILENCE: [Pair; ADC_LOCK_P] = [Pair { v: 0, i: 0 }; ADC_LOCK_P];
 
@@ -38,7 +40,8 @@ fn write(register: *mut u32, value: u32) {
 extern "C" fn TIMER0() {
     write(INT_CLEAR, 1);
     DUE.store(BLOCKS, Ordering::Release);
-    SAMPLES_READY.wake();
+    // SAFETY: this is the interrupt that the executor was started with.
+    unsafe { SAMPLING_EXECUTOR.on_interrupt() }
 }
 
 /// An ADC that hears nothing.
@@ -51,8 +54,6 @@ impl SilentAdc {
     pub fn start() -> Self {
         write(RELOAD, TICK - 1);
         write(CTRL, ENABLE);
-        // SAFETY: the handler above exists and takes no lock.
-        unsafe { NVIC::unmask(Interrupt::Timer0) };
         Self { block: 0 }
     }
 }

@@ -1,8 +1,8 @@
 //! Wires the board to the app.
 
 use cortex_m::peripheral::NVIC;
+use embassy_executor::Executor;
 use embassy_executor::raw::TaskStorage;
-use embassy_executor::{Executor, InterruptExecutor};
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::reset::{self, Flags};
 use ihd_shared::hob::F_SW_MAX_HZ;
@@ -11,24 +11,16 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::Hello;
 use static_cell::StaticCell;
 
-use super::blocks::SilentAdc;
+use super::blocks::{SAMPLING_EXECUTOR, SilentAdc};
 use super::vectors::Interrupt;
 use super::{fault_injection, uart};
 use crate::board::link::{self, NoPort};
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
 use crate::board::{crash, sampling::InterruptSide};
 
-static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static SAMPLING_TASK: TaskStorage<SamplingTask<SilentAdc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
 static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
-
-/// The sampling executor's interrupt, which is no peripheral's.
-#[unsafe(no_mangle)]
-extern "C" fn SAMPLING() {
-    // SAFETY: this is the interrupt that the executor was started with.
-    unsafe { SAMPLING_EXECUTOR.on_interrupt() }
-}
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -67,13 +59,12 @@ fn start_sampling(path: InterruptSide) {
     let mut nvic: NVIC = unsafe { core::mem::transmute(()) };
     for (interrupt, priority) in [
         (Interrupt::Timer0, 1 << 5),
-        (Interrupt::Sampling, 2 << 5),
         (Interrupt::Uart0Receive, 3 << 5),
     ] {
         // SAFETY: no critical section relies on priorities, they mask all interrupts.
         unsafe { nvic.set_priority(interrupt, priority) };
     }
-    let spawner = SAMPLING_EXECUTOR.start(Interrupt::Sampling);
+    let spawner = SAMPLING_EXECUTOR.start(Interrupt::Timer0);
     if let Ok(token) = SAMPLING_TASK.spawn(|| SamplingTask::new(SilentAdc::start(), path)) {
         spawner.spawn(token);
     }

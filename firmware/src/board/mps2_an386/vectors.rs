@@ -1,5 +1,5 @@
 //! The interrupts in use and their vectors. QEMU's an386 wires UART 0 to lines 0 and 1 and timer 0
-//! to line 8 (hw/arm/mps2.c); line 31 belongs to no device and serves the sampling executor.
+//! to line 8 (hw/arm/mps2.c).
 
 use cortex_m::interrupt::InterruptNumber;
 
@@ -9,10 +9,8 @@ use cortex_m::interrupt::InterruptNumber;
 pub enum Interrupt {
     /// A byte came in.
     Uart0Receive = 0,
-    /// The tick that stands for the ADC's DMA.
+    /// The tick that stands for the ADC's DMA; the sampling executor runs in it.
     Timer0 = 8,
-    /// Pended by software: the sampling executor.
-    Sampling = 31,
 }
 
 // SAFETY: the numbers are lines of the NVIC, one each.
@@ -33,7 +31,6 @@ unsafe extern "C" {
     fn DefaultHandler();
     fn UART0_RECEIVE();
     fn TIMER0();
-    fn SAMPLING();
 }
 
 const LINES: usize = 32;
@@ -52,6 +49,5 @@ pub static __INTERRUPTS: [Vector; LINES] = {
     }
     table[Interrupt::Uart0Receive as usize].handler = UART0_RECEIVE;
     table[Interrupt::Timer0 as usize].handler = TIMER0;
-    table[Interrupt::Sampling as usize].handler = SAMPLING;
     table
 };

@@ -7,12 +7,12 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use ihd_firmware::mains::ZeroCrossing;
 use ihd_firmware::pwm::Periods;
-use ihd_firmware::realtime::{Block, Drive};
+use ihd_firmware::realtime::{Block, Bridge, Drive};
 use ihd_firmware::ring::Ring;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
 use super::registers;
-use crate::board::sampling::{SAMPLES_READY, SampleSource};
+use crate::board::sampling::SampleSource;
 
 /// Channels of the pins in the module's table.
 const VOLTAGE: u8 = 1;
@@ -37,11 +37,10 @@ static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
 /// Polls the sampling task, in the DMA's own interrupt.
 pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
-/// Half or all of the double block is filled. The executor runs in this interrupt, so nothing else
-/// of its priority comes between the flag and the task.
+/// Half or all of the double block is filled. The executor runs in this interrupt and its task is
+/// always ready, so that nothing comes between the flag and the task.
 #[interrupt]
 fn DMA1_CHANNEL1() {
-    SAMPLES_READY.wake();
     // SAFETY: this is the interrupt that the executor was started with.
     unsafe { SAMPLING_EXECUTOR.on_interrupt() }
 }
@@ -97,14 +96,18 @@ impl Adc {
         if drive == self.drive {
             return;
         }
-        if !drive.on {
+        if drive.bridge == Bridge::Open {
             registers::bridge_off();
         }
         if drive.f_sw_hz != self.drive.f_sw_hz {
             registers::set_periods(Periods::nearest(drive.f_sw_hz));
         }
-        if drive.on && !self.drive.on {
-            registers::bridge_on();
+        if drive.bridge != self.drive.bridge {
+            match drive.bridge {
+                Bridge::Open => {}
+                Bridge::LowerOn => registers::bridge_lower_on(),
+                Bridge::Switching => registers::bridge_on(),
+            }
         }
         self.drive = drive;
     }

@@ -3,23 +3,20 @@
 use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
-use embassy_stm32::dac::{Dac, Value};
 use embassy_stm32::flash::Flash;
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
-use embassy_stm32::mode::Blocking;
 use embassy_stm32::peripherals::{IWDG, LPUART1, USB};
-use embassy_stm32::rcc::{self, mux};
+use embassy_stm32::rcc;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::usb::Driver;
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Config, Peripherals, bind_interrupts, interrupt, peripherals, uid};
+use embassy_stm32::{Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::protection::TRIP_CODE;
-use ihd_firmware::realtime::Access;
-use ihd_firmware::{nonvolatile, pwm, reset};
+use ihd_firmware::realtime::{Access, Bridge};
+use ihd_firmware::{nonvolatile, reset};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -56,41 +53,16 @@ struct Board {
     kept_version: u32,
 }
 
-/// 170 MHz from HSI16 in boost mode: 16 / 4 · 85 / 2. USB runs from HSI48, trimmed by the start of
-/// each USB frame.
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.rcc.hsi = true;
-    config.rcc.pll = Some(rcc::Pll {
-        source: rcc::PllSource::HSI,
-        prediv: rcc::PllPreDiv::DIV4,
-        mul: rcc::PllMul::MUL85,
-        divp: None,
-        divq: None,
-        divr: Some(rcc::PllRDiv::DIV2),
-    });
-    config.rcc.sys = rcc::Sysclk::PLL1_R;
-    config.rcc.boost = true;
-    config.rcc.hsi48 = Some(rcc::Hsi48Config {
-        sync_from_usb: true,
-    });
-    config.rcc.mux.clk48sel = mux::Clk48sel::HSI48;
-    config.rcc.mux.adc12sel = mux::Adcsel::SYS;
-    config.rcc.mux.adc345sel = mux::Adcsel::SYS;
-    config
-}
-
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let flags = registers::reset_flags();
     let last = crash::read_crash_record();
-    let p = embassy_stm32::init(clocks());
+    let p = registers::clocks::start();
     defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-    let Some((interrupt_side, mut thread_side)) = sampling::split(r, l) else {
+    let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
     };
-    thread_side.with(|rt| rt.set_grid(pwm::nearest_hz));
     EXECUTOR.init(Executor::new()).run(|spawner| {
         let hello = hello(flags, last);
         start(spawner, p, hello, interrupt_side, thread_side);
@@ -124,7 +96,7 @@ fn start(
         housekeeping.restore(lookup);
     }
     // The thresholds first, then what compares with them, then what could switch on.
-    start_protection(p.DAC1);
+    registers::comparators::start();
     for pin in [
         Flex::new(p.PA0),
         Flex::new(p.PA1),
@@ -164,18 +136,6 @@ fn start(
     }
 }
 
-/// DAC1 holds the trip level on both comparators; the sensor's zero is at mid-scale. Codes are the
-/// ADC's, so the hardware trips where the software does, a block earlier.
-fn start_protection(dac: embassy_stm32::Peri<'static, peripherals::DAC1>) {
-    let mut dac = Dac::<'static, Blocking>::new_internal(dac);
-    let level = Value::Bit12Right(2_048 + TRIP_CODE);
-    dac.ch1().set(level);
-    dac.ch2().set(level);
-    // The DAC must go on when its driver is dropped.
-    core::mem::forget(dac);
-    registers::start_comparators();
-}
-
 /// The clocks of what [`registers`] drives.
 fn enable_clocks() {
     rcc::enable_and_reset::<peripherals::HRTIM1>();
@@ -202,8 +162,10 @@ fn serial_port(
     receive: embassy_stm32::Peri<'static, peripherals::PA3>,
     transmit: embassy_stm32::Peri<'static, peripherals::PA2>,
 ) -> Option<(serial::Receiver, serial::Sender)> {
-    static BUFFERS: StaticCell<([u8; 256], [u8; 256])> = StaticCell::new();
-    let (out, inbound) = BUFFERS.init(([0; 256], [0; 256]));
+    static TRANSMIT: StaticCell<[u8; serial::TRANSMIT_BUFFER]> = StaticCell::new();
+    static RECEIVE: StaticCell<[u8; serial::RECEIVE_BUFFER]> = StaticCell::new();
+    let out = TRANSMIT.init([0; serial::TRANSMIT_BUFFER]);
+    let inbound = RECEIVE.init([0; serial::RECEIVE_BUFFER]);
     let mut config = usart::Config::default();
     config.baudrate = serial::BAUD;
     let uart = BufferedUart::new(uart, receive, transmit, out, inbound, Irqs, config).ok()?;
@@ -238,9 +200,9 @@ impl Board {
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::hardware_fault();
         let blocks = path.with(|rt| {
-            // A trip counts while the bridge should run: switching on clears what is left of it.
+            // A trip counts while a switch should be closed: closing one clears what is left of it.
             if let Some(fault) = tripped
-                && rt.drive().on
+                && rt.drive().bridge != Bridge::Open
             {
                 rt.raise(fault);
             }

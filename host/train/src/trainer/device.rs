@@ -3,9 +3,9 @@
 
 use std::time::Duration;
 
+use ihd_firmware::pwm;
 use ihd_link::{Client, Event, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
@@ -85,7 +85,7 @@ impl<'a> Device<'a> {
             f_sw_hz = telemetry.f_sw_hz;
             let power_w = f64::from(telemetry.power_mw) * 1e-3;
             let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
-            let at_limit = f_sw_hz <= F_SW_MIN_HZ || f_sw_hz >= F_SW_MAX_HZ;
+            let at_limit = f_sw_hz <= pwm::LOWEST_HZ || f_sw_hz >= pwm::HIGHEST_HZ;
             // What the load cannot take ends at a limit of frequency, or at the resonance margin,
             // where the frequency stays and the power with it.
             if steady >= SETTLED_AFTER && (close || at_limit || steady >= 10 * SETTLED_AFTER) {

@@ -11,13 +11,15 @@
 //! `HRTIM_FAULTSOURCE_INTERNAL`) and github.com/stm32-rs/stm32g4xx-hal (`impl_faults!`). It has not
 //! run on a board.
 
+pub mod clocks;
+pub mod comparators;
+
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::{Exten, Ovrmod, SampleTime};
 use embassy_stm32::pac::adccommon::vals::{Ckmode, Dmacfg, Dual, Mdma};
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
-use embassy_stm32::pac::comp::vals::{Hysteresis, Inm, Polarity};
 use embassy_stm32::pac::hrtim::vals::Fault as FaultState;
 use ihd_firmware::pwm::{DEAD_TIME_NS, Periods};
 use ihd_firmware::reset::Flags;
@@ -53,8 +55,23 @@ pub fn bridge_off() {
     });
 }
 
+/// HRTIM, HRTIM_OENR: the lower switch alone. It is the complement of the upper one's signal, so it is closed for half
+/// of each period, which charges the bootstrap capacitor; the upper one stays open.
+pub fn bridge_lower_on() {
+    clear_faults();
+    pac::HRTIM1.oenr().modify(|w| w.set_t2oen(BRIDGE, true));
+}
+
 /// HRTIM, HRTIM_OENR, after HRTIM_ICR has cleared what tripped before.
 pub fn bridge_on() {
+    clear_faults();
+    pac::HRTIM1.oenr().modify(|w| {
+        w.set_t1oen(BRIDGE, true);
+        w.set_t2oen(BRIDGE, true);
+    });
+}
+
+fn clear_faults() {
     pac::HRTIM1.icr().write(|w| {
         w.set_flt(0, true);
         w.set_flt(3, true);
@@ -62,10 +79,6 @@ pub fn bridge_on() {
     });
     // EXTI_PR1: cleared by writing 1.
     pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
-    pac::HRTIM1.oenr().modify(|w| {
-        w.set_t1oen(BRIDGE, true);
-        w.set_t2oen(BRIDGE, true);
-    });
 }
 
 /// What has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
@@ -196,22 +209,6 @@ pub fn set_periods(periods: Periods) {
             w.set_trst(timer, true);
         }
     });
-}
-
-/// COMP, COMP_CxCSR: the current's two polarities against their DAC1 thresholds (table "COMPx
-/// inverting input assignment": DAC1_CH1 for COMP1, DAC1_CH2 for COMP2); then locked until reset.
-pub fn start_comparators() {
-    for (comparator, threshold) in [(pac::COMP1, Inm::DACB), (pac::COMP2, Inm::DACB)] {
-        comparator.csr().write(|w| {
-            // Input 0 is PA1 for COMP1 and PA7 for COMP2 (table "COMPx non-inverting input").
-            w.set_inpsel(false);
-            w.set_inmsel(threshold);
-            w.set_polarity(Polarity::NOT_INVERTED);
-            w.set_hyst(Hysteresis::HYST20M);
-            w.set_en(true);
-        });
-        comparator.csr().modify(|w| w.set_lock(true));
-    }
 }
 
 /// ADC, "ADC deep-power-down mode and voltage regulator" to "ADC on-off control": regulator, calibration and switching on, for one ADC; its clock runs.

@@ -1,0 +1,170 @@
+//! What the half-bridge does, and what may follow on what.
+//!
+//! | state | entered by | left when |
+//! |---|---|---|
+//! | Open | start, off, any fault, replay | power is asked for: LowerOn at once |
+//! | LowerOn | power asked for | first zero crossing after 1 ms: Switching |
+//! | Switching | LowerOn | off, fault, replay: Open at once |
+//!
+//! Off, fault and replay lead from LowerOn to Open as well.
+
+use crate::pwm;
+
+/// The lower switch is closed for at least this long before the bridge switches: 1 ms. The bootstrap
+/// capacitor charges with 10 ohm × 1 µF = 10 µs, through a diode that takes its last tenths of a volt
+/// slowly; a board with ten times of both still has ten time constants.
+const BOOTSTRAP_CHARGE_NS: u32 = 1_000_000;
+
+/// The two switches of the half-bridge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bridge {
+    /// Both open.
+    Open,
+    /// The lower one closed: it charges the upper driver's bootstrap capacitor.
+    LowerOn,
+    /// In turn, with dead time.
+    Switching,
+}
+
+/// What the board does with the half-bridge, from the next block on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drive {
+    /// Switching frequency, in hertz; the ADC trigger follows it whatever the bridge does.
+    pub f_sw_hz: u32,
+    /// The switches.
+    pub bridge: Bridge,
+}
+
+impl Drive {
+    /// Both switches open, sampling at the highest rate.
+    pub const OFF: Self = Self {
+        f_sw_hz: pwm::HIGHEST_HZ,
+        bridge: Bridge::Open,
+    };
+
+    /// Heating at a frequency in hertz.
+    pub const fn switching(f_sw_hz: u32) -> Self {
+        Self {
+            f_sw_hz,
+            bridge: Bridge::Switching,
+        }
+    }
+
+    /// Whether power flows.
+    pub fn is_switching(self) -> bool {
+        self.bridge == Bridge::Switching
+    }
+
+    /// What follows on this drive after a block, `wanted` being asked for: what opens both switches
+    /// does so at once; out of open switches the lower one closes, at once; what switches begins or
+    /// changes at a zero crossing. `lower_on_ns` says for how long only the lower one is closed.
+    pub fn next(self, wanted: Self, at_crossing: bool, lower_on_ns: u32) -> Self {
+        match (self.bridge, wanted.bridge) {
+            (Bridge::Open, Bridge::Switching) => Self {
+                bridge: Bridge::LowerOn,
+                ..self
+            },
+            (Bridge::LowerOn, Bridge::Switching)
+                if !at_crossing || lower_on_ns < BOOTSTRAP_CHARGE_NS =>
+            {
+                self
+            }
+            (Bridge::Switching, Bridge::Switching) if !at_crossing => self,
+            _ => wanted,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::realtime::{Block, RealTime};
+    use ihd_shared::fault::Fault;
+    use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+    use std::boxed::Box;
+    use std::vec::Vec;
+
+    /// 37.5 µs at 80 kHz: blocks of a half-cycle of 50 Hz.
+    const HALF_CYCLE: u32 = 266;
+
+    struct Board {
+        realtime: Box<RealTime>,
+        block: u32,
+    }
+
+    impl Board {
+        fn new() -> Self {
+            let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+            Self {
+                realtime: Box::new(RealTime::new(r, l)),
+                block: 0,
+            }
+        }
+
+        /// The bridge after each of so many blocks.
+        fn run(&mut self, blocks: u32) -> Vec<Bridge> {
+            (0..blocks)
+                .map(|_| {
+                    self.block += 1;
+                    let crossing = self.block.is_multiple_of(HALF_CYCLE);
+                    let block = Block {
+                        pairs: &[Pair::default(); ADC_LOCK_P],
+                        zero_crossing: crossing.then_some(0),
+                        bus_dv: 0,
+                        lost: 0,
+                    };
+                    self.realtime.on_block(&block).bridge
+                })
+                .collect()
+        }
+
+        fn heat(&mut self) {
+            self.realtime.request(Drive::switching(60_000));
+        }
+    }
+
+    /// Whenever power is asked for, the lower switch is closed for a millisecond before the upper
+    /// one may be, and switching begins at a zero crossing.
+    #[test]
+    fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
+        for asked_at in [1, 30, HALF_CYCLE - 60, HALF_CYCLE - 28, HALF_CYCLE - 20] {
+            let mut board = Board::new();
+            assert!(board.run(asked_at).iter().all(|b| *b == Bridge::Open));
+            board.heat();
+            let seen = board.run(2 * HALF_CYCLE);
+            let lower_on = seen.iter().take_while(|b| **b == Bridge::LowerOn).count() as u32;
+            assert!(
+                seen[lower_on as usize..]
+                    .iter()
+                    .all(|b| *b == Bridge::Switching)
+            );
+            // The first block's answer counts from the next one.
+            assert!(lower_on * 37_500 >= BOOTSTRAP_CHARGE_NS, "{lower_on}");
+            assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
+            assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
+        }
+    }
+
+    #[test]
+    fn off_and_faults_open_both_switches_at_once_from_any_state() {
+        for blocks in [5, 2 * HALF_CYCLE] {
+            let mut board = Board::new();
+            board.heat();
+            assert_ne!(board.run(blocks).pop(), Some(Bridge::Open));
+            board.realtime.request(Drive::OFF);
+            assert_eq!(board.run(1), [Bridge::Open]);
+
+            let mut board = Board::new();
+            board.heat();
+            board.run(blocks);
+            board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
+            assert_eq!(board.run(3), [Bridge::Open; 3]);
+            // Cleared, it stays open until power is asked for, and charges again.
+            board.realtime.clear_fault();
+            assert_eq!(board.run(3), [Bridge::Open; 3]);
+            board.heat();
+            assert_eq!(board.run(1), [Bridge::LowerOn]);
+        }
+    }
+}

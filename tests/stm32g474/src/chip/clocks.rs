@@ -1,0 +1,196 @@
+//! RCC, PWR and the wait states of the flash: which clock runs how fast, and the order in which it may be changed.
+
+use crate::registers::{Field, REGISTERS, flash, pwr, rcc};
+use crate::time::{TICKS_PER_S, Ticks};
+use crate::violation::Log;
+
+use super::register_file::{RegisterFile, clock_of};
+
+const HSI_HZ: u64 = 16_000_000;
+
+/// SYSCLK and HCLK in hertz, from the registers (RM0440, 7.2).
+fn sysclk_hz(file: &RegisterFile) -> u64 {
+    if file.get(rcc::rcc_cfgr::SWS) != 3 {
+        return HSI_HZ;
+    }
+    pll_hz(file)
+}
+
+fn pll_hz(file: &RegisterFile) -> u64 {
+    use rcc::rcc_pllcfgr::{PLLM, PLLN, PLLR};
+    let vco_in = HSI_HZ / (u64::from(file.get(PLLM)) + 1);
+    vco_in * u64::from(file.get(PLLN)) / (2 * (u64::from(file.get(PLLR)) + 1))
+}
+
+fn divided(hz: u64, hpre: u32) -> u64 {
+    match hpre {
+        0..8 => hz,
+        // 2, 4, 8, 16, 64, 128, 256, 512
+        n @ 8..12 => hz >> (n - 7),
+        n => hz >> (n - 6),
+    }
+}
+
+/// Frequency of the AHB and of both APBs, which the image does not divide.
+pub fn hclk_hz(file: &RegisterFile) -> u64 {
+    divided(sysclk_hz(file), file.get(rcc::rcc_cfgr::HPRE))
+}
+
+/// Ticks of a cycle of HCLK.
+pub fn ticks_per_cycle(file: &RegisterFile) -> Ticks {
+    TICKS_PER_S / hclk_hz(file).max(1)
+}
+
+/// Least wait states at a frequency (RM0440, table 29: range 1 boost 34 MHz a step, range 1 normal 30, range 2 12).
+fn least_wait_states(file: &RegisterFile, hz: u64) -> u64 {
+    let step = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
+        (1, true) => 34_000_000,
+        (1, false) => 30_000_000,
+        _ => 12_000_000,
+    };
+    hz.div_ceil(step).saturating_sub(1)
+}
+
+/// PWR_CR5.R1MODE is 0 for the boost mode (RM0440, 6.4.26).
+pub fn boosted(file: &RegisterFile) -> bool {
+    !file.is(pwr::pwr_cr5::R1MODE)
+}
+
+fn check_speed(file: &RegisterFile, log: &mut Log) {
+    // The range limits SYSCLK too, whatever the AHB divides it by.
+    let hz = sysclk_hz(file);
+    let limit = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
+        (1, true) => 170_000_000,
+        (1, false) => 150_000_000,
+        _ => 26_000_000,
+    };
+    if hz > limit {
+        log.broken(format!("SYSCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"));
+    }
+    let hz = hclk_hz(file);
+    let least = least_wait_states(file, hz);
+    if u64::from(file.get(flash::flash_acr::LATENCY)) < least {
+        log.broken(format!("HCLK {hz} Hz needs {least} wait states (RM0440 3.3.3)"));
+    }
+}
+
+/// Whether the peripheral's reset bit of RCC stands beside its clock's: same register, 0x20 below.
+fn reset_of(clock: Field) -> u32 {
+    clock.address - 0x20
+}
+
+/// A write to RCC has been stored; does what follows from it.
+pub fn after_rcc_write(address: u32, before: u32, file: &mut RegisterFile, log: &mut Log) {
+    use rcc::{rcc_bdcr, rcc_cfgr, rcc_cr, rcc_crrcr, rcc_csr};
+    match address {
+        rcc_cr::ADDRESS => {
+            for (on, ready) in [
+                (rcc_cr::HSION, rcc_cr::HSIRDY),
+                (rcc_cr::HSEON, rcc_cr::HSERDY),
+                (rcc_cr::PLLON, rcc_cr::PLLRDY),
+            ] {
+                let is_on = file.get(on);
+                // The boards have no crystal.
+                file.set(ready, if on == rcc_cr::HSEON { 0 } else { is_on });
+            }
+        }
+        rcc_cfgr::ADDRESS => switch(before, file, log),
+        rcc::rcc_pllcfgr::ADDRESS => {
+            if file.is(rcc_cr::PLLON) {
+                log.broken("PLLCFGR written while the PLL is on (RM0440 7.4.4)");
+            }
+        }
+        rcc_crrcr::ADDRESS => {
+            let on = file.get(rcc_crrcr::HSI48ON);
+            file.set(rcc_crrcr::HSI48RDY, on);
+        }
+        rcc_bdcr::ADDRESS => {}
+        rcc_csr::ADDRESS => {
+            let on = file.get(rcc_csr::LSION);
+            file.set(rcc_csr::LSIRDY, on);
+            if file.is(rcc_csr::RMVF) {
+                let flags = 0xFE00_0000;
+                file.set_word(address, file.word(address) & !flags & !rcc_csr::RMVF.mask());
+            }
+        }
+        _ => reset_peripherals(address, file),
+    }
+}
+
+/// Peripherals whose reset bit is set take their values after reset.
+fn reset_peripherals(address: u32, file: &mut RegisterFile) {
+    let word = file.word(address);
+    let mut names: Vec<_> = REGISTERS.iter().map(|register| register.peripheral).collect();
+    names.dedup();
+    for name in names {
+        let in_reset = clock_of(name).is_some_and(|clock| reset_of(clock) == address && clock.of(word) != 0);
+        // These are reset by nothing but the whole chip, or share the bit of another.
+        if in_reset && !matches!(name, "FLASH") {
+            file.reset(name);
+        }
+    }
+}
+
+fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
+    use rcc::rcc_cfgr::{HPRE, SW, SWS};
+    let wanted = file.get(SW);
+    let old_hz = divided(
+        if SWS.of(before) == 3 { pll_hz(file) } else { HSI_HZ },
+        HPRE.of(before),
+    );
+    if wanted == 3 && !file.is(rcc::rcc_cr::PLLRDY) {
+        log.broken("switch to a PLL that is not ready (RM0440 7.2.8)");
+        return;
+    }
+    file.set(SWS, wanted);
+    let new_hz = hclk_hz(file);
+    if old_hz <= 80_000_000 && new_hz > 85_000_000 && SWS.of(before) != 3 {
+        log.broken(format!(
+            "HCLK from {old_hz} to {new_hz} Hz in one step: HPRE must divide by two across it (RM0440 6.1.5, 7.2.7)"
+        ));
+    }
+    check_speed(file, log);
+}
+
+/// A write to PWR has been stored.
+pub fn after_pwr_write(file: &RegisterFile, log: &mut Log) {
+    check_speed(file, log);
+}
+
+/// A write to FLASH_ACR has been stored.
+pub fn after_wait_states_write(file: &RegisterFile, log: &mut Log) {
+    check_speed(file, log);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The order of RM0440 6.1.5 for 170 MHz, with or without each of its steps.
+    fn started(boost: bool, divide: bool) -> Vec<String> {
+        use rcc::{rcc_cfgr, rcc_cr, rcc_pllcfgr};
+        let (mut file, mut log) = (RegisterFile::default(), Log::default());
+        let mut write = |field: Field, value: u32| {
+            let before = file.word(field.address);
+            file.set(field, value);
+            after_rcc_write(field.address, before, &mut file, &mut log);
+        };
+        write(rcc_pllcfgr::PLLM, 3);
+        write(rcc_pllcfgr::PLLN, 85);
+        write(rcc_cr::PLLON, 1);
+        write(pwr::pwr_cr5::R1MODE, u32::from(!boost));
+        write(flash::flash_acr::LATENCY, 4);
+        write(rcc_cfgr::HPRE, if divide { 8 } else { 0 });
+        write(rcc_cfgr::SW, 3);
+        write(rcc_cfgr::HPRE, 0);
+        assert_eq!(hclk_hz(&file), 170_000_000);
+        log.violations.into_iter().map(|violation| violation.rule).collect()
+    }
+
+    #[test]
+    fn the_manuals_order_is_taken_and_each_omission_is_found() {
+        assert_eq!(started(true, true), Vec::<String>::new());
+        assert!(started(false, true)[0].contains("R1MODE"));
+        assert!(started(true, false)[0].contains("HPRE"));
+    }
+}

@@ -1,0 +1,250 @@
+//! The flash's controller, and the pages at its end that the program writes: program, erase, ECC (RM0440, 3.3).
+//!
+//! Those pages are reached through callbacks, so a read of a word with two wrong bits can do what it does on the chip.
+//! The program's own pages are plain memory.
+
+use std::collections::BTreeSet;
+
+use crate::registers::flash;
+use crate::time::{Ticks, us};
+use crate::violation::Log;
+
+use super::register_file::RegisterFile;
+
+/// Where the pages begin that the program may write, and how many bytes they have: the last two of bank 2.
+pub const PAGES: u32 = 0x0807_F000;
+/// See [`PAGES`].
+pub const PAGES_BYTES: usize = 0x1000;
+const PAGE_BYTES: u32 = 2048;
+const BANK_2: u32 = 0x0804_0000;
+
+/// Time to program a double word and to erase a page (DS12288, table "Flash memory characteristics": 81.7 µs, 22.02 ms).
+const PROGRAM: Ticks = us(82);
+const ERASE: Ticks = us(22_020);
+
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+
+/// What is being done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Operation {
+    Program { offset: u32, value: u64 },
+    Erase { offset: u32 },
+}
+
+/// The pages' content, which outlives the power.
+#[derive(Clone, Debug)]
+pub struct Pages {
+    bytes: Vec<u8>,
+    /// Double words with two wrong bits.
+    damaged: BTreeSet<u32>,
+    /// Double words that were programmed since the last erasure.
+    programmed: BTreeSet<u32>,
+}
+
+impl Default for Pages {
+    fn default() -> Self {
+        Self { bytes: vec![0xFF; PAGES_BYTES], damaged: BTreeSet::new(), programmed: BTreeSet::new() }
+    }
+}
+
+impl Pages {
+    /// Damages a double word: two wrong bits, at an offset from [`PAGES`].
+    pub fn damage(&mut self, offset: u32) {
+        self.damaged.insert(offset & !7);
+    }
+
+    /// The content.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+/// The controller.
+#[derive(Clone, Debug, Default)]
+pub struct FlashController {
+    /// The pages.
+    pub pages: Pages,
+    keys: usize,
+    busy: Option<(Operation, Ticks)>,
+    first_half: Option<(u32, u32)>,
+    /// Operations begun since power-on: what a power cut is counted in.
+    pub operations: u64,
+    /// At the beginning of this operation the power goes.
+    pub cut_at_operation: Option<u64>,
+    /// The power is to go now.
+    pub power_gone: bool,
+}
+
+impl FlashController {
+    /// A controller of pages with this content.
+    pub fn with(pages: Pages) -> Self {
+        Self { pages, ..Self::default() }
+    }
+
+    /// When the operation under way ends.
+    pub fn next(&self) -> Option<Ticks> {
+        self.busy.map(|(_, until)| until)
+    }
+
+    /// Completes what is due.
+    pub fn advance(&mut self, now: Ticks) {
+        if let Some((operation, until)) = self.busy
+            && now >= until
+        {
+            self.complete(operation);
+            self.busy = None;
+        }
+    }
+
+    fn complete(&mut self, operation: Operation) {
+        match operation {
+            Operation::Program { offset, value } => {
+                self.pages.bytes[offset as usize..][..8].copy_from_slice(&value.to_le_bytes());
+                self.pages.programmed.insert(offset);
+            }
+            Operation::Erase { offset } => {
+                let words = (offset..offset + PAGE_BYTES).step_by(8);
+                self.pages.bytes[offset as usize..][..PAGE_BYTES as usize].fill(0xFF);
+                for word in words {
+                    self.pages.programmed.remove(&word);
+                    self.pages.damaged.remove(&word);
+                }
+            }
+        }
+    }
+
+    /// The power goes: what is under way is left half done.
+    pub fn cut_power(&mut self) {
+        match self.busy.take() {
+            Some((Operation::Program { offset, value }, _)) => {
+                // Some of the 72 cells have taken their charge.
+                let half = value | 0xFFFF_FFFF_0000_0000;
+                self.pages.bytes[offset as usize..][..8].copy_from_slice(&half.to_le_bytes());
+                self.pages.damage(offset);
+                self.pages.programmed.insert(offset);
+            }
+            Some((Operation::Erase { offset }, _)) => {
+                for word in (offset..offset + PAGE_BYTES).step_by(8) {
+                    // Neither erased nor as it was.
+                    if word % 24 == 0 {
+                        self.pages.damage(word);
+                    } else if word % 16 == 0 {
+                        self.pages.bytes[word as usize..][..8].fill(0xFF);
+                    }
+                    self.pages.programmed.insert(word);
+                }
+            }
+            None => {}
+        }
+        let pages = std::mem::take(&mut self.pages);
+        *self = Self::with(pages);
+    }
+
+    fn begin(&mut self, operation: Operation, duration: Ticks, now: Ticks) {
+        self.busy = Some((operation, now + duration));
+        self.operations += 1;
+        if self.cut_at_operation == Some(self.operations) {
+            self.power_gone = true;
+        }
+    }
+
+    /// Reads from the pages. A word with two wrong bits is reported in FLASH_ECCR; `true` asks for an NMI.
+    pub fn read_page(&mut self, offset: u32, bytes: usize, file: &mut RegisterFile) -> (u32, bool) {
+        let mut word = [0; 4];
+        word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
+        let damaged = self.pages.damaged.contains(&(offset & !7));
+        if damaged {
+            let address = PAGES + (offset & !7);
+            let eccr = file.word(flash::flash_eccr::ADDRESS);
+            let eccr = flash::flash_eccr::ADDR_ECC.put(eccr, (address - BANK_2) / 8);
+            let eccr = flash::flash_eccr::BK_ECC.put(eccr, 1);
+            file.set_word(flash::flash_eccr::ADDRESS, flash::flash_eccr::ECCD.put(eccr, 1));
+        }
+        (u32::from_le_bytes(word), damaged)
+    }
+
+    /// Writes to the pages: the two halves of a double word, in order, with PG set.
+    pub fn write_page(&mut self, offset: u32, value: u32, bytes: usize, file: &mut RegisterFile, log: &mut Log) {
+        if !file.is(flash::flash_cr::PG) || file.is(flash::flash_cr::LOCK) || bytes != 4 || self.busy.is_some() {
+            log.broken("flash written without PG, locked, busy, or not by words (RM0440 3.3.7)");
+            file.set(flash::flash_sr::PGSERR, 1);
+            return;
+        }
+        match self.first_half.take() {
+            None if offset.is_multiple_of(8) => self.first_half = Some((offset, value)),
+            Some((first, low)) if first + 4 == offset => {
+                let value = u64::from(value) << 32 | u64::from(low);
+                if self.pages.programmed.contains(&first) && value != 0 {
+                    log.broken("flash programmed twice without erasure (RM0440 3.3.7: PROGERR)");
+                    file.set(flash::flash_sr::PROGERR, 1);
+                    return;
+                }
+                self.begin(Operation::Program { offset: first, value }, PROGRAM, log.now);
+            }
+            _ => {
+                log.broken("flash: the halves of a double word out of order (RM0440 3.3.7)");
+                file.set(flash::flash_sr::PGAERR, 1);
+            }
+        }
+    }
+
+    /// Reads a register.
+    pub fn read(&self, address: u32, file: &RegisterFile) -> u32 {
+        let word = file.word(address);
+        match address {
+            flash::flash_sr::ADDRESS => flash::flash_sr::BSY.put(word, u32::from(self.busy.is_some())),
+            flash::flash_cr::ADDRESS => flash::flash_cr::START.put(word, 0),
+            _ => word,
+        }
+    }
+
+    /// Takes a write that is about to be stored; what is to be stored.
+    pub fn write(&mut self, address: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+        let before = file.word(address);
+        match address {
+            flash::flash_keyr::ADDRESS => {
+                self.keys = if KEYS.get(self.keys) == Some(&value) { self.keys + 1 } else { 0 };
+                if self.keys == KEYS.len() {
+                    self.keys = 0;
+                    file.set(flash::flash_cr::LOCK, 0);
+                }
+                0
+            }
+            // Flags are cleared by writing 1.
+            flash::flash_sr::ADDRESS => before & !value,
+            flash::flash_eccr::ADDRESS => {
+                let flags = flash::flash_eccr::ECCD.mask()
+                    | flash::flash_eccr::ECCC.mask()
+                    | flash::flash_eccr::ECCD2.mask()
+                    | flash::flash_eccr::ECCC2.mask();
+                let enable = flash::flash_eccr::ECCCIE.mask();
+                (before & !(value & flags) & !enable) | (value & enable)
+            }
+            flash::flash_cr::ADDRESS => self.control(before, value, log),
+            _ => value,
+        }
+    }
+
+    fn control(&mut self, before: u32, value: u32, log: &mut Log) -> u32 {
+        use flash::flash_cr::{BKER, LOCK, PER, PNB, START};
+        if LOCK.of(before) == 1 {
+            if value != before {
+                log.broken("FLASH_CR written while locked (RM0440 3.3.6)");
+            }
+            return before;
+        }
+        if self.busy.is_some() {
+            log.broken("FLASH_CR written while BSY (RM0440 3.7.5)");
+            return before;
+        }
+        if START.of(value) == 1 && PER.of(value) == 1 {
+            let address = if BKER.of(value) == 1 { BANK_2 } else { 0x0800_0000 } + PNB.of(value) * PAGE_BYTES;
+            if (PAGES..PAGES + PAGES_BYTES as u32).contains(&address) {
+                self.begin(Operation::Erase { offset: address - PAGES }, ERASE, log.now);
+            } else {
+                log.broken(format!("erasure of the page at {address:#010x}, which holds the program"));
+            }
+        }
+        START.put(value, 0)
+    }
+}

@@ -1,0 +1,359 @@
+//! HRTIM: timer A on the bridge, timer B as the trigger of the ADCs, outputs with dead time, faults (RM0440, 27).
+//!
+//! A timer that counts is a period and the moment at which it began to count from 0; the counter is computed where it
+//! is asked for. Both timers use prescaler 2 in this image, so one count is one tick; others are a violation.
+
+use crate::registers::{Field, hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
+use crate::time::{Ticks, us};
+use crate::violation::Log;
+
+use super::register_file::RegisterFile;
+
+/// Time for the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
+const DLL_CALIBRATION: Ticks = us(14);
+
+/// What the bridge's two switches do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Bridge {
+    /// Both open.
+    #[default]
+    Open,
+    /// The lower one is closed all the time.
+    LowerClosed,
+    /// They alternate.
+    Switching {
+        /// Period in ticks.
+        period: u32,
+    },
+}
+
+/// A timer's counter, and the values that are in force.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Counter {
+    running: bool,
+    /// When it was at 0 last, or will be.
+    started: Ticks,
+    period: u32,
+    compare: u32,
+}
+
+impl Counter {
+    fn count(&self, now: Ticks) -> u32 {
+        if self.running && self.period > 0 {
+            (now.saturating_sub(self.started) % Ticks::from(self.period)) as u32
+        } else {
+            0
+        }
+    }
+}
+
+/// The timer unit.
+#[derive(Clone, Debug, Default)]
+pub struct Hrtim {
+    a: Counter,
+    b: Counter,
+    /// Values written that wait for an update.
+    preloaded: [Option<(u32, u32)>; 2],
+    dll_ready_at: Option<Ticks>,
+    enabled: [bool; 2],
+    /// When the outputs went from on to off, each time.
+    pub off_at: Option<Ticks>,
+    dead_time_locked: bool,
+}
+
+const OUTPUT_1: u32 = 1;
+const OUTPUT_2: u32 = 2;
+
+/// Enable and lock bits of the fault inputs 1 to 4 in FLTINR1.
+const INPUTS: [[Field; 5]; 4] = {
+    use hrtim_common::fltinr1::*;
+    [
+        [FLT1E, FLT1P, FLT1SRC, FLT1F, FLT1LCK],
+        [FLT2E, FLT2P, FLT2SRC, FLT2F, FLT2LCK],
+        [FLT3E, FLT3P, FLT3SRC, FLT3F, FLT3LCK],
+        [FLT4E, FLT4P, FLT4SRC, FLT4F, FLT4LCK],
+    ]
+};
+
+impl Hrtim {
+    /// The next moment at which timer B rolls over, which triggers the ADCs if HRTIM_ADC1R says so.
+    pub fn next_trigger(&self, file: &RegisterFile, now: Ticks) -> Option<Ticks> {
+        let on = self.b.running && self.b.period > 0 && file.is(hrtim_common::adc1r::AD1TBPER);
+        on.then(|| {
+            let elapsed = now.saturating_sub(self.b.started);
+            let periods = elapsed / Ticks::from(self.b.period) + 1;
+            self.b.started + periods * Ticks::from(self.b.period)
+        })
+    }
+
+    /// What the switches do now.
+    pub fn bridge(&self, file: &RegisterFile) -> Bridge {
+        let pwm = file.is(hrtim_tima::seta1r::PER) && file.is(hrtim_tima::rsta1r::CMP1);
+        match self.enabled {
+            [true, true] if pwm && self.a.running => Bridge::Switching { period: self.a.period },
+            // With dead time output 2 is the complement of output 1, which no event sets.
+            [_, true] if !pwm && file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,
+            [false, true] if self.a.running => Bridge::LowerClosed,
+            _ => Bridge::Open,
+        }
+    }
+
+    /// Frequency at which timer A counts, in hertz.
+    pub fn f_sw_hz(&self) -> f64 {
+        crate::time::TICKS_PER_S as f64 / f64::from(self.a.period.max(1))
+    }
+
+    fn switch_off(&mut self, now: Ticks) {
+        if self.enabled != [false; 2] {
+            self.enabled = [false; 2];
+            self.off_at = Some(now);
+        }
+    }
+
+    /// A fault input is active: outputs off where it is armed.
+    pub fn fault_input(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
+        let [enable, ..] = INPUTS[input];
+        if !file.is(enable) {
+            return;
+        }
+        let flags = file.word(hrtim_common::isr::ADDRESS) | 1 << input;
+        file.set_word(hrtim_common::isr::ADDRESS, flags);
+        if file.word(hrtim_tima::fltar::ADDRESS) & 1 << input != 0 {
+            self.switch_off(now);
+        }
+    }
+
+    /// SYSCFG's system fault: outputs off, always.
+    pub fn system_fault(&mut self, file: &mut RegisterFile, now: Ticks) {
+        file.set(hrtim_common::isr::SYSFLT, 1);
+        self.switch_off(now);
+    }
+
+    /// Reads a register whose content is computed.
+    pub fn read(&mut self, address: u32, file: &RegisterFile, now: Ticks) -> u32 {
+        let word = file.word(address);
+        match address {
+            hrtim_common::isr::ADDRESS => {
+                let ready = self.dll_ready_at.is_some_and(|at| now >= at);
+                hrtim_common::isr::DLLRDY.put(word, u32::from(ready))
+            }
+            hrtim_common::oenr::ADDRESS => u32::from(self.enabled[0]) | u32::from(self.enabled[1]) << 1,
+            hrtim_tima::cntar::ADDRESS => self.a.count(now),
+            hrtim_timb::cntr::ADDRESS => self.b.count(now),
+            _ => word,
+        }
+    }
+
+    /// Takes a write that is about to be stored; what is to be stored.
+    pub fn write(&mut self, address: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+        let now = log.now;
+        let before = file.word(address);
+        match address {
+            hrtim_common::dllcr::ADDRESS => {
+                if value & (hrtim_common::dllcr::CAL.mask() | hrtim_common::dllcr::CALEN.mask()) != 0 {
+                    self.dll_ready_at.get_or_insert(now + DLL_CALIBRATION);
+                }
+                value
+            }
+            hrtim_common::icr::ADDRESS => {
+                let flags = file.word(hrtim_common::isr::ADDRESS) & !(value & 0x7F);
+                file.set_word(hrtim_common::isr::ADDRESS, flags);
+                0
+            }
+            hrtim_common::oenr::ADDRESS => {
+                self.enable(value, file, log);
+                0
+            }
+            hrtim_common::odisr::ADDRESS => {
+                let outputs = [value & OUTPUT_1 == 0, value & OUTPUT_2 == 0];
+                let left = [self.enabled[0] && outputs[0], self.enabled[1] && outputs[1]];
+                if left == [false; 2] {
+                    self.switch_off(now);
+                }
+                self.enabled = left;
+                0
+            }
+            hrtim_common::cr2::ADDRESS => {
+                self.software_update(value, file, log);
+                0
+            }
+            hrtim_master::mcr::ADDRESS => {
+                self.start_counters(value, file, log);
+                value
+            }
+            hrtim_tima::perar::ADDRESS | hrtim_tima::cmp1ar::ADDRESS | hrtim_timb::perbr::ADDRESS => {
+                self.period_written(address, value, file, log);
+                value
+            }
+            hrtim_tima::dtar::ADDRESS => self.dead_time_written(before, value, file, log),
+            hrtim_common::fltinr1::ADDRESS => self.fault_input_written(before, value, file, log),
+            hrtim_tima::fltar::ADDRESS if before & hrtim_tima::fltar::FLTLCK.mask() != 0 => {
+                if value != before {
+                    log.broken("HRTIM FLTAR written after FLTLCK (RM0440 27.5.29)");
+                }
+                before
+            }
+            hrtim_tima::timacr::ADDRESS | hrtim_timb::timbcr::ADDRESS => {
+                if value & 7 != 2 {
+                    log.broken("HRTIM: this emulator counts at prescaler 2 only");
+                }
+                value
+            }
+            _ => value,
+        }
+    }
+
+    fn fault_input_written(&mut self, before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
+        let mut kept = value;
+        for [enable, polarity, source, filter, lock] in INPUTS {
+            let settings = polarity.mask() | source.mask() | filter.mask();
+            if lock.of(before) == 1 {
+                let all = settings | enable.mask() | lock.mask();
+                if (value ^ before) & all != 0 {
+                    log.broken("HRTIM FLTINR1 written after FLTxLCK (RM0440 27.5.50)");
+                }
+                kept = (kept & !all) | (before & all);
+            } else if enable.of(before) == 1 && (value ^ before) & settings != 0 {
+                log.broken("HRTIM FLTINR1: polarity, source and filter change only while FLTxE is 0 (RM0440 27.5.50)");
+            }
+            let filter_runs = filter.of(kept) != 0 && enable.of(kept) == 1;
+            if filter_runs && file.word(hrtim_common::fltinr2::ADDRESS) >> 24 & 3 > 3 {
+                log.broken("HRTIM FLTINR2");
+            }
+        }
+        kept
+    }
+
+    fn dead_time_written(&mut self, before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
+        use hrtim_tima::dtar::{DTFLKX, DTFSLKX, DTFX, DTPRSC, DTRLKX, DTRSLKX, DTRX};
+        if self.dead_time_locked {
+            let locked = DTRX.mask() | DTFX.mask() | DTPRSC.mask() | DTRLKX.mask() | DTFLKX.mask();
+            if (value ^ before) & locked != 0 {
+                log.broken("HRTIM DTAR written after DTRLK and DTFLK (RM0440 27.5.20)");
+            }
+            return before;
+        }
+        let locks = DTRLKX.mask() | DTFLKX.mask() | DTRSLKX.mask() | DTFSLKX.mask();
+        if value & locks != 0 {
+            self.dead_time_locked = true;
+            if value & (DTRX.mask() | DTFX.mask()) == 0 {
+                log.broken("HRTIM: a dead time of 0 locked (RM0440 27.5.20)");
+            }
+        }
+        if file.is(hrtim_tima::outar::DTEN) && self.a.running && (value ^ before) & DTPRSC.mask() != 0 {
+            log.broken("HRTIM DTPRSC changed while the timer runs (RM0440 27.5.20)");
+        }
+        value
+    }
+
+    fn period_written(&mut self, address: u32, value: u32, file: &RegisterFile, log: &mut Log) {
+        // RM0440, 27.3.4, table "Timer period and compare min and max values": prescaler 2.
+        if !(0x60..=0xFFDF).contains(&value) {
+            log.broken(format!("HRTIM period or compare {value:#x} outside 0x60 to 0xFFDF (RM0440 27.3.4)"));
+        }
+        let timer = usize::from(address == hrtim_timb::perbr::ADDRESS);
+        let preload = if timer == 0 { hrtim_tima::timacr::PREEN } else { hrtim_timb::timbcr::PREEN };
+        let of = |at: u32| if at == address { value } else { file.word(at) };
+        let written = if timer == 0 {
+            (of(hrtim_tima::perar::ADDRESS), of(hrtim_tima::cmp1ar::ADDRESS))
+        } else {
+            (of(hrtim_timb::perbr::ADDRESS), 0)
+        };
+        if file.is(preload) {
+            self.preloaded[timer] = Some(written);
+        } else {
+            self.take(timer, written);
+        }
+    }
+
+    fn take(&mut self, timer: usize, (period, compare): (u32, u32)) {
+        let counter = if timer == 0 { &mut self.a } else { &mut self.b };
+        (counter.period, counter.compare) = (period, compare);
+    }
+
+    /// HRTIM_CR2: registers updated and counters reset by software.
+    fn software_update(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
+        use hrtim_common::cr2::{TARST, TASWU, TBRST, TBSWU};
+        let now = log.now;
+        if TARST.of(value) == 1 && self.enabled[0] && self.a.running {
+            let count = self.a.count(now);
+            // Output 2 is closed from compare 1 to the period; a reset there begins another period of output 1 at once.
+            let into = count > self.a.compare;
+            if into && file.is(hrtim_tima::seta1r::PER) && !hrtim_resets_output(file) {
+                log.broken(
+                    "HRTIM: counter reset in mid-period: no PER event sets output 1, so the lower switch stays closed \
+                     for up to 1.5 periods (RM0440 27.3.6)",
+                );
+            }
+        }
+        for (timer, update, reset) in [(0, TASWU, TARST), (1, TBSWU, TBRST)] {
+            if update.of(value) == 1 {
+                if let Some(written) = self.preloaded[timer].take() {
+                    self.rebase(timer, now);
+                    self.take(timer, written);
+                }
+            }
+            if reset.of(value) == 1 {
+                let counter = if timer == 0 { &mut self.a } else { &mut self.b };
+                counter.started = now;
+            }
+        }
+    }
+
+    /// Keeps the counter where it is while its period changes.
+    fn rebase(&mut self, timer: usize, now: Ticks) {
+        let counter = if timer == 0 { &mut self.a } else { &mut self.b };
+        let count = counter.count(now);
+        counter.started = now - Ticks::from(count);
+    }
+
+    fn start_counters(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
+        use hrtim_master::mcr::{TACEN, TBCEN};
+        let ready = self.dll_ready_at.is_some_and(|at| log.now >= at);
+        for (timer, enable) in [(0, TACEN), (1, TBCEN)] {
+            let counter = if timer == 0 { &mut self.a } else { &mut self.b };
+            let on = enable.of(value) == 1;
+            if on && !counter.running {
+                if !ready {
+                    log.broken("HRTIM counter enabled before the DLL is ready (RM0440 27.3.22)");
+                }
+                counter.started = log.now;
+            }
+            counter.running = on;
+        }
+        let _ = file;
+    }
+
+    fn enable(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
+        if value & !(OUTPUT_1 | OUTPUT_2) != 0 {
+            log.broken("HRTIM: an output enabled that is not wired");
+        }
+        // The rules of order of what must be armed before an output may be enabled (RM0440, 27.3.22).
+        let armed = file.word(hrtim_tima::fltar::ADDRESS);
+        for input in [0, 3] {
+            let [enable, ..] = INPUTS[input];
+            if armed & 1 << input == 0 || !file.is(enable) {
+                log.broken(format!("outputs enabled before fault input {} is armed (RM0440 27.3.17)", input + 1));
+            }
+        }
+        if !file.is(hrtim_tima::outar::DTEN) || file.get(hrtim_tima::dtar::DTRX) == 0 {
+            log.broken("outputs enabled without dead time (RM0440 27.3.8)");
+        }
+        if file.get(hrtim_tima::outar::FAULT1) != 2 || file.get(hrtim_tima::outar::FAULT2) != 2 {
+            log.broken("outputs enabled whose fault state is not inactive (RM0440 27.5.28)");
+        }
+        let tripped = file.word(hrtim_common::isr::ADDRESS) & armed & 0x1F != 0;
+        if tripped || file.is(hrtim_common::isr::SYSFLT) {
+            // An active fault holds the outputs (RM0440, 27.3.17).
+            return;
+        }
+        for (output, bit) in [(0, OUTPUT_1), (1, OUTPUT_2)] {
+            self.enabled[output] |= value & bit != 0;
+        }
+    }
+}
+
+fn hrtim_resets_output(file: &RegisterFile) -> bool {
+    // RESYNC: a counter reset acts on the crossbar too.
+    file.is(hrtim_tima::seta1r::RESYNC)
+}

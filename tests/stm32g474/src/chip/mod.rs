@@ -1,0 +1,498 @@
+//! The chip around the processor: every register the image touches, and what happens in time.
+
+pub mod adc;
+pub mod clocks;
+pub mod dma;
+pub mod flash;
+pub mod hrtim;
+pub mod register_file;
+pub mod serial;
+pub mod watchdog;
+
+use crate::cpu::nvic::{NMI, Nvic};
+use crate::pins::Pins;
+use crate::registers::{self as reg, Field};
+use crate::time::{Ticks, us};
+use crate::usb::peripheral::Usb;
+use crate::violation::Log;
+
+use self::adc::Converter;
+use self::dma::{Dma, Transfer};
+use self::flash::FlashController;
+use self::hrtim::{Bridge, Hrtim};
+use self::register_file::RegisterFile;
+use self::serial::Serial;
+use self::watchdog::Watchdog;
+
+/// Requests of ADC1 and ADC3 at DMAMUX (RM0440, table 91).
+const REQUEST_ADC1: u32 = 5;
+const REQUEST_ADC3: u32 = 37;
+
+/// USB_LP (RM0440, 14.3, vector table).
+const USB_LP: usize = 20;
+
+const PMA: u32 = 0x4000_6000;
+const PMA_BYTES: u32 = 0x400;
+
+/// How often the other end of the USB cable is looked after: a full-speed packet of 64 bytes takes 50 µs.
+const USB_POLL: Ticks = us(25);
+
+/// Which comparator is on which fault input of HRTIM (RM0440, table 221): COMP2 on 1, COMP1 on 4.
+const COMPARATOR_INPUTS: [(usize, usize); 2] = [(0, 3), (1, 0)];
+
+/// Why the program starts again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reset {
+    /// The program asked for it.
+    Software,
+    /// The watchdog.
+    Watchdog,
+    /// The power came back.
+    Power,
+}
+
+/// A conversion whose result is due.
+#[derive(Clone, Copy, Debug)]
+struct Conversion {
+    at: Ticks,
+    request: u32,
+    value: u32,
+}
+
+/// Everything but the processor and its memory.
+pub struct Chip {
+    /// All registers.
+    pub file: RegisterFile,
+    /// Violations, time, program counter.
+    pub log: Log,
+    /// The interrupt controller.
+    pub nvic: Nvic,
+    /// HRTIM.
+    pub hrtim: Hrtim,
+    /// The serial port and its line.
+    pub serial: Serial,
+    /// The USB device.
+    pub usb: Usb,
+    /// The flash's controller.
+    pub flash: FlashController,
+    /// The watchdog.
+    pub watchdog: Watchdog,
+    /// What is wired to the pins.
+    pub pins: Pins,
+    /// The converters: ADC1, 2, 3.
+    adcs: [Converter; 3],
+    dma: Dma,
+    conversions: Vec<Conversion>,
+    next_trigger: Option<Ticks>,
+    next_usb_poll: Ticks,
+    /// Something asked for a reset.
+    pub reset: Option<Reset>,
+    /// System registers of the processor: VTOR, CCR, SHCSR, DEMCR, DWT.
+    pub system: std::collections::HashMap<u32, u32>,
+    /// Cycles of the processor since power-on, for DWT.
+    pub cycles: u64,
+    cycle_origin: u64,
+    ticks_per_cycle: Ticks,
+    comparator_high_since: [Option<Ticks>; 2],
+    /// What the DMA writes to memory; the machine does it.
+    pub transfers: Vec<Transfer>,
+}
+
+impl Chip {
+    /// A chip that has just got its power.
+    pub fn new(pins: Pins, pages: flash::Pages) -> Self {
+        let mut chip = Self {
+            file: RegisterFile::default(),
+            log: Log::default(),
+            nvic: Nvic::default(),
+            hrtim: Hrtim::default(),
+            serial: Serial::default(),
+            usb: Usb::new(),
+            flash: FlashController::with(pages),
+            watchdog: Watchdog::default(),
+            pins,
+            adcs: [0, 1, 2].map(Converter::new),
+            dma: Dma::default(),
+            conversions: Vec::new(),
+            next_trigger: None,
+            next_usb_poll: 0,
+            reset: None,
+            system: std::collections::HashMap::new(),
+            cycles: 0,
+            cycle_origin: 0,
+            ticks_per_cycle: 85,
+            comparator_high_since: [None; 2],
+            transfers: Vec::new(),
+        };
+        chip.after_reset(Reset::Power);
+        chip
+    }
+
+    /// Option bytes as they should be; tests set others.
+    pub fn set_option(&mut self, option: Field, value: u32) {
+        self.file.set(option, value);
+    }
+
+    /// Everything but memory, time and what is outside takes its state after a reset.
+    pub fn after_reset(&mut self, why: Reset) {
+        let options = self.file.word(reg::flash::flash_optr::ADDRESS);
+        let flags = self.file.word(reg::rcc::rcc_csr::ADDRESS) & 0xFE00_0000;
+        let was_on = self.hrtim.bridge(&self.file) != Bridge::Open;
+        self.file = RegisterFile::default();
+        let (cause, options) = match why {
+            Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
+            Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
+            // The two boards as delivered, with RAM parity on: DBANK = 1, SRAM_PE = 0 (RM0440, 3.4.1).
+            Reset::Power => (reg::rcc::rcc_csr::BORRSTF, if options == 0 { 0xEEEF_F8AA } else { options }),
+        };
+        let kept = if why == Reset::Power { 0 } else { flags };
+        let pin = reg::rcc::rcc_csr::PINRSTF.mask();
+        self.file.set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
+        self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
+        let off_at = if was_on { Some(self.log.now) } else { self.hrtim.off_at };
+        self.hrtim = Hrtim::default();
+        self.hrtim.off_at = off_at;
+        let sent = std::mem::take(&mut self.serial.sent);
+        self.serial = Serial::default();
+        self.serial.sent = sent;
+        self.usb = Usb::new();
+        self.nvic = Nvic::default();
+        self.watchdog = Watchdog::default();
+        self.adcs = [0, 1, 2].map(Converter::new);
+        self.dma = Dma::default();
+        self.conversions.clear();
+        self.system.clear();
+        self.reset = None;
+        self.comparator_high_since = [None; 2];
+        self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
+        self.drive_pins();
+    }
+
+    /// Ticks of a cycle of the processor.
+    pub fn ticks_per_cycle(&self) -> Ticks {
+        self.ticks_per_cycle
+    }
+
+    /// The next moment at which something happens by itself.
+    pub fn next_event(&self) -> Ticks {
+        [
+            self.next_trigger,
+            self.conversions.iter().map(|conversion| conversion.at).min(),
+            self.serial.next(&self.file),
+            self.flash.next(),
+            self.watchdog.bites_at,
+            Some(self.next_usb_poll),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+        .unwrap_or(Ticks::MAX)
+    }
+
+    /// Lets everything happen that is due by now, each thing at its own moment.
+    pub fn advance(&mut self) {
+        let now = self.log.now;
+        while self.reset.is_none() {
+            let at = self.next_event();
+            if at > now {
+                break;
+            }
+            self.log.now = at;
+            self.happen();
+        }
+        self.log.now = now;
+        self.update_lines();
+    }
+
+    /// What is due at this moment.
+    fn happen(&mut self) {
+        let now = self.log.now;
+        if self.watchdog.bites_at.is_some_and(|at| now >= at) {
+            self.reset = Some(Reset::Watchdog);
+            return;
+        }
+        while let Some(k) = self.conversions.iter().position(|conversion| now >= conversion.at) {
+            let done = self.conversions.swap_remove(k);
+            let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
+            self.transfers.extend(moved);
+        }
+        if self.next_trigger.is_some_and(|at| now >= at) {
+            self.trigger();
+        }
+        let hclk_hz = clocks::hclk_hz(&self.file);
+        self.serial.advance(now, hclk_hz, &self.file);
+        self.flash.advance(now);
+        if now >= self.next_usb_poll {
+            let now_us = crate::time::seconds(now) * 1e6;
+            self.usb.set_time(now_us);
+            self.pins.usb.poll(&mut self.usb, now_us);
+            self.next_usb_poll = now + USB_POLL;
+        }
+    }
+
+    fn update_lines(&mut self) {
+        for channel in 0..2 {
+            let high = self.dma.line(channel, &self.file);
+            self.nvic.set_line(dma::FIRST_INTERRUPT + channel as usize, high);
+        }
+        self.nvic.set_line(serial::INTERRUPT, self.serial.line(&self.file));
+        self.nvic.set_line(USB_LP, self.usb.interrupt());
+    }
+
+    /// HRTIM's first trigger: the power stage goes on to this moment, and the converters take what is there.
+    fn trigger(&mut self) {
+        let hclk_hz = clocks::hclk_hz(&self.file);
+        self.drive_pins();
+        let sample = self.pins.sample();
+        self.compare();
+        let [adc1, adc2, adc3] = &mut self.adcs;
+        if adc1.takes_trigger(&self.file) && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6 {
+            let voltage = adc1.trigger(hclk_hz, &self.file, &mut self.log);
+            let current = adc2.trigger(hclk_hz, &self.file, &mut self.log);
+            if let (Some((v_channel, at)), Some((i_channel, _))) = (voltage, current) {
+                let low = adc1.data(v_channel, sample.code(1, v_channel), &self.file);
+                let high = adc2.data(i_channel, sample.code(2, i_channel), &self.file);
+                self.conversions.push(Conversion { at, request: REQUEST_ADC1, value: high << 16 | low });
+            }
+        }
+        if adc3.takes_trigger(&self.file)
+            && let Some((channel, at)) = adc3.trigger(hclk_hz, &self.file, &mut self.log)
+        {
+            let value = adc3.data(channel, sample.code(3, channel), &self.file);
+            if self.file.is(reg::adc3::cfgr::DMAEN) {
+                self.conversions.push(Conversion { at, request: REQUEST_ADC3, value });
+            }
+        }
+        self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+    }
+
+    /// The comparators against their thresholds: HRTIM's fault inputs.
+    fn compare(&mut self) {
+        use reg::comp::comp_c1csr::{EN, INMSEL, POL};
+        let dac = reg::dac1::dac_cr::ADDRESS;
+        let on = [reg::dac1::dac_cr::EN1, reg::dac1::dac_cr::EN2].map(|enable| enable.of(self.file.word(dac)) == 1);
+        let thresholds = [reg::dac1::dac_dhr12r1::ADDRESS, reg::dac1::dac_dhr12r2::ADDRESS];
+        for (comparator, input) in COMPARATOR_INPUTS {
+            let csr = self.file.word(reg::comp::BASE + 4 * comparator as u32);
+            // INMSEL 5 is DAC1_CH1 on COMP1 and DAC1_CH2 on COMP2 (RM0440, table 196).
+            let compares = EN.of(csr) == 1 && INMSEL.of(csr) == 5 && on[comparator];
+            let threshold = self.file.word(thresholds[comparator]) & 0xFFF;
+            let high = compares && self.pins.highest_code(comparator) > f64::from(threshold);
+            if high != (POL.of(csr) == 1) && compares {
+                self.hrtim.fault_input(input, &mut self.file, self.log.now);
+            }
+        }
+        self.drive_pins();
+    }
+
+    /// A system fault that SYSCFG_CFGR2 connects to HRTIM, by its bit there.
+    pub fn system_fault(&mut self, connected_by: Field) {
+        if self.file.is(connected_by) {
+            let now = self.log.now;
+            self.hrtim.system_fault(&mut self.file, now);
+            self.drive_pins();
+        }
+    }
+
+    /// The bridge's pins carry HRTIM's outputs only in alternate function 13 (DS12288, table 13).
+    fn drive_pins(&mut self) {
+        let moder = self.file.word(reg::gpioa::moder::ADDRESS);
+        let afrh = self.file.word(reg::gpioa::afrh::ADDRESS);
+        let wired = moder >> 16 & 0xF == 0b1010 && afrh & 0xFF == 0xDD;
+        let bridge = if wired { self.hrtim.bridge(&self.file) } else { Bridge::Open };
+        self.pins.drive(bridge, self.hrtim.f_sw_hz());
+    }
+
+    /// Reads `bytes` at an address of a peripheral.
+    pub fn read(&mut self, address: u32, bytes: usize) -> u32 {
+        if (PMA..PMA + PMA_BYTES).contains(&address) {
+            return self.usb.pma_read(address - PMA, bytes);
+        }
+        let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            // Its registers are checked there; the SVD lacks some.
+            self.check_usb_clock();
+            let word = self.usb.read(aligned - reg::usb_fs_device::BASE);
+            self.update_lines();
+            return word >> (8 * (address & 3));
+        }
+        if !self.file.check_access(aligned, None, &mut self.log) {
+            return 0;
+        }
+        let now = self.log.now;
+        let word = match aligned {
+            a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
+            a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
+            a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
+            a => match converter(a) {
+                Some(k) => self.adcs[k].read(a, &self.file, now),
+                None => self.file.word(a),
+            },
+        };
+        self.update_lines();
+        word >> (8 * (address & 3))
+    }
+
+    /// Writes `bytes` at an address of a peripheral.
+    pub fn write(&mut self, address: u32, bytes: usize, value: u32) {
+        if (PMA..PMA + PMA_BYTES).contains(&address) {
+            self.usb.pma_write(address - PMA, bytes, value);
+            return;
+        }
+        let aligned = address & !3;
+        if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
+            self.check_usb_clock();
+            self.usb.write(aligned - reg::usb_fs_device::BASE, value);
+            self.update_lines();
+            return;
+        }
+        let before = self.file.word(aligned);
+        let shift = 8 * (address & 3);
+        let mask = if bytes >= 4 { u32::MAX } else { ((1 << (8 * bytes)) - 1) << shift };
+        let value = (before & !mask) | (value << shift & mask);
+        if !self.file.check_access(aligned, Some(value), &mut self.log) {
+            return;
+        }
+        self.write_word(aligned, before, value);
+        self.update_lines();
+    }
+
+    fn check_usb_clock(&mut self) {
+        if !self.file.is(reg::rcc::rcc_apb1enr1::USBEN) {
+            self.log.broken("USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)");
+        }
+    }
+
+    fn write_word(&mut self, address: u32, before: u32, value: u32) {
+        let (file, log) = (&mut self.file, &mut self.log);
+        let hclk_hz = clocks::hclk_hz(file);
+        let stored = match address {
+            a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.write(a, value, file, log),
+            a if in_block(a, reg::dma1::BASE, 0x400) => self.dma.write(a, value, file, log),
+            a if in_block(a, reg::flash::BASE, 0x400) => self.flash.write(a, value, file, log),
+            a if in_block(a, reg::lpuart1::BASE, 0x400) => {
+                self.serial.write(a, value, hclk_hz, file, log);
+                value
+            }
+            a if in_block(a, reg::iwdg::BASE, 0x400) => {
+                if !self.watchdog.write(a, value, file, log) {
+                    return;
+                }
+                value
+            }
+            a => match converter(a) {
+                Some(k) => self.adcs[k].write(a, value, hclk_hz, file, log),
+                None => plain_write(a, before, value, file, log),
+            },
+        };
+        self.file.set_word(address, stored);
+        self.after_write(address, before);
+    }
+
+    fn after_write(&mut self, address: u32, before: u32) {
+        let (file, log) = (&mut self.file, &mut self.log);
+        match address {
+            a if in_block(a, reg::rcc::BASE, 0x400) => clocks::after_rcc_write(a, before, file, log),
+            a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
+            reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
+            _ => {}
+        }
+        self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
+        if in_block(address, reg::hrtim_master::BASE, 0x400) || in_block(address, reg::gpioa::BASE, 0x400) {
+            self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+            self.drive_pins();
+        }
+    }
+
+    /// Reads from the pages that the program may write; a double error pends NMI (RM0440, 3.3.2).
+    pub fn read_page(&mut self, offset: u32, bytes: usize) -> u32 {
+        let (word, damaged) = self.flash.read_page(offset, bytes, &mut self.file);
+        if damaged {
+            self.nvic.pend(NMI);
+            self.system_fault(reg::syscfg::cfgr2::ECCL);
+        }
+        word
+    }
+
+    /// Writes to those pages.
+    pub fn write_page(&mut self, offset: u32, bytes: usize, value: u32) {
+        self.flash.write_page(offset, value, bytes, &mut self.file, &mut self.log);
+    }
+
+    /// Reads a register of the processor at an offset from 0xE000_0000.
+    pub fn read_system(&mut self, offset: u32) -> u32 {
+        const CYCCNT: u32 = 0x1004;
+        match offset {
+            CYCCNT => (self.cycles - self.cycle_origin) as u32,
+            0xE000..0xF000 => {
+                let inside = offset - 0xE000;
+                self.nvic.read(inside).unwrap_or_else(|| self.system.get(&offset).copied().unwrap_or(0))
+            }
+            _ => self.system.get(&offset).copied().unwrap_or(0),
+        }
+    }
+
+    /// Writes one.
+    pub fn write_system(&mut self, offset: u32, bytes: usize, value: u32) {
+        const CYCCNT: u32 = 0x1004;
+        const AIRCR: u32 = 0xED0C;
+        match offset {
+            CYCCNT => self.cycle_origin = self.cycles - u64::from(value),
+            // VECTKEY and SYSRESETREQ.
+            AIRCR if value >> 16 == 0x05FA && value & 4 != 0 => self.reset = Some(Reset::Software),
+            0xE000..0xF000 if self.nvic.write(offset - 0xE000, bytes, value) => {}
+            _ => {
+                self.system.insert(offset, value);
+            }
+        }
+    }
+}
+
+fn in_block(address: u32, base: u32, bytes: u32) -> bool {
+    (base..base + bytes).contains(&address)
+}
+
+fn converter(address: u32) -> Option<usize> {
+    [reg::adc1::BASE, reg::adc2::BASE, reg::adc3::BASE].iter().position(|&base| in_block(address, base, 0x100))
+}
+
+/// Registers without a life of their own, but for locks and bits that are written to act.
+fn plain_write(address: u32, before: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+    match address {
+        // GPIOx_BSRR acts on ODR.
+        a if [reg::gpioa::bsrr::ADDRESS, reg::gpiob::bsrr::ADDRESS, reg::gpioc::bsrr::ADDRESS].contains(&a) => {
+            let odr = a - reg::gpioa::bsrr::ADDRESS + reg::gpioa::odr::ADDRESS;
+            file.set_word(odr, file.word(odr) & !(value >> 16) | value & 0xFFFF);
+            0
+        }
+        a if in_block(a, reg::comp::BASE, 8) => {
+            if reg::comp::comp_c1csr::LOCK.of(before) == 1 {
+                if value != before {
+                    log.broken("COMP CSR written after LOCK (RM0440 24.3.7)");
+                }
+                return before;
+            }
+            value
+        }
+        reg::exti::pr1::ADDRESS => before & !value,
+        // PVDL locks PVDE and PLS until reset (RM0440, 10.2.8).
+        reg::pwr::pwr_cr2::ADDRESS if file.is(reg::syscfg::cfgr2::PVDL) => {
+            if value != before {
+                log.broken("PWR_CR2 written after SYSCFG PVDL (RM0440 10.2.8)");
+            }
+            before
+        }
+        reg::syscfg::cfgr2::ADDRESS => {
+            if reg::syscfg::cfgr2::PVDL.of(value) == 1 && !file.is(reg::pwr::pwr_cr2::PVDE) {
+                log.broken("PVDL locks a supply detector that is off: PVDE (RM0440 10.2.8)");
+            }
+            if reg::syscfg::cfgr2::SPL.of(value) == 1 && file.is(reg::flash::flash_optr::SRAM_PE) {
+                log.broken("SPL without RAM parity: option bit SRAM_PE is 1, off (RM0440 3.4.1)");
+            }
+            // SPF is cleared by writing 1; the locks stay.
+            let flag = reg::syscfg::cfgr2::SPF.mask();
+            (before & !(value & flag)) | (value & !flag) | (before & 0xF)
+        }
+        _ => value,
+    }
+}

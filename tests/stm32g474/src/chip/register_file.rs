@@ -1,0 +1,107 @@
+//! All registers as plain words, with what holds for each of them: it exists, its peripheral is clocked, its reserved
+//! bits stay.
+
+use std::collections::HashMap;
+
+use crate::registers::{Field, REGISTERS, rcc};
+use crate::violation::Log;
+
+/// The words.
+#[derive(Clone, Debug)]
+pub struct RegisterFile {
+    index: HashMap<u32, usize>,
+    values: Vec<u32>,
+}
+
+/// The bit of RCC that clocks a peripheral (RM0440, 7.2.16 and the RCC_xxxENR registers); none for those that are always clocked.
+pub fn clock_of(peripheral: &str) -> Option<Field> {
+    Some(match peripheral {
+        "DMA1" => rcc::rcc_ahb1enr::DMA1EN,
+        "DMAMUX" => rcc::rcc_ahb1enr::DMAMUX1EN,
+        "FLASH" => rcc::rcc_ahb1enr::FLASHEN,
+        "GPIOA" => rcc::rcc_ahb2enr::GPIOAEN,
+        "GPIOB" => rcc::rcc_ahb2enr::GPIOBEN,
+        "GPIOC" => rcc::rcc_ahb2enr::GPIOCEN,
+        "ADC1" | "ADC2" | "ADC12_Common" => rcc::rcc_ahb2enr::ADC12EN,
+        "ADC3" | "ADC345_Common" => rcc::rcc_ahb2enr::ADC345EN,
+        "DAC1" => rcc::rcc_ahb2enr::DAC1EN,
+        "CRS" => rcc::rcc_apb1enr1::CRSEN,
+        "PWR" => rcc::rcc_apb1enr1::PWREN,
+        "USB_FS_device" => rcc::rcc_apb1enr1::USBEN,
+        "LPUART1" => rcc::rcc_apb1enr2::LPUART1EN,
+        "SYSCFG" | "COMP" => rcc::rcc_apb2enr::SYSCFGEN,
+        "HRTIM_Master" | "HRTIM_TIMA" | "HRTIM_TIMB" | "HRTIM_Common" => rcc::rcc_apb2enr::HRTIM1EN,
+        _ => return None,
+    })
+}
+
+impl Default for RegisterFile {
+    fn default() -> Self {
+        let index = REGISTERS.iter().enumerate().map(|(k, register)| (register.address, k));
+        Self {
+            index: index.collect(),
+            values: REGISTERS.iter().map(|register| register.reset).collect(),
+        }
+    }
+}
+
+impl RegisterFile {
+    /// A register's word; 0 where there is none.
+    pub fn word(&self, address: u32) -> u32 {
+        self.index.get(&address).map_or(0, |&k| self.values[k])
+    }
+
+    /// Sets a register's word.
+    pub fn set_word(&mut self, address: u32, value: u32) {
+        if let Some(&k) = self.index.get(&address) {
+            self.values[k] = value;
+        }
+    }
+
+    /// A field's value.
+    pub fn get(&self, field: Field) -> u32 {
+        field.of(self.word(field.address))
+    }
+
+    /// Whether a field is not 0.
+    pub fn is(&self, field: Field) -> bool {
+        self.get(field) != 0
+    }
+
+    /// Sets a field.
+    pub fn set(&mut self, field: Field, value: u32) {
+        self.set_word(field.address, field.put(self.word(field.address), value));
+    }
+
+    /// Every register of a peripheral takes its value after reset.
+    pub fn reset(&mut self, peripheral: &str) {
+        for (value, register) in self.values.iter_mut().zip(REGISTERS) {
+            if register.peripheral == peripheral {
+                *value = register.reset;
+            }
+        }
+    }
+
+    /// Whether an access is one that the chip takes; notes it where it is not.
+    pub fn check_access(&self, address: u32, written: Option<u32>, log: &mut Log) -> bool {
+        let Some(&k) = self.index.get(&address) else {
+            log.broken(format!("{address:#010x} is no register of what the image uses (SVD)"));
+            return false;
+        };
+        let register = &REGISTERS[k];
+        let name = register.name;
+        let of = register.peripheral;
+        if clock_of(of).is_some_and(|clock| !self.is(clock)) {
+            let kind = if written.is_some() { "written" } else { "read" };
+            log.broken(format!("{of} {name} {kind} while the peripheral's clock is off (RM0440 7.2.16)"));
+            return false;
+        }
+        if let Some(value) = written {
+            let reserved = !register.bits;
+            if (value ^ self.values[k]) & reserved != 0 && value & reserved != 0 {
+                log.broken(format!("{of} {name}: reserved bits written, {value:#010x} (RM0440 1.2)"));
+            }
+        }
+        true
+    }
+}

@@ -1,0 +1,139 @@
+//! LPUART1: bytes at the rate that BRR sets (RM0440, 38).
+
+use std::collections::VecDeque;
+
+use crate::registers::lpuart1;
+use crate::time::{TICKS_PER_S, Ticks};
+use crate::violation::Log;
+
+use super::register_file::RegisterFile;
+
+/// Interrupt number (RM0440, 14.3, vector table).
+pub const INTERRUPT: usize = 91;
+
+/// Bits on the line for a byte: start, 8, stop.
+const FRAME_BITS: u64 = 10;
+
+/// The port with both ends of its line.
+#[derive(Clone, Debug, Default)]
+pub struct Serial {
+    /// Bytes that the chip has sent.
+    pub sent: VecDeque<u8>,
+    /// Bytes on their way to the chip.
+    pub inbound: VecDeque<u8>,
+    shifting: Option<(u8, Ticks)>,
+    holding: Option<u8>,
+    received: Option<u8>,
+    next_receive: Ticks,
+    overrun: bool,
+    complete: bool,
+}
+
+impl Serial {
+    /// Duration of a byte.
+    fn byte_ticks(file: &RegisterFile, hclk_hz: u64) -> Ticks {
+        // BRR = 256 · clock / baud (RM0440, 38.4.7); PRESC is not used here.
+        let brr = u64::from(file.get(lpuart1::brr::BRR)).max(0x300);
+        FRAME_BITS * brr * TICKS_PER_S / (256 * hclk_hz.max(1))
+    }
+
+    fn is_on(file: &RegisterFile) -> bool {
+        file.is(lpuart1::cr1::UE)
+    }
+
+    /// When this has something to do next.
+    pub fn next(&self, file: &RegisterFile) -> Option<Ticks> {
+        let sending = self.shifting.map(|(_, until)| until);
+        let receiving = (Self::is_on(file) && file.is(lpuart1::cr1::RE) && !self.inbound.is_empty())
+            .then_some(self.next_receive);
+        sending.into_iter().chain(receiving).min()
+    }
+
+    /// Does what is due.
+    pub fn advance(&mut self, now: Ticks, hclk_hz: u64, file: &RegisterFile) {
+        if let Some((byte, until)) = self.shifting
+            && now >= until
+        {
+            self.sent.push_back(byte);
+            self.shifting = None;
+            self.complete = self.holding.is_none();
+            if let Some(next) = self.holding.take() {
+                self.shifting = Some((next, until + Self::byte_ticks(file, hclk_hz)));
+            }
+        }
+        let listening = Self::is_on(file) && file.is(lpuart1::cr1::RE);
+        if listening
+            && now >= self.next_receive
+            && let Some(byte) = self.inbound.pop_front()
+        {
+            // A byte that finds the register full is lost (ORE).
+            if self.received.is_some() {
+                self.overrun = true;
+            } else {
+                self.received = Some(byte);
+            }
+            self.next_receive = now + Self::byte_ticks(file, hclk_hz);
+        }
+    }
+
+    /// Level of the interrupt.
+    pub fn line(&self, file: &RegisterFile) -> bool {
+        use lpuart1::{cr1, cr3};
+        (file.is(cr1::TXEIE) && self.holding.is_none() && Self::is_on(file))
+            || (file.is(cr1::TCIE) && self.complete)
+            || (file.is(cr1::RXNEIE) && (self.received.is_some() || self.overrun))
+            || (file.is(cr3::EIE) && self.overrun)
+    }
+
+    /// Reads a register; reading RDR takes the byte.
+    pub fn read(&mut self, address: u32, file: &RegisterFile) -> u32 {
+        use lpuart1::isr;
+        match address {
+            isr::ADDRESS => {
+                let mut word = 0;
+                for (field, set) in [
+                    (isr::TXE, self.holding.is_none()),
+                    (isr::TC, self.shifting.is_none()),
+                    (isr::RXNE, self.received.is_some()),
+                    (isr::ORE, self.overrun),
+                    (isr::TEACK, file.is(lpuart1::cr1::TE)),
+                    (isr::REACK, file.is(lpuart1::cr1::RE)),
+                    (isr::BUSY, self.shifting.is_some()),
+                ] {
+                    word = field.put(word, u32::from(set));
+                }
+                word
+            }
+            lpuart1::rdr::ADDRESS => self.received.take().map_or(0, u32::from),
+            _ => file.word(address),
+        }
+    }
+
+    /// Takes a write.
+    pub fn write(&mut self, address: u32, value: u32, hclk_hz: u64, file: &RegisterFile, log: &mut Log) {
+        match address {
+            lpuart1::tdr::ADDRESS => {
+                if !Self::is_on(file) || !file.is(lpuart1::cr1::TE) {
+                    log.broken("LPUART1 TDR written while the transmitter is off (RM0440 38.4.5)");
+                } else if self.holding.is_some() {
+                    log.broken("LPUART1 TDR written while TXE is 0: a byte is lost (RM0440 38.4.5)");
+                }
+                let byte = value as u8;
+                if self.shifting.is_none() {
+                    self.shifting = Some((byte, log.now + Self::byte_ticks(file, hclk_hz)));
+                } else {
+                    self.holding = Some(byte);
+                }
+                self.complete = false;
+            }
+            lpuart1::icr::ADDRESS => {
+                self.overrun &= lpuart1::icr::ORECF.of(value) == 0;
+                self.complete &= lpuart1::icr::TCCF.of(value) == 0;
+            }
+            lpuart1::brr::ADDRESS if Self::is_on(file) => {
+                log.broken("LPUART1 BRR written while UE is 1 (RM0440 38.7.5)");
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! IWDG, with the oscillator of its own (RM0440, 44).
+
+use crate::registers::iwdg;
+use crate::time::{TICKS_PER_S, Ticks};
+use crate::violation::Log;
+
+use super::register_file::RegisterFile;
+
+/// Frequency of the LSI (DS12288: 31.04 to 32.96 kHz; the middle).
+const LSI_HZ: u64 = 32_000;
+
+/// The watchdog.
+#[derive(Clone, Debug, Default)]
+pub struct Watchdog {
+    /// When it bites, once it runs.
+    pub bites_at: Option<Ticks>,
+    fed_at: Option<Ticks>,
+    /// Longest time between two feeds.
+    pub longest_gap: Ticks,
+    unlocked: bool,
+}
+
+impl Watchdog {
+    fn period(file: &RegisterFile) -> Ticks {
+        let prescaler = 4u64 << file.get(iwdg::pr::PR).min(6);
+        (u64::from(file.get(iwdg::rlr::RL)) + 1) * prescaler * TICKS_PER_S / LSI_HZ
+    }
+
+    /// Takes a write; whether it is stored.
+    pub fn write(&mut self, address: u32, value: u32, file: &RegisterFile, log: &mut Log) -> bool {
+        match (address, value) {
+            (iwdg::kr::ADDRESS, 0xCCCC) => self.feed(file, log.now),
+            (iwdg::kr::ADDRESS, 0xAAAA) => {
+                self.unlocked = false;
+                if self.bites_at.is_some() {
+                    self.feed(file, log.now);
+                }
+            }
+            (iwdg::kr::ADDRESS, 0x5555) => self.unlocked = true,
+            (iwdg::kr::ADDRESS, _) => self.unlocked = false,
+            _ if !self.unlocked => {
+                log.broken("IWDG written without 0x5555 in KR (RM0440 44.3.6)");
+                return false;
+            }
+            _ => return true,
+        }
+        false
+    }
+
+    fn feed(&mut self, file: &RegisterFile, now: Ticks) {
+        if let Some(last) = self.fed_at {
+            self.longest_gap = self.longest_gap.max(now - last);
+        }
+        self.fed_at = Some(now);
+        self.bites_at = Some(now + Self::period(file));
+    }
+}

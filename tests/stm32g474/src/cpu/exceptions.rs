@@ -1,0 +1,171 @@
+//! Entry and return of exceptions, as the processor does them (Armv7-M Architecture Reference Manual, B1.5.6-B1.5.8).
+
+use unicorn_engine::{RegisterARM, Unicorn, uc_error};
+
+use super::State;
+use super::nvic::HARD_FAULT;
+
+/// Cycles from the request to the handler's first instruction, and from its end to the thread's next one (Cortex-M4
+/// TRM, 3.9: 12 each without wait states; tail-chained 6).
+const ENTRY_CYCLES: u64 = 12;
+const RETURN_CYCLES: u64 = 12;
+const TAIL_CYCLES: u64 = 6;
+
+/// EXC_RETURN: to a handler or the thread on the main stack, with or without floating-point registers.
+const RETURN_MIN: u32 = 0xFFFF_FFE0;
+const TO_THREAD: u32 = 0xFFFF_FFF9;
+const TO_HANDLER: u32 = 0xFFFF_FFF1;
+const NO_FLOATS: u32 = 1 << 4;
+
+/// CONTROL.FPCA: floating-point registers are in use.
+const FPCA: u64 = 1 << 2;
+
+/// Registers of a frame in its order, without xPSR.
+const FRAME: [RegisterARM; 7] = [
+    RegisterARM::R0,
+    RegisterARM::R1,
+    RegisterARM::R2,
+    RegisterARM::R3,
+    RegisterARM::R12,
+    RegisterARM::LR,
+    RegisterARM::PC,
+];
+
+type Cpu = Unicorn<'static, State>;
+
+fn register(cpu: &Cpu, which: RegisterARM) -> u32 {
+    cpu.reg_read(which).unwrap_or(0) as u32
+}
+
+fn word(cpu: &Cpu, address: u32) -> Result<u32, uc_error> {
+    let mut bytes = [0; 4];
+    cpu.mem_read(u64::from(address), &mut bytes)?;
+    Ok(u32::from_le_bytes(bytes))
+}
+
+/// Whether a program counter is one of EXC_RETURN's.
+pub fn is_return(pc: u32) -> bool {
+    pc >= RETURN_MIN
+}
+
+/// The exception to be taken now.
+pub fn next(cpu: &mut Cpu) -> Option<usize> {
+    if !cpu.get_data().chip.nvic.any_pending() {
+        return None;
+    }
+    let primask = register(cpu, RegisterARM::PRIMASK) & 1 == 1;
+    let basepri = register(cpu, RegisterARM::BASEPRI) as u8;
+    cpu.get_data_mut().chip.nvic.next(primask, basepri)
+}
+
+/// Why the processor stands still for good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LockUp;
+
+/// Takes an exception: pushes the frame and goes to the handler.
+///
+/// # Errors
+/// [`LockUp`] where the vector cannot be read.
+pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
+    let floats = register(cpu, RegisterARM::CONTROL) & FPCA as u32 != 0;
+    let bytes = if floats { 26 * 4 } else { 8 * 4 };
+    let sp = register(cpu, RegisterARM::SP);
+    let aligned = sp & 4 != 0;
+    let frame = (sp - if aligned { 4 } else { 0 }).wrapping_sub(bytes);
+    let was_handler = cpu.get_data().chip.nvic.is_handler();
+    let mut words = FRAME.map(|which| register(cpu, which)).to_vec();
+    words[6] = pc & !1;
+    let flags = register(cpu, RegisterARM::XPSR);
+    words.push(flags | 1 << 24 | u32::from(aligned) << 9);
+    if floats {
+        words.extend((0..16).map(|k| register_s(cpu, k)));
+        words.push(register(cpu, RegisterARM::FPSCR));
+        words.push(0);
+    }
+    for (k, value) in words.iter().enumerate() {
+        // "the fault handler executes even though the stack push for the handler failed"
+        let _ = cpu.mem_write(u64::from(frame) + 4 * k as u64, &value.to_le_bytes());
+    }
+    let vectors = cpu.get_data().chip.system.get(&0xED08).copied().unwrap_or(0);
+    let vectors = if vectors == 0 { 0x0800_0000 } else { vectors };
+    let handler = word(cpu, vectors + 4 * exception as u32).map_err(|_| LockUp)?;
+    let back = if was_handler { TO_HANDLER } else { TO_THREAD };
+    let back = if floats { back & !NO_FLOATS } else { back };
+    set(cpu, RegisterARM::SP, frame);
+    set(cpu, RegisterARM::LR, back);
+    set(cpu, RegisterARM::PC, handler);
+    let control = register(cpu, RegisterARM::CONTROL);
+    set(cpu, RegisterARM::CONTROL, control & !(FPCA as u32));
+    let state = cpu.get_data_mut();
+    state.chip.nvic.enter(exception);
+    state.event = true;
+    state.timing.in_handler = super::Cost::default();
+    state.pass(ENTRY_CYCLES);
+    Ok(())
+}
+
+fn register_s(cpu: &Cpu, k: i32) -> u32 {
+    cpu.reg_read(i32::from(RegisterARM::S0) + k).unwrap_or(0) as u32
+}
+
+fn set(cpu: &mut Cpu, which: RegisterARM, value: u32) {
+    // A register of the processor always takes a value.
+    let _ = cpu.reg_write(which, u64::from(value));
+}
+
+/// Returns from an exception to where its frame says; the new program counter.
+///
+/// # Errors
+/// [`LockUp`] where the frame cannot be read.
+pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
+    let state = cpu.get_data_mut();
+    state.chip.nvic.leave();
+    state.event = true;
+    // Another exception waits: the frame stays, and is only counted as tail-chained.
+    let sp = register(cpu, RegisterARM::SP);
+    let floats = exc_return & NO_FLOATS == 0;
+    let read = |k: u32| word(cpu, sp + 4 * k).map_err(|_| LockUp);
+    let mut frame = [0; 8];
+    for (k, slot) in frame.iter_mut().enumerate() {
+        *slot = read(k as u32)?;
+    }
+    let mut singles = [0; 17];
+    if floats {
+        for (k, slot) in singles.iter_mut().enumerate() {
+            *slot = read(8 + k as u32)?;
+        }
+    }
+    for (&which, value) in FRAME.iter().zip(frame) {
+        set(cpu, which, value);
+    }
+    let xpsr = frame[7];
+    set(cpu, RegisterARM::XPSR_NZCVQG, xpsr);
+    let control = register(cpu, RegisterARM::CONTROL) & !(FPCA as u32);
+    if floats {
+        for (k, value) in singles[..16].iter().enumerate() {
+            let _ = cpu.reg_write(i32::from(RegisterARM::S0) + k as i32, u64::from(*value));
+        }
+        set(cpu, RegisterARM::FPSCR, singles[16]);
+        set(cpu, RegisterARM::CONTROL, control | FPCA as u32);
+    } else {
+        set(cpu, RegisterARM::CONTROL, control);
+    }
+    let popped = if floats { 26 * 4 } else { 8 * 4 };
+    let sp = sp + popped + if xpsr & 1 << 9 != 0 { 4 } else { 0 };
+    set(cpu, RegisterARM::SP, sp);
+    let waiting = next(cpu).is_some();
+    cpu.get_data_mut().pass(if waiting { TAIL_CYCLES } else { RETURN_CYCLES });
+    Ok(frame[6])
+}
+
+/// A fault of the processor: HardFault, or lock-up where it is running at that priority already.
+///
+/// # Errors
+/// [`LockUp`].
+pub fn fault(cpu: &mut Cpu, pc: u32) -> Result<(), LockUp> {
+    if cpu.get_data().chip.nvic.running_priority() < 0 {
+        return Err(LockUp);
+    }
+    cpu.get_data_mut().chip.nvic.pend(HARD_FAULT);
+    enter(cpu, HARD_FAULT, pc)
+}

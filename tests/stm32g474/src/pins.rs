@@ -1,0 +1,118 @@
+//! What is wired to the chip's pins: the project's own power stage with a load, and the other end of the USB cable.
+
+use std::collections::VecDeque;
+
+use ihd_firmware::drive;
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair};
+use ihd_sim::plant::Plant;
+
+use crate::chip::hrtim::Bridge;
+use crate::usb::host::HostController;
+
+/// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
+const BUS_RANGE_V: f64 = 500.0;
+
+/// Volt of the mains over half the range (docs/board.md: PB0).
+const MAINS_HALF_RANGE_V: f64 = 400.0;
+
+const CODES: f64 = 4096.0;
+const MIDDLE: f64 = CODE_HALF_RANGE as f64;
+
+/// What the converters find at a trigger.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sample {
+    pair: Pair,
+    bus_v: f64,
+    mains_v: f64,
+}
+
+impl Sample {
+    /// The 12-bit code of a channel of an ADC (docs/board.md, "Wiring").
+    pub fn code(&self, adc: u32, channel: u32) -> u32 {
+        let from_middle = |signed: i16| (i32::from(signed) + i32::from(CODE_HALF_RANGE)) as u32;
+        let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u32;
+        match (adc, channel) {
+            (1, 1) => from_middle(self.pair.v),
+            (2, 2) => from_middle(self.pair.i),
+            (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES),
+            (3, 12) => code(MIDDLE + self.mains_v / MAINS_HALF_RANGE_V * MIDDLE),
+            // A pin that nothing is wired to.
+            _ => 0,
+        }
+    }
+}
+
+/// The world outside the chip.
+pub struct Pins {
+    /// The power stage.
+    pub plant: Plant,
+    /// What is at the other end of the USB cable.
+    pub usb: HostController,
+    bridge: Bridge,
+    i_low_a: f64,
+    i_high_a: f64,
+    /// Added to what the current sensor shows, in ampere: a test's surge.
+    pub surge_a: f64,
+    /// Pairs that the converters find in place of the power stage's, while there are any.
+    pub fed: VecDeque<Pair>,
+    /// What the converters found, if somebody wants it.
+    pub taken: Option<Vec<Pair>>,
+}
+
+impl Pins {
+    /// A power stage on the pins, and one end of a USB cable.
+    pub fn new(plant: Plant, usb: HostController) -> Self {
+        Self {
+            plant,
+            usb,
+            bridge: Bridge::Open,
+            i_low_a: 0.0,
+            i_high_a: 0.0,
+            surge_a: 0.0,
+            fed: VecDeque::new(),
+            taken: None,
+        }
+    }
+
+    /// What the bridge does from now on.
+    pub fn drive(&mut self, bridge: Bridge, f_sw_hz: f64) {
+        self.bridge = bridge;
+        let state = match bridge {
+            Bridge::Open => drive::Bridge::Open,
+            Bridge::LowerClosed => drive::Bridge::LowerOn,
+            Bridge::Switching { .. } => drive::Bridge::Switching,
+        };
+        self.plant.set_drive(drive::Drive { f_sw_hz: f_sw_hz.round() as u32, bridge: state });
+    }
+
+    /// What the bridge does.
+    pub fn bridge(&self) -> Bridge {
+        self.bridge
+    }
+
+    /// Lets the power stage go on for one sampling period, and takes what stands at its beginning.
+    pub fn sample(&mut self) -> Sample {
+        let t_s = self.plant.t_s();
+        let (bus_v, mains_v) = (self.plant.mains().bus_v(t_s), self.plant.mains().mains_v(t_s));
+        (self.i_low_a, self.i_high_a) = (f64::INFINITY, f64::NEG_INFINITY);
+        let (low, high) = (&mut self.i_low_a, &mut self.i_high_a);
+        let pair = self.plant.sample(|i_a| {
+            *low = low.min(i_a);
+            *high = high.max(i_a);
+        });
+        let pair = self.fed.pop_front().unwrap_or(pair);
+        if let Some(taken) = &mut self.taken {
+            taken.push(pair);
+        }
+        Sample { pair, bus_v, mains_v }
+    }
+
+    /// Highest code at a comparator's pin over the last sampling period: 0 is PA1, 1 is PA7, which is inverted.
+    pub fn highest_code(&self, comparator: usize) -> f64 {
+        let i_a = match comparator {
+            0 => self.i_high_a + self.surge_a,
+            _ => -(self.i_low_a + self.surge_a),
+        };
+        MIDDLE + i_a / AMPERE_PER_CODE
+    }
+}
