@@ -8,7 +8,11 @@ fn main() {
     b.run_s(0.02);
     let mut s = b.serial();
     let mut s2 = b.serial(); let t = std::thread::spawn(move || { let r = ihd_link::Client::connect(Box::new(s2)); println!("client {:?}", r.map(|c| c.hello().clone())); }); t.join().unwrap(); let _ = &mut s;
-    for _ in 0..4 {
+    let mut histogram = std::collections::BTreeMap::new();
+    for _ in 0..3 { let pc = b.with(|m| { m.run_for(3001).unwrap(); (m.pc(), m.chip().nvic.is_handler()) }); *histogram.entry(pc).or_insert(0) += 1; }
+    let mut h: Vec<_> = histogram.into_iter().collect(); h.sort_by_key(|x| -x.1); for ((pc, handler), n) in h.iter().take(25) { println!("{pc:x} {handler} {n}"); }
+    b.with(|m| for v in m.violations() { println!("{v}"); });
+    for _ in 0..1 {
     b.run_s(0.002);
     b.with(|m| {
         let c = m.chip();
