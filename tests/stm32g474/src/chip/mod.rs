@@ -180,6 +180,7 @@ impl Chip {
     pub fn next_event(&self) -> Ticks {
         [
             self.next_trigger,
+            self.hrtim.next_repetition(&self.file),
             self.conversions.iter().map(|conversion| conversion.at).min(),
             self.serial.next(&self.file),
             self.flash.next(),
@@ -221,6 +222,10 @@ impl Chip {
             let done = self.conversions.swap_remove(k);
             let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
             self.transfers.extend(moved);
+        }
+        if self.hrtim.next_repetition(&self.file).is_some_and(|at| now >= at) {
+            self.hrtim.repeat(&self.file, now);
+            self.drive_pins();
         }
         if self.next_trigger.is_some_and(|at| now >= at) {
             self.trigger();
@@ -405,6 +410,7 @@ impl Chip {
         }
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
         if in_block(address, reg::hrtim_master::BASE, 0x400) || in_block(address, reg::gpioa::BASE, 0x400) {
+            self.hrtim.after_write(address, &self.file);
             self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
             self.drive_pins();
         }

@@ -15,21 +15,39 @@ pub const INTERRUPT: usize = 91;
 const FRAME_BITS: u64 = 10;
 
 /// The port with both ends of its line.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Serial {
     /// Bytes that the chip has sent.
     pub sent: VecDeque<u8>,
     /// Bytes on their way to the chip.
     pub inbound: VecDeque<u8>,
     shifting: Option<(u8, Ticks)>,
-    holding: Option<u8>,
-    received: Option<u8>,
+    holding: VecDeque<u8>,
+    received: VecDeque<u8>,
     next_receive: Ticks,
     overrun: bool,
     complete: bool,
     /// When the line will have been idle for a byte's time, and whether that was flagged.
     idle_at: Option<Ticks>,
     idle: bool,
+}
+
+impl Default for Serial {
+    fn default() -> Self {
+        Self {
+            sent: VecDeque::new(),
+            inbound: VecDeque::new(),
+            shifting: None,
+            holding: VecDeque::new(),
+            received: VecDeque::new(),
+            next_receive: 0,
+            overrun: false,
+            // ISR after reset: nothing is left to be sent.
+            complete: true,
+            idle_at: None,
+            idle: false,
+        }
+    }
 }
 
 impl Serial {
@@ -44,6 +62,11 @@ impl Serial {
 
     fn is_on(file: &RegisterFile) -> bool {
         file.is(lpuart1::cr1::UE)
+    }
+
+    /// Bytes that each direction holds: the data register alone, or the FIFO (RM0440, 38.4.3: 8 bytes).
+    fn depth(file: &RegisterFile) -> usize {
+        if file.is(lpuart1::cr1::FIFOEN) { 8 } else { 1 }
     }
 
     /// When this has something to do next.
@@ -61,8 +84,8 @@ impl Serial {
         {
             self.sent.push_back(byte);
             self.shifting = None;
-            self.complete = self.holding.is_none();
-            if let Some(next) = self.holding.take() {
+            self.complete = self.holding.is_empty();
+            if let Some(next) = self.holding.pop_front() {
                 self.shifting = Some((next, until + Self::byte_ticks(file, hclk_hz)));
             }
         }
@@ -71,11 +94,11 @@ impl Serial {
             && now >= self.next_receive
             && let Some(byte) = self.inbound.pop_front()
         {
-            // A byte that finds the register full is lost (ORE).
-            if self.received.is_some() {
+            // A byte that finds no room is lost (ORE).
+            if self.received.len() >= Self::depth(file) {
                 self.overrun = true;
             } else {
-                self.received = Some(byte);
+                self.received.push_back(byte);
             }
             self.next_receive = now + Self::byte_ticks(file, hclk_hz);
             self.idle_at = Some(self.next_receive);
@@ -88,9 +111,9 @@ impl Serial {
     /// Level of the interrupt.
     pub fn line(&self, file: &RegisterFile) -> bool {
         use lpuart1::{cr1, cr3};
-        (file.is(cr1::TXEIE) && self.holding.is_none() && Self::is_on(file))
+        (file.is(cr1::TXEIE) && self.holding.len() < Self::depth(file) && Self::is_on(file))
             || (file.is(cr1::TCIE) && self.complete)
-            || (file.is(cr1::RXNEIE) && (self.received.is_some() || self.overrun))
+            || (file.is(cr1::RXNEIE) && (!self.received.is_empty() || self.overrun))
             || (file.is(cr1::IDLEIE) && self.idle)
             || (file.is(cr3::EIE) && self.overrun)
     }
@@ -102,9 +125,9 @@ impl Serial {
             isr::ADDRESS => {
                 let mut word = 0;
                 for (field, set) in [
-                    (isr::TXE, self.holding.is_none()),
-                    (isr::TC, self.shifting.is_none()),
-                    (isr::RXNE, self.received.is_some()),
+                    (isr::TXE, self.holding.len() < Self::depth(file)),
+                    (isr::TC, self.shifting.is_none() && self.complete),
+                    (isr::RXNE, !self.received.is_empty()),
                     (isr::ORE, self.overrun),
                     (isr::IDLE, self.idle),
                     (isr::TEACK, file.is(lpuart1::cr1::TE)),
@@ -115,7 +138,7 @@ impl Serial {
                 }
                 word
             }
-            lpuart1::rdr::ADDRESS => self.received.take().map_or(0, u32::from),
+            lpuart1::rdr::ADDRESS => self.received.pop_front().map_or(0, u32::from),
             _ => file.word(address),
         }
     }
@@ -126,14 +149,14 @@ impl Serial {
             lpuart1::tdr::ADDRESS => {
                 if !Self::is_on(file) || !file.is(lpuart1::cr1::TE) {
                     log.broken("LPUART1 TDR written while the transmitter is off (RM0440 38.4.5)");
-                } else if self.holding.is_some() {
+                } else if self.holding.len() >= Self::depth(file) {
                     log.broken("LPUART1 TDR written while TXE is 0: a byte is lost (RM0440 38.4.5)");
                 }
                 let byte = value as u8;
                 if self.shifting.is_none() {
                     self.shifting = Some((byte, log.now + Self::byte_ticks(file, hclk_hz)));
                 } else {
-                    self.holding = Some(byte);
+                    self.holding.push_back(byte);
                 }
                 self.complete = false;
             }

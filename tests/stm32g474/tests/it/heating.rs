@@ -23,7 +23,10 @@ fn it_heats_a_pot_with_the_power_asked_for() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.set_power(1_200).unwrap();
-    bench.run_s(0.4);
+    for _ in 0..16 { bench.run_s(0.025);
+    let status = client.status().unwrap();
+    let f = bench.with(|m| { let f = m.chip().hrtim.f_sw_hz(); (f, m.chip().pins.bridge()) });
+    println!("{f:?} {status:?}"); }
     let status = client.status().unwrap();
     println!("{status:?}");
     println!("{:?}", bench.with(|m| m.resets.clone()));
