@@ -16,8 +16,8 @@ use super::mps2_an386::outputs_off;
 #[cfg(feature = "stm32g474")]
 use super::stm32g474::{outputs_off, system_fault};
 
-/// Not cleared at start: link.x places `.uninit` outside what start-up code writes.
-#[unsafe(link_section = ".uninit.CRASH_RECORD")]
+/// Not cleared at start: memory.x places it outside what start-up code writes.
+#[unsafe(link_section = ".crash_record")]
 static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
 
 /// What the last run left; counts this start.

@@ -32,6 +32,13 @@ impl Circuit {
         self.v_c_v += by_c * (self.i_a + i);
         self.i_a = i;
     }
+
+    /// A step in which the current ends.
+    pub fn end_current(&mut self, dt_s: f64) {
+        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
+        self.v_c_v += dt_s / (2.0 * c_f) * self.i_a;
+        self.i_a = 0.0;
+    }
 }
 
 #[cfg(test)]

@@ -155,8 +155,8 @@ impl Plant {
         self.drive = drive;
     }
 
-    /// Simulates one block; `seen` gets the load at every ADC sample. With the bridge off the tank
-    /// is shorted by the low-side switch and rings out.
+    /// Simulates one block; `seen` gets the load at every ADC sample. With the bridge open
+    /// the current freewheels into the bus or ground until it is gone, and the coil floats.
     ///
     /// A law is known at the sample itself; of the field model `seen` gets what the last whole
     /// switching period showed.
@@ -228,7 +228,7 @@ impl Plant {
     fn step(&mut self) -> f64 {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
-            let now = self.inverter.advance(self.drive.is_switching());
+            let now = self.inverter.advance(self.drive.bridge);
             self.adc.advance(now.coil_v, now.i_a, dt_s);
             return now.i_a;
         }
@@ -237,7 +237,7 @@ impl Plant {
             let start = self.inverter.instant();
             self.analyser.push(0, start.coil_v, start.i_a);
         }
-        let now = self.inverter.advance(self.drive.is_switching());
+        let now = self.inverter.advance(self.drive.bridge);
         self.adc.advance(now.coil_v, now.i_a, dt_s);
         self.analyser.push(n + 1, now.coil_v, now.i_a);
         if n + 1 == STEPS_PER_PERIOD {

@@ -13,23 +13,25 @@
 //! Coil voltage is ADC1 and current ADC2, so that the common data register holds them in the order
 //! of a [`ihd_shared::sampling::Pair`], and the DMA writes pairs.
 //!
-//! This module is compiled and its image linked and measured; it has not run on hardware yet.
+//! It has run on an emulated STM32G474 (tests/stm32g474), not on hardware yet.
 
 mod adc;
 mod nonvolatile;
 mod registers;
 mod serial;
 mod start;
+mod start_up;
 mod usb;
 
 use ihd_shared::fault::Fault;
 
 /// Both switches off, at once, whatever else goes on.
+#[inline(always)]
 pub fn outputs_off() {
-    registers::bridge_off();
+    registers::bridge::open();
 }
 
 /// Which of the chip's system faults has left a flag.
 pub fn system_fault() -> Option<Fault> {
-    registers::system_fault()
+    registers::faults::system_fault()
 }

@@ -34,7 +34,7 @@ impl HalfBridge {
     }
 
     /// Moves from `from_s` to `to_s` after the start of a period of `period_s` with coil current
-    /// `i_a`; returns the mean level on the way. Off means: lower switch on.
+    /// `i_a`; returns the mean level on the way. Not `on` means: lower switch on.
     pub fn advance(&mut self, on: bool, period_s: f64, from_s: f64, to_s: f64, i_a: f64) -> f64 {
         let half_s = 0.5 * period_s;
         if on && self.level == 1.0 && from_s >= self.dead_s && to_s <= half_s {
@@ -69,6 +69,17 @@ impl HalfBridge {
             at_s = end_s;
         }
         sum / (to_s - from_s)
+    }
+
+    /// Moves for a duration with both switches open, to the side whose diode conducts; returns the
+    /// mean level on the way.
+    pub(super) fn freewheel(&mut self, upper: bool, duration_s: f64) -> f64 {
+        self.ramp(f64::from(u8::from(upper)), duration_s) / duration_s
+    }
+
+    /// Takes the level where the node stands with both switches open and without current.
+    pub(super) fn float_at(&mut self, level: f64) {
+        self.level = level.clamp(0.0, 1.0);
     }
 
     /// Moves towards `target` for a duration; returns the integral of the level.
@@ -153,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn off_is_low() {
+    fn the_lower_switch_pulls_the_node_down() {
         let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
         bridge.advance(true, T, 2e-6, 3e-6, 0.0);
         assert_eq!(bridge.level(), 1.0);

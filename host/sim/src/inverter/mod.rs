@@ -4,14 +4,16 @@
 pub mod bridge;
 pub mod bus;
 pub mod envelope;
+mod freewheel;
 pub mod harmonic_analyser;
 pub mod load;
 
+use ihd_firmware::drive::Bridge;
 use thiserror::Error;
 
 use self::bridge::HalfBridge;
 use self::bus::Bus;
-use self::load::LoadState;
+use self::load::{FluxStep, LoadState};
 use super::circuit::Circuit;
 use super::field::FieldError;
 
@@ -83,6 +85,8 @@ pub struct Inverter {
     steps: usize,
     step: usize,
     period_start_s: f64,
+    /// Voltage of the node while both switches are open and no current flows, in volt.
+    floating_v: Option<f64>,
 }
 
 impl Inverter {
@@ -105,6 +109,7 @@ impl Inverter {
             steps,
             step: 0,
             period_start_s: t_s,
+            floating_v: None,
         }
     }
 
@@ -144,7 +149,8 @@ impl Inverter {
 
     /// The quantities now.
     pub fn instant(&self) -> Instant {
-        let bridge_v = self.bus.v() * self.bridge.level();
+        let driven_v = self.bus.v() * self.bridge.level();
+        let bridge_v = self.floating_v.unwrap_or(driven_v);
         Instant {
             t_s: self.now_s(),
             bus_v: self.bus.v(),
@@ -154,8 +160,19 @@ impl Inverter {
         }
     }
 
-    /// One step, with the bridge on or off (lower switch on).
-    pub fn advance(&mut self, on: bool) -> Instant {
+    /// One step.
+    pub fn advance(&mut self, bridge: Bridge) -> Instant {
+        match bridge {
+            Bridge::Open => self.freewheel(),
+            Bridge::LowerOn => self.drive(false),
+            Bridge::Switching => self.drive(true),
+        }
+        self.instant()
+    }
+
+    /// One step with the bridge switching, or with its lower switch on.
+    fn drive(&mut self, on: bool) {
+        self.floating_v = None;
         let dt_s = self.dt_s();
         let (from_s, i_a) = (self.step as f64 * dt_s, self.circuit.i_a);
         let flux = self.load.predict(i_a);
@@ -170,14 +187,18 @@ impl Inverter {
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         self.circuit
             .step_flux(mean_v, flux.r_ohm, flux.change0_wb, flux.l_h, dt_s);
+        self.finish(&flux);
+    }
+
+    /// Hands the new current to the load, and counts the step.
+    fn finish(&mut self, flux: &FluxStep) {
         self.step += 1;
         self.load
-            .commit(&flux, self.step % self.steps, self.circuit.i_a);
+            .commit(flux, self.step % self.steps, self.circuit.i_a);
         if self.step == self.steps {
-            self.period_start_s += self.steps as f64 * dt_s;
+            self.period_start_s += self.steps as f64 * self.dt_s;
             self.step = 0;
         }
-        self.instant()
     }
 }
 
@@ -209,7 +230,7 @@ mod tests {
             analyser.push(0, start.coil_v, start.i_a);
             let mut last = start;
             for n in 1..=steps {
-                last = inverter.advance(true);
+                last = inverter.advance(Bridge::Switching);
                 analyser.push(n, last.coil_v, last.i_a);
             }
             truth = Some(analyser.truth(last.t_s, f, last.i_a));

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use ihd_firmware::drive::Bridge;
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Capture, FrequencyStep, Segment, TimeBase};
 
@@ -117,15 +118,15 @@ pub fn record(
     let mut sampler = Sampler::new(&settings.sensing, inverter.instant());
     let mut truth = Vec::new();
     let mut before: Option<PeriodSums> = None;
-    let mut on = true;
+    let mut bridge = Bridge::Switching;
     let mut events = settings.events.iter().peekable();
     let end_s = settings.start_s + settings.duration_s;
     while inverter.now_s() < end_s {
         let elapsed_s = inverter.now_s() - settings.start_s;
         while let Some(event) = events.next_if(|e| e.t_s <= elapsed_s) {
             match event.change {
-                Change::On => on = true,
-                Change::Off => on = false,
+                Change::On => bridge = Bridge::Switching,
+                Change::Off => bridge = Bridge::Open,
                 Change::Frequency(f) => change_frequency(&mut inverter, &prepared, f, settings)?,
                 Change::Pot(pot) => {
                     prepared = PreparedLoad::new(settings.load, &pot, settings.winding_r_ohm)?;
@@ -138,7 +139,7 @@ pub fn record(
         }
         truth.push(record_period(
             &mut inverter,
-            on,
+            bridge,
             &mut analyser,
             &mut before,
             &mut sampler,
@@ -175,7 +176,7 @@ pub fn record(
 /// its middle where there is none to go with it.
 fn record_period(
     inverter: &mut Inverter,
-    on: bool,
+    bridge: Bridge,
     analyser: &mut HarmonicAnalyser,
     before: &mut Option<PeriodSums>,
     sampler: &mut Sampler,
@@ -186,7 +187,7 @@ fn record_period(
     let from_s = last.t_s - start_s;
     analyser.push(0, last.coil_v, last.i_a);
     for n in 1..=inverter.steps() {
-        last = inverter.advance(on);
+        last = inverter.advance(bridge);
         analyser.push(n, last.coil_v, last.i_a);
         sampler.push(last, f_sw_hz);
     }

@@ -29,7 +29,7 @@ pub enum Change {
     Frequency(f64),
     /// Another pot, or none.
     Pot(Pot),
-    /// Bridge off: lower switch on.
+    /// Bridge off: both switches open.
     Off,
     /// Bridge on.
     On,
