@@ -19,7 +19,8 @@ fn scratch() {
     let began = Instant::now();
     let mut guest = Guest::boot().unwrap();
     println!("booted {:?}", began.elapsed());
-    let board = Board::stand_in("0123456789AB");
+    let image = std::path::PathBuf::from(std::env::var_os("IHD_STM32G474_IMAGE").unwrap());
+    let board = Board::emulated(&image, 0x12).unwrap();
     let server = Server::start([board.cable.clone()]).unwrap();
     let port = server.address().port();
     let mut run = |line: &str| {
@@ -35,7 +36,8 @@ fn scratch() {
     run("ihd --version");
     run(&format!("vhci-attach 10.0.2.2:{port} 1-1 0"));
     run("sleep 2; dmesg | tail -12; ls -R /dev/bus/usb; cat /sys/bus/usb/devices/1-1/serial");
-    run("ihd record --device usb --out a.mcap --duration 3 --power 1000");
+    run("usb-descriptors 123456789ABCDEF011223344; ihd trainer --device usb:1");
+    run("ihd record --device usb --out a.mcap --duration 20 --power 1000");
     run("time ihd trainer --device usb --power 1000 --no-store");
     run("free; cat /proc/uptime");
 }
