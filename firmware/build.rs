@@ -3,12 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-/// The STM32's flash without the two pages of the last good lookup.
-const STM32G474: &str = "FLASH : ORIGIN = 0x08000000, LENGTH = 508K\n";
+/// The STM32's flash without the two pages of the last good lookup, and its CCM SRAM.
+const STM32G474: &str = "FLASH : ORIGIN = 0x08000000, LENGTH = 508K\n\
+                         CCM : ORIGIN = 0x10000000, LENGTH = 32K\n";
 const MPS2_AN386: &str = "FLASH : ORIGIN = 0x00000000, LENGTH = 508K\n";
+/// What goes into the CCM SRAM.
+const IN_CCM: &str = include_str!("ccm.x");
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=ccm.x");
     println!("cargo:rerun-if-changed=../memory.x");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
         return;
@@ -19,10 +23,12 @@ fn main() {
     println!("cargo:rustc-link-search={}", out.display());
     if env::var_os("CARGO_FEATURE_STM32G474").is_some() {
         write(&out.join("flash.x"), STM32G474);
+        write(&out.join("ccm.x"), IN_CCM);
         // Not in .cargo/config.toml: only an image that logs has this script on its path.
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     } else {
         write(&out.join("flash.x"), MPS2_AN386);
+        write(&out.join("ccm.x"), "");
         // Where a vendor's crate would name its interrupt handlers; this board names its own.
         write(&out.join("device.x"), "");
     }

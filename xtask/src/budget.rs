@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, bail};
@@ -12,13 +13,23 @@ use crate::call_graph::CallGraph;
 use crate::workspace::Workspace;
 
 /// Sections that are in flash, and those that are in RAM; what is in both is copied at start.
-const FLASH: [&str; 4] = [".vector_table", ".text", ".rodata", ".data"];
-const RAM: [&str; 3] = [".data", ".bss", ".uninit"];
+const FLASH: [&str; 6] = [
+    ".vector_table",
+    ".text",
+    ".rodata",
+    ".ccm",
+    ".data",
+    ".tables",
+];
+const RAM: [&str; 5] = [".data", ".tables", ".bss", ".uninit", ".crash_record"];
+/// Sections in the CCM SRAM.
+const CCM: [&str; 2] = [".ccm_vectors", ".ccm"];
 
 /// The interrupt of the sampling path, and the task it runs. The executor calls the task through a
 /// pointer, so the way is followed from both.
 const INTERRUPT: &str = "DMA1_CHANNEL1";
 const TASK: &str = "SamplingTask";
+const WAKE: &str = "embassy_executor::raw::waker::wake";
 
 /// What a panic looks like in a symbol.
 const PANIC: [&str; 4] = ["panicking", "rust_begin_unwind", "_fail", "panic_"];
@@ -26,7 +37,7 @@ const PANIC: [&str; 4] = ["panicking", "rust_begin_unwind", "_fail", "panic_"];
 /// The ceilings of firmware/budget.toml.
 #[derive(Debug, Deserialize)]
 pub struct Limits {
-    /// Bytes: `flash`, `static_ram`, `stack`.
+    /// Bytes: `flash`, `static_ram`, `ccm`, `stack`.
     pub memory: BTreeMap<String, f64>,
     /// Instructions by subject.
     pub instructions: BTreeMap<String, f64>,
@@ -62,6 +73,7 @@ pub fn verdict(what: &str, figure: f64, ceiling: Option<&f64>) -> Option<String>
 struct Bytes {
     flash: u64,
     ram: u64,
+    ccm: u64,
 }
 
 impl Bytes {
@@ -69,6 +81,7 @@ impl Bytes {
     fn add(&mut self, section: &str, size: u64) {
         self.flash += size * u64::from(FLASH.contains(&section));
         self.ram += size * u64::from(RAM.contains(&section));
+        self.ccm += size * u64::from(CCM.contains(&section));
     }
 }
 
@@ -84,8 +97,13 @@ pub fn check(image: &Path, limits: &Limits) -> anyhow::Result<Vec<String>> {
     let memory = |what, bytes, key| verdict(what, bytes as f64, limits.memory.get(key));
     let flash = memory("bytes of flash", total.flash, "flash");
     let ram = memory("bytes of static RAM", total.ram, "static_ram");
-    let panics = panic_path(&CallGraph::read(&elf)?)?;
-    Ok([flash, ram, panics].into_iter().flatten().collect())
+    let ccm = memory("bytes of CCM SRAM", total.ccm, "ccm");
+    let graph = CallGraph::read(&elf)?;
+    let (panics, slow) = (panic_path(&graph)?, in_flash(&graph)?);
+    Ok([flash, ram, ccm, panics, slow]
+        .into_iter()
+        .flatten()
+        .collect())
 }
 
 /// Shows that no call from the sampling path leads to a panic, or the calls that do.
@@ -108,14 +126,44 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     Ok(Some(format!("the sampling path can panic: {way}")))
 }
 
-/// Where the sampling path begins.
+/// The flash of the STM32G474, which has wait states (RM0440, section 2.4).
+const SLOW: Range<u64> = 0x0800_0000..0x0808_0000;
+
+/// Shows that the sampling path runs, and reads its constants, without wait states; or what does not.
+fn in_flash(graph: &CallGraph) -> anyhow::Result<Option<String>> {
+    let reached = graph.reached(&sampling_path(graph)?);
+    let mut slow = Vec::new();
+    for (name, at, literals) in &reached {
+        if SLOW.contains(at) {
+            slow.push(format!("{name} runs from flash"));
+        }
+        let named = literals.iter().filter(|literal| SLOW.contains(literal));
+        slow.extend(named.map(|literal| format!("{name} names {literal:#x} in flash")));
+    }
+    if slow.is_empty() {
+        println!(
+            "none of the {} functions of the sampling path is in flash\n",
+            reached.len()
+        );
+        return Ok(None);
+    }
+    let why = "place it in firmware/ccm.x";
+    Ok(Some(format!(
+        "the sampling path, {why}: {}",
+        slow.join(", ")
+    )))
+}
+
+/// Where the sampling path begins: interrupt, task, and the waker of the thread's tasks, all three of
+/// which are called through pointers.
 fn sampling_path(graph: &CallGraph) -> anyhow::Result<BTreeSet<u64>> {
     let polls = graph.starts(|name| name.contains(TASK) && readable(name).ends_with("::poll"));
     let interrupt = graph.starts(|name| name == INTERRUPT);
-    if interrupt.is_empty() || polls.is_empty() {
-        bail!("the image has no {INTERRUPT} or no {TASK}");
+    let wakes = graph.starts(|name| readable(name) == WAKE);
+    if interrupt.is_empty() || polls.is_empty() || wakes.is_empty() {
+        bail!("the image has no {INTERRUPT}, no {TASK} or no {WAKE}");
     }
-    Ok(&interrupt | &polls)
+    Ok(&(&interrupt | &polls) | &wakes)
 }
 
 fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, Bytes>> {
@@ -155,14 +203,19 @@ fn module(symbol: &str) -> String {
 fn table(modules: &BTreeMap<String, Bytes>, total: Bytes) -> String {
     let mut rows: Vec<_> = modules.iter().collect();
     rows.sort_by_key(|(name, bytes)| (std::cmp::Reverse(bytes.flash + bytes.ram), *name));
-    let mut text = format!("{:<36} {:>8} {:>8}\n", "module", "flash", "RAM");
+    let mut text = format!(
+        "{:<36} {:>8} {:>8} {:>8}\n",
+        "module", "flash", "RAM", "CCM"
+    );
     let mut line = |name: &str, bytes: Bytes| {
-        text += &format!("{name:<36} {:>8} {:>8}\n", bytes.flash, bytes.ram);
+        let Bytes { flash, ram, ccm } = bytes;
+        text += &format!("{name:<36} {flash:>8} {ram:>8} {ccm:>8}\n");
     };
     let mut rest = total;
     for (name, bytes) in rows {
         rest.flash = rest.flash.saturating_sub(bytes.flash);
         rest.ram = rest.ram.saturating_sub(bytes.ram);
+        rest.ccm = rest.ccm.saturating_sub(bytes.ccm);
         line(name, *bytes);
     }
     line("(constants without a name, padding)", rest);
@@ -197,9 +250,10 @@ mod tests {
 
     #[test]
     fn what_has_no_name_is_still_counted() {
-        let modules = BTreeMap::from([("a".to_owned(), Bytes { flash: 10, ram: 1 })]);
-        let text = table(&modules, Bytes { flash: 25, ram: 1 });
-        let rest = "(constants without a name, padding)        15        0\n";
+        let bytes = |flash, ram, ccm| Bytes { flash, ram, ccm };
+        let modules = BTreeMap::from([("a".to_owned(), bytes(10, 1, 0))]);
+        let text = table(&modules, bytes(25, 1, 2));
+        let rest = "(constants without a name, padding)        15        0        2\n";
         assert!(text.contains(rest), "{text}");
     }
 }

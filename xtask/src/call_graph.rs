@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::successors;
 
-use anyhow::Context;
-use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use anyhow::ensure;
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
 struct Function {
     name: String,
@@ -16,6 +16,30 @@ struct Function {
 pub struct CallGraph {
     functions: BTreeMap<u64, Function>,
     calls: BTreeMap<u64, BTreeSet<u64>>,
+    /// Addresses and other large constants in the code of each function.
+    literals: BTreeMap<u64, BTreeSet<u64>>,
+}
+
+/// The executable sections: flash, and what start-up code copies from there.
+struct Code<'a>(Vec<(u64, &'a [u8])>);
+
+impl<'a> Code<'a> {
+    fn read(elf: &object::File<'a>) -> anyhow::Result<Self> {
+        let text = elf.sections().filter(|s| s.kind() == SectionKind::Text);
+        let text = text.map(|s| Ok((s.address(), s.data()?)));
+        let text: Vec<_> = text.collect::<anyhow::Result<_>>()?;
+        ensure!(!text.is_empty(), "no executable section");
+        Ok(Self(text))
+    }
+
+    /// The half-word at an address.
+    fn at(&self, address: u64) -> Option<u16> {
+        self.0.iter().find_map(|(base, bytes)| {
+            let offset = usize::try_from(address.checked_sub(*base)?).ok()?;
+            let bytes = bytes.get(offset..offset + 2)?;
+            Some(u16::from_le_bytes([bytes[0], bytes[1]]))
+        })
+    }
 }
 
 impl CallGraph {
@@ -34,30 +58,49 @@ impl CallGraph {
                 functions.insert(start, Function { name, end });
             }
         }
-        let section = elf.section_by_name(".text").context("no .text")?;
-        let (base, code) = (section.address(), section.data()?);
-        let at = |address: u64| -> Option<u16> {
-            let offset = usize::try_from(address.checked_sub(base)?).ok()?;
-            let bytes = code.get(offset..offset + 2)?;
-            Some(u16::from_le_bytes([bytes[0], bytes[1]]))
-        };
+        let code = Code::read(elf)?;
+        let at = |address: u64| code.at(address);
         // Start of the function that an address lies in.
         let containing = |address: u64| {
             let (start, function) = functions.range(..=address).next_back()?;
             (address < function.end).then_some(*start)
         };
-        let mut calls = BTreeMap::new();
+        let (mut calls, mut literals) = (BTreeMap::new(), BTreeMap::new());
         for (&start, function) in &functions {
-            let called = targets(start, function.end, &marks, at).into_iter();
-            calls.insert(start, called.filter_map(containing).collect());
+            let named = addresses(start, function.end, &marks, at);
+            let mut called = targets(start, function.end, &marks, at);
+            // The linker's way from one memory to another loads the address that it jumps to.
+            if function.name.contains("LongThunk") {
+                called.extend(named.iter().map(|address| address & !1));
+            }
+            let called = called.into_iter().filter_map(containing).collect();
+            calls.insert(start, called);
+            literals.insert(start, named);
         }
-        Ok(Self { functions, calls })
+        Ok(Self {
+            functions,
+            calls,
+            literals,
+        })
     }
 
     /// Starts of the functions whose name `is` picks.
     pub fn starts(&self, is: impl Fn(&str) -> bool) -> BTreeSet<u64> {
         let picked = self.functions.iter().filter(|(_, f)| is(&f.name));
         picked.map(|(start, _)| *start).collect()
+    }
+
+    /// Every function that a way leads to from one of `roots`, those included: name, address, and the
+    /// constants of 32 bits in its code.
+    pub fn reached(&self, roots: &BTreeSet<u64>) -> Vec<(&str, u64, &BTreeSet<u64>)> {
+        let mut reached = roots.clone();
+        let mut queue: Vec<_> = roots.iter().copied().collect();
+        while let Some(at) = queue.pop() {
+            queue.extend(self.calls[&at].iter().filter(|next| reached.insert(**next)));
+        }
+        let each = reached.into_iter();
+        each.map(|at| (self.functions[&at].name.as_str(), at, &self.literals[&at]))
+            .collect()
     }
 
     /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
@@ -81,6 +124,55 @@ impl CallGraph {
         }
         (Vec::new(), from.len())
     }
+}
+
+/// Constants of 32 bits that a function holds: words between its instructions, and pairs of MOVW and
+/// MOVT (Armv7-M, A7.7.76 and A7.7.79).
+fn addresses(
+    start: u64,
+    end: u64,
+    marks: &BTreeMap<u64, bool>,
+    at: impl Fn(u64) -> Option<u16>,
+) -> BTreeSet<u64> {
+    let mut found = BTreeSet::new();
+    let mut low = [0; 16];
+    let mut address = start;
+    while address < end {
+        let is_code = marks.range(..=address).next_back().is_none_or(|(_, t)| *t);
+        let first = at(address).unwrap_or(0);
+        let second = at(address + 2).unwrap_or(0);
+        if !is_code {
+            found.insert(u64::from(second) << 16 | u64::from(first));
+        } else if let Some((top, register, value)) = wide_move(first, second) {
+            if top {
+                found.insert(u64::from(value) << 16 | low[register]);
+            } else {
+                low[register] = u64::from(value);
+            }
+        }
+        let step = if !is_code || first >> 11 >= 0b11101 {
+            4
+        } else {
+            2
+        };
+        address += step;
+    }
+    found
+}
+
+/// Whether it is MOVT instead of MOVW, register and value.
+fn wide_move(first: u16, second: u16) -> Option<(bool, usize, u16)> {
+    let top = match first & 0xFBF0 {
+        0xF240 => false,
+        0xF2C0 => true,
+        _ => return None,
+    };
+    if second >> 15 != 0 {
+        return None;
+    }
+    let value =
+        (first & 0xF) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF;
+    Some((top, usize::from(second >> 8 & 0xF), value))
 }
 
 /// Where the branches of a function lead that leave it or call: BL, and B in its four encodings.
@@ -156,5 +248,16 @@ mod tests {
         assert_eq!(branch(0xDF00, 0), None, "svc");
         assert_eq!(branch(0xF3BF, 0x8F4F), None, "dsb");
         assert_eq!(branch(0x4770, 0), None, "bx lr");
+        assert_eq!(
+            wide_move(0xF245, 0x6478),
+            Some((false, 4, 0x5678)),
+            "movw r4, #0x5678"
+        );
+        assert_eq!(
+            wide_move(0xF6C0, 0x0C00),
+            Some((true, 12, 0x0800)),
+            "movt r12, #0x800"
+        );
+        assert_eq!(wide_move(0xF000, 0xF802), None, "bl .+8");
     }
 }

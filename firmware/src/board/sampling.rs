@@ -17,6 +17,8 @@ use embassy_sync::signal::Signal;
 use ihd_firmware::realtime::{Access, Block, Drive, RealTime};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
+use super::load;
+
 /// The one sampling path. Its window alone is 64 KiB, so it is never moved.
 struct Place(UnsafeCell<RealTime>);
 
@@ -103,8 +105,10 @@ impl<S: SampleSource> Future for SamplingTask<S> {
         // this runs in it, for ever: embassy-executor 0.10 pends the executor's own (NVIC, STIR).
         wake_task_no_pend(task_from_waker(cx.waker()));
         let path = &mut this.path;
+        let mut begun = load::now();
         while this.source.next(|block| path.on_block(block)) {
             BLOCK_DONE.signal(());
+            begun = load::block_done(begun);
         }
         Poll::Pending
     }

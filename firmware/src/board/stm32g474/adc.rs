@@ -11,7 +11,7 @@ use ihd_firmware::realtime::{Block, Bridge, Drive};
 use ihd_firmware::ring::Ring;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
-use super::registers;
+use super::registers::{adc, bridge, dma};
 use crate::board::sampling::SampleSource;
 
 /// Channels of the pins in the module's table.
@@ -56,11 +56,11 @@ pub struct Adc {
 impl Adc {
     /// Starts the timers with the bridge off, then the conversions they trigger.
     pub fn start() -> Self {
-        registers::start_timers(Periods::nearest(Drive::OFF.f_sw_hz));
+        bridge::start_timers(Periods::nearest(Drive::OFF.f_sw_hz));
         // SAFETY: both are static, and nobody writes them but the DMA.
         unsafe {
-            registers::start_slow(BUS, MAINS, SLOW.0.get().cast());
-            registers::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
+            adc::start_slow(BUS, MAINS, SLOW.0.get().cast());
+            adc::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
         }
         Self {
             ring: Ring::default(),
@@ -97,17 +97,20 @@ impl Adc {
             return;
         }
         if drive.bridge == Bridge::Open {
-            registers::bridge_off();
+            bridge::open();
         }
         if drive.f_sw_hz != self.drive.f_sw_hz {
-            registers::set_periods(Periods::nearest(drive.f_sw_hz));
+            bridge::set_periods(Periods::nearest(drive.f_sw_hz));
         }
-        if drive.bridge != self.drive.bridge {
-            match drive.bridge {
-                Bridge::Open => {}
-                Bridge::LowerOn => registers::bridge_lower_on(),
-                Bridge::Switching => registers::bridge_on(),
+        match (self.drive.bridge, drive.bridge) {
+            (Bridge::Open, Bridge::LowerOn) => bridge::close_lower(),
+            (Bridge::Open, Bridge::Switching) => {
+                bridge::close_lower();
+                bridge::switch(true);
             }
+            (Bridge::LowerOn, Bridge::Switching) => bridge::switch(true),
+            (Bridge::Switching, Bridge::LowerOn) => bridge::switch(false),
+            _ => {}
         }
         self.drive = drive;
     }
@@ -115,11 +118,11 @@ impl Adc {
 
 impl SampleSource for Adc {
     fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool {
-        let Some(half) = self.ring.take(registers::filled()) else {
+        let Some(half) = self.ring.take(dma::filled()) else {
             return false;
         };
         self.copy(half);
-        let at = WORDS.saturating_sub(usize::from(registers::words_left()));
+        let at = WORDS.saturating_sub(usize::from(dma::words_left()));
         if !self.ring.is_whole(half, at) {
             return true;
         }

@@ -31,10 +31,9 @@ pub enum Bridge {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Counter {
     running: bool,
-    /// When it was at 0 last, or will be.
+    /// When it was at 0 at the last repetition event, or when it began to count.
     started: Ticks,
     period: u32,
-    compare: u32,
 }
 
 impl Counter {
@@ -52,8 +51,8 @@ impl Counter {
 pub struct Hrtim {
     a: Counter,
     b: Counter,
-    /// Values written that wait for an update.
-    preloaded: [Option<(u32, u32)>; 2],
+    /// What is in force of the registers that are preloaded.
+    active: [Vec<(u32, u32)>; 2],
     dll_ready_at: Option<Ticks>,
     enabled: [bool; 2],
     /// When the outputs went from on to off, each time.
@@ -63,6 +62,18 @@ pub struct Hrtim {
 
 const OUTPUT_1: u32 = 1;
 const OUTPUT_2: u32 = 2;
+
+/// The registers that are preloaded, of those that the image writes (RM0440, table 231); the period first.
+const PRELOADED: [&[u32]; 2] = [
+    &[
+        hrtim_tima::perar::ADDRESS,
+        hrtim_tima::cmp1ar::ADDRESS,
+        hrtim_tima::seta1r::ADDRESS,
+        hrtim_tima::rsta1r::ADDRESS,
+        hrtim_tima::dtar::ADDRESS,
+    ],
+    &[hrtim_timb::perbr::ADDRESS],
+];
 
 /// Enable and lock bits of the fault inputs 1 to 4 in FLTINR1.
 const INPUTS: [[Field; 5]; 4] = {
@@ -86,14 +97,60 @@ impl Hrtim {
         })
     }
 
+    /// The next repetition event of a timer that is updated by it (RM0440, 27.3.4, "Repetition counter").
+    pub fn next_repetition(&self, file: &RegisterFile) -> Option<Ticks> {
+        (0..2).filter_map(|timer| self.repetition(timer, file)).min()
+    }
+
+    fn repetition(&self, timer: usize, file: &RegisterFile) -> Option<Ticks> {
+        let counter = [&self.a, &self.b][timer];
+        let [by_repetition, repetitions] = [
+            [hrtim_tima::timacr::TXREPU, hrtim_tima::repar::REPX],
+            [hrtim_timb::timbcr::TXREPU, hrtim_timb::repbr::REPX],
+        ][timer];
+        let on = counter.running && counter.period > 0 && file.is(by_repetition);
+        let periods = Ticks::from(file.get(repetitions)) + 1;
+        on.then(|| counter.started + periods * Ticks::from(counter.period))
+    }
+
+    /// Does what repetition events that are due now do: what was preloaded comes into force.
+    pub fn repeat(&mut self, file: &RegisterFile, now: Ticks) {
+        for timer in 0..2 {
+            if self.repetition(timer, file).is_some_and(|at| now >= at) {
+                let held = [hrtim_common::cr1::TAUDIS, hrtim_common::cr1::TBUDIS][timer];
+                self.counter(timer).started = now;
+                if !file.is(held) {
+                    self.update(timer, file);
+                }
+            }
+        }
+    }
+
+    fn counter(&mut self, timer: usize) -> &mut Counter {
+        if timer == 0 { &mut self.a } else { &mut self.b }
+    }
+
+    /// Everything preloaded of a timer comes into force.
+    fn update(&mut self, timer: usize, file: &RegisterFile) {
+        self.active[timer] = PRELOADED[timer].iter().map(|&address| (address, file.word(address))).collect();
+        self.counter(timer).period = self.in_force(timer, PRELOADED[timer][0]);
+    }
+
+    /// What is in force of a preloaded register.
+    fn in_force(&self, timer: usize, address: u32) -> u32 {
+        let found = self.active[timer].iter().find(|(at, _)| *at == address);
+        found.map_or(0, |(_, value)| *value)
+    }
+
     /// What the switches do now.
     pub fn bridge(&self, file: &RegisterFile) -> Bridge {
-        let pwm = file.is(hrtim_tima::seta1r::PER) && file.is(hrtim_tima::rsta1r::CMP1);
+        let set = hrtim_tima::seta1r::PER.of(self.in_force(0, hrtim_tima::seta1r::ADDRESS)) == 1;
+        let reset = hrtim_tima::rsta1r::CMP1.of(self.in_force(0, hrtim_tima::rsta1r::ADDRESS)) == 1;
+        let pwm = set && reset && self.a.running;
         match self.enabled {
-            [true, true] if pwm && self.a.running => Bridge::Switching { period: self.a.period },
-            // With dead time output 2 is the complement of output 1, which no event sets.
-            [_, true] if !pwm && file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,
-            [false, true] if self.a.running => Bridge::LowerClosed,
+            [true, true] if pwm => Bridge::Switching { period: self.a.period },
+            // With dead time output 2 is the complement of output 1, which no event sets, or which is not on the pin.
+            [_, true] if file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,
             _ => Bridge::Open,
         }
     }
@@ -178,11 +235,14 @@ impl Hrtim {
                 0
             }
             hrtim_master::mcr::ADDRESS => {
-                self.start_counters(value, file, log);
+                self.start_counters(value, log);
                 value
             }
             hrtim_tima::perar::ADDRESS | hrtim_tima::cmp1ar::ADDRESS | hrtim_timb::perbr::ADDRESS => {
-                self.period_written(address, value, file, log);
+                // RM0440, 27.3.4, table "Timer period and compare min and max values": prescaler 2.
+                if !(0x60..=0xFFDF).contains(&value) {
+                    log.broken(format!("HRTIM period or compare {value:#x} outside 0x60 to 0xFFDF (RM0440 27.3.4)"));
+                }
                 value
             }
             hrtim_tima::dtar::ADDRESS => self.dead_time_written(before, value, file, log),
@@ -246,72 +306,44 @@ impl Hrtim {
         value
     }
 
-    fn period_written(&mut self, address: u32, value: u32, file: &RegisterFile, log: &mut Log) {
-        // RM0440, 27.3.4, table "Timer period and compare min and max values": prescaler 2.
-        if !(0x60..=0xFFDF).contains(&value) {
-            log.broken(format!("HRTIM period or compare {value:#x} outside 0x60 to 0xFFDF (RM0440 27.3.4)"));
+    /// A register has been stored: without preload it is in force at once.
+    pub fn after_write(&mut self, address: u32, file: &RegisterFile) {
+        for (timer, preload) in [(0, hrtim_tima::timacr::PREEN), (1, hrtim_timb::timbcr::PREEN)] {
+            if PRELOADED[timer].contains(&address) && !file.is(preload) {
+                self.update(timer, file);
+            }
         }
-        let timer = usize::from(address == hrtim_timb::perbr::ADDRESS);
-        let preload = if timer == 0 { hrtim_tima::timacr::PREEN } else { hrtim_timb::timbcr::PREEN };
-        let of = |at: u32| if at == address { value } else { file.word(at) };
-        let written = if timer == 0 {
-            (of(hrtim_tima::perar::ADDRESS), of(hrtim_tima::cmp1ar::ADDRESS))
-        } else {
-            (of(hrtim_timb::perbr::ADDRESS), 0)
-        };
-        if file.is(preload) {
-            self.preloaded[timer] = Some(written);
-        } else {
-            self.take(timer, written);
-        }
-    }
-
-    fn take(&mut self, timer: usize, (period, compare): (u32, u32)) {
-        let counter = if timer == 0 { &mut self.a } else { &mut self.b };
-        (counter.period, counter.compare) = (period, compare);
     }
 
     /// HRTIM_CR2: registers updated and counters reset by software.
     fn software_update(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
         use hrtim_common::cr2::{TARST, TASWU, TBRST, TBSWU};
         let now = log.now;
-        if TARST.of(value) == 1 && self.enabled[0] && self.a.running {
-            let count = self.a.count(now);
-            // Output 2 is closed from compare 1 to the period; a reset there begins another period of output 1 at once.
-            let into = count > self.a.compare;
-            if into && file.is(hrtim_tima::seta1r::PER) && !hrtim_resets_output(file) {
-                log.broken(
-                    "HRTIM: counter reset in mid-period: no PER event sets output 1, so the lower switch stays closed \
-                     for up to 1.5 periods (RM0440 27.3.6)",
-                );
-            }
+        let lower_closed = self.a.count(now) > self.in_force(0, hrtim_tima::cmp1ar::ADDRESS);
+        if TARST.of(value) == 1 && self.a.running && lower_closed && matches!(self.bridge(file), Bridge::Switching { .. }) {
+            log.broken(
+                "HRTIM counter reset in mid-period: output 1 is set by the period event, which a reset is not, so the \
+                 lower switch stays closed for up to 1.5 periods (RM0440 27.3.6)",
+            );
         }
         for (timer, update, reset) in [(0, TASWU, TARST), (1, TBSWU, TBRST)] {
             if update.of(value) == 1 {
-                if let Some(written) = self.preloaded[timer].take() {
-                    self.rebase(timer, now);
-                    self.take(timer, written);
-                }
+                // The counter goes on from where it is.
+                let count = self.counter(timer).count(now);
+                self.counter(timer).started = now - Ticks::from(count);
+                self.update(timer, file);
             }
             if reset.of(value) == 1 {
-                let counter = if timer == 0 { &mut self.a } else { &mut self.b };
-                counter.started = now;
+                self.counter(timer).started = now;
             }
         }
     }
 
-    /// Keeps the counter where it is while its period changes.
-    fn rebase(&mut self, timer: usize, now: Ticks) {
-        let counter = if timer == 0 { &mut self.a } else { &mut self.b };
-        let count = counter.count(now);
-        counter.started = now - Ticks::from(count);
-    }
-
-    fn start_counters(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
+    fn start_counters(&mut self, value: u32, log: &mut Log) {
         use hrtim_master::mcr::{TACEN, TBCEN};
         let ready = self.dll_ready_at.is_some_and(|at| log.now >= at);
         for (timer, enable) in [(0, TACEN), (1, TBCEN)] {
-            let counter = if timer == 0 { &mut self.a } else { &mut self.b };
+            let counter = self.counter(timer);
             let on = enable.of(value) == 1;
             if on && !counter.running {
                 if !ready {
@@ -321,7 +353,6 @@ impl Hrtim {
             }
             counter.running = on;
         }
-        let _ = file;
     }
 
     fn enable(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
@@ -351,9 +382,4 @@ impl Hrtim {
             self.enabled[output] |= value & bit != 0;
         }
     }
-}
-
-fn hrtim_resets_output(file: &RegisterFile) -> bool {
-    // RESYNC: a counter reset acts on the crossbar too.
-    file.is(hrtim_tima::seta1r::RESYNC)
 }

@@ -84,6 +84,8 @@ pub struct Chip {
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
+    /// When something happened last.
+    happened_at: Ticks,
     next_usb_poll: Ticks,
     /// Something asked for a reset.
     pub reset: Option<Reset>,
@@ -115,6 +117,7 @@ impl Chip {
             dma: Dma::default(),
             conversions: Vec::new(),
             next_trigger: None,
+            happened_at: 0,
             next_usb_poll: 0,
             reset: None,
             system: std::collections::HashMap::new(),
@@ -177,6 +180,7 @@ impl Chip {
     pub fn next_event(&self) -> Ticks {
         [
             self.next_trigger,
+            self.hrtim.next_repetition(&self.file),
             self.conversions.iter().map(|conversion| conversion.at).min(),
             self.serial.next(&self.file),
             self.flash.next(),
@@ -197,9 +201,12 @@ impl Chip {
             if at > now {
                 break;
             }
-            self.log.now = at;
+            // What was put on a line meanwhile begins now, not when the line fell silent.
+            self.happened_at = self.happened_at.max(at);
+            self.log.now = self.happened_at;
             self.happen();
         }
+        self.happened_at = now;
         self.log.now = now;
         self.update_lines();
     }
@@ -215,6 +222,10 @@ impl Chip {
             let done = self.conversions.swap_remove(k);
             let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
             self.transfers.extend(moved);
+        }
+        if self.hrtim.next_repetition(&self.file).is_some_and(|at| now >= at) {
+            self.hrtim.repeat(&self.file, now);
+            self.drive_pins();
         }
         if self.next_trigger.is_some_and(|at| now >= at) {
             self.trigger();
@@ -399,6 +410,7 @@ impl Chip {
         }
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
         if in_block(address, reg::hrtim_master::BASE, 0x400) || in_block(address, reg::gpioa::BASE, 0x400) {
+            self.hrtim.after_write(address, &self.file);
             self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
             self.drive_pins();
         }

@@ -97,7 +97,9 @@ impl RegisterFile {
             return false;
         }
         if let Some(value) = written {
-            let reserved = !register.bits;
+            // Drivers clear flags by writing back what they read, whose other bits no manual keeps at reset.
+            let clears_flags = matches!((of, name), ("LPUART1", "ICR"));
+            let reserved = if clears_flags { 0 } else { !register.bits };
             if (value ^ self.values[k]) & reserved != 0 && value & reserved != 0 {
                 log.broken(format!("{of} {name}: reserved bits written, {value:#010x} (RM0440 1.2)"));
             }

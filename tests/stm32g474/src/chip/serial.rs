@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::registers::lpuart1;
+use crate::registers::{lpuart1, rcc};
 use crate::time::{TICKS_PER_S, Ticks};
 use crate::violation::Log;
 
@@ -15,30 +15,58 @@ pub const INTERRUPT: usize = 91;
 const FRAME_BITS: u64 = 10;
 
 /// The port with both ends of its line.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Serial {
     /// Bytes that the chip has sent.
     pub sent: VecDeque<u8>,
     /// Bytes on their way to the chip.
     pub inbound: VecDeque<u8>,
     shifting: Option<(u8, Ticks)>,
-    holding: Option<u8>,
-    received: Option<u8>,
+    holding: VecDeque<u8>,
+    received: VecDeque<u8>,
     next_receive: Ticks,
     overrun: bool,
     complete: bool,
+    /// When the line will have been idle for a byte's time, and whether that was flagged.
+    idle_at: Option<Ticks>,
+    idle: bool,
+}
+
+impl Default for Serial {
+    fn default() -> Self {
+        Self {
+            sent: VecDeque::new(),
+            inbound: VecDeque::new(),
+            shifting: None,
+            holding: VecDeque::new(),
+            received: VecDeque::new(),
+            next_receive: 0,
+            overrun: false,
+            // ISR after reset: nothing is left to be sent.
+            complete: true,
+            idle_at: None,
+            idle: false,
+        }
+    }
 }
 
 impl Serial {
     /// Duration of a byte.
     fn byte_ticks(file: &RegisterFile, hclk_hz: u64) -> Ticks {
+        // RCC_CCIPR (RM0440, 7.4.27): 0 is PCLK, 2 is HSI16; the image has no LSE, and SYSCLK is PCLK.
+        let hz = if file.get(rcc::rcc_ccipr::LPUART1SEL) == 2 { 16_000_000 } else { hclk_hz };
         // BRR = 256 · clock / baud (RM0440, 38.4.7); PRESC is not used here.
         let brr = u64::from(file.get(lpuart1::brr::BRR)).max(0x300);
-        FRAME_BITS * brr * TICKS_PER_S / (256 * hclk_hz.max(1))
+        FRAME_BITS * brr * TICKS_PER_S / (256 * hz.max(1))
     }
 
     fn is_on(file: &RegisterFile) -> bool {
         file.is(lpuart1::cr1::UE)
+    }
+
+    /// Bytes that each direction holds: the data register alone, or the FIFO (RM0440, 38.4.3: 8 bytes).
+    fn depth(file: &RegisterFile) -> usize {
+        if file.is(lpuart1::cr1::FIFOEN) { 8 } else { 1 }
     }
 
     /// When this has something to do next.
@@ -46,7 +74,7 @@ impl Serial {
         let sending = self.shifting.map(|(_, until)| until);
         let receiving = (Self::is_on(file) && file.is(lpuart1::cr1::RE) && !self.inbound.is_empty())
             .then_some(self.next_receive);
-        sending.into_iter().chain(receiving).min()
+        sending.into_iter().chain(receiving).chain(self.idle_at).min()
     }
 
     /// Does what is due.
@@ -56,8 +84,8 @@ impl Serial {
         {
             self.sent.push_back(byte);
             self.shifting = None;
-            self.complete = self.holding.is_none();
-            if let Some(next) = self.holding.take() {
+            self.complete = self.holding.is_empty();
+            if let Some(next) = self.holding.pop_front() {
                 self.shifting = Some((next, until + Self::byte_ticks(file, hclk_hz)));
             }
         }
@@ -66,22 +94,27 @@ impl Serial {
             && now >= self.next_receive
             && let Some(byte) = self.inbound.pop_front()
         {
-            // A byte that finds the register full is lost (ORE).
-            if self.received.is_some() {
+            // A byte that finds no room is lost (ORE).
+            if self.received.len() >= Self::depth(file) {
                 self.overrun = true;
             } else {
-                self.received = Some(byte);
+                self.received.push_back(byte);
             }
             self.next_receive = now + Self::byte_ticks(file, hclk_hz);
+            self.idle_at = Some(self.next_receive);
+        } else if self.idle_at.is_some_and(|at| now >= at) {
+            self.idle_at = None;
+            self.idle = listening;
         }
     }
 
     /// Level of the interrupt.
     pub fn line(&self, file: &RegisterFile) -> bool {
         use lpuart1::{cr1, cr3};
-        (file.is(cr1::TXEIE) && self.holding.is_none() && Self::is_on(file))
+        (file.is(cr1::TXEIE) && self.holding.len() < Self::depth(file) && Self::is_on(file))
             || (file.is(cr1::TCIE) && self.complete)
-            || (file.is(cr1::RXNEIE) && (self.received.is_some() || self.overrun))
+            || (file.is(cr1::RXNEIE) && (!self.received.is_empty() || self.overrun))
+            || (file.is(cr1::IDLEIE) && self.idle)
             || (file.is(cr3::EIE) && self.overrun)
     }
 
@@ -92,10 +125,11 @@ impl Serial {
             isr::ADDRESS => {
                 let mut word = 0;
                 for (field, set) in [
-                    (isr::TXE, self.holding.is_none()),
-                    (isr::TC, self.shifting.is_none()),
-                    (isr::RXNE, self.received.is_some()),
+                    (isr::TXE, self.holding.len() < Self::depth(file)),
+                    (isr::TC, self.shifting.is_none() && self.complete),
+                    (isr::RXNE, !self.received.is_empty()),
                     (isr::ORE, self.overrun),
+                    (isr::IDLE, self.idle),
                     (isr::TEACK, file.is(lpuart1::cr1::TE)),
                     (isr::REACK, file.is(lpuart1::cr1::RE)),
                     (isr::BUSY, self.shifting.is_some()),
@@ -104,7 +138,7 @@ impl Serial {
                 }
                 word
             }
-            lpuart1::rdr::ADDRESS => self.received.take().map_or(0, u32::from),
+            lpuart1::rdr::ADDRESS => self.received.pop_front().map_or(0, u32::from),
             _ => file.word(address),
         }
     }
@@ -115,20 +149,21 @@ impl Serial {
             lpuart1::tdr::ADDRESS => {
                 if !Self::is_on(file) || !file.is(lpuart1::cr1::TE) {
                     log.broken("LPUART1 TDR written while the transmitter is off (RM0440 38.4.5)");
-                } else if self.holding.is_some() {
+                } else if self.holding.len() >= Self::depth(file) {
                     log.broken("LPUART1 TDR written while TXE is 0: a byte is lost (RM0440 38.4.5)");
                 }
                 let byte = value as u8;
                 if self.shifting.is_none() {
                     self.shifting = Some((byte, log.now + Self::byte_ticks(file, hclk_hz)));
                 } else {
-                    self.holding = Some(byte);
+                    self.holding.push_back(byte);
                 }
                 self.complete = false;
             }
             lpuart1::icr::ADDRESS => {
                 self.overrun &= lpuart1::icr::ORECF.of(value) == 0;
                 self.complete &= lpuart1::icr::TCCF.of(value) == 0;
+                self.idle &= lpuart1::icr::IDLECF.of(value) == 0;
             }
             lpuart1::brr::ADDRESS if Self::is_on(file) => {
                 log.broken("LPUART1 BRR written while UE is 1 (RM0440 38.7.5)");

@@ -9,7 +9,7 @@ use super::transfer::{Outcome, Request, Status};
 
 mod link;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub use link::BulkLink;
 

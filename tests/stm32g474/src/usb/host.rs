@@ -174,7 +174,13 @@ impl HostController {
 
     fn obey(&mut self, command: Command) {
         match command {
-            Command::Plug(plugged) => self.plugged = plugged,
+            Command::Plug(plugged) => {
+                self.plugged = plugged;
+                // At once: it may be plugged in again before anybody looks.
+                if !plugged {
+                    self.lost();
+                }
+            }
             Command::Submit(id, request, done) if request != Request::Reset && !self.enabled => {
                 Transfer::new(id, request, done).finish(Status::Gone);
             }
@@ -198,10 +204,15 @@ impl HostController {
         let attached = self.plugged && device.attached();
         let before = self.shared.attached.swap(attached, Ordering::Relaxed);
         if before && !attached {
-            self.enabled = false;
-            for transfer in self.queues.values_mut().flat_map(|queue| queue.drain(..)) {
-                transfer.finish(Status::Gone);
-            }
+            self.lost();
+        }
+    }
+
+    /// Nothing is at the end of the cable any more.
+    fn lost(&mut self) {
+        self.enabled = false;
+        for transfer in self.queues.values_mut().flat_map(|queue| queue.drain(..)) {
+            transfer.finish(Status::Gone);
         }
     }
 

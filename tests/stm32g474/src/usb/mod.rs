@@ -14,6 +14,7 @@ mod packet_memory;
 pub mod peripheral;
 pub mod stand_in;
 pub mod transfer;
+pub mod usbip;
 
 pub use bus::{Answer, Device, Handshake, Toggle};
 pub use client::Board;

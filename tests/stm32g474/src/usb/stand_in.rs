@@ -12,6 +12,9 @@ pub trait Function: Send {
 
     /// The next packet for the host, of less than 64 bytes, if there is one.
     fn give(&mut self) -> Option<Vec<u8>>;
+
+    /// A millisecond goes by.
+    fn millisecond(&mut self) {}
 }
 
 /// Gives back what it takes.
@@ -95,9 +98,13 @@ impl Device for StandIn {
         self.toggles = [Toggle::Data0; 3];
     }
 
-    fn start_of_frame(&mut self, _number: u16) {}
+    fn start_of_frame(&mut self, _number: u16) {
+        self.function.millisecond();
+    }
 
-    fn missing_frame(&mut self) {}
+    fn missing_frame(&mut self) {
+        self.function.millisecond();
+    }
 
     fn setup(&mut self, address: u8, endpoint: u8, packet: [u8; 8]) -> Handshake {
         if address != self.address || endpoint != 0 {

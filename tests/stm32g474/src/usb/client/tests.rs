@@ -7,13 +7,13 @@ use super::*;
 use ihd_link::{LinkError, Transport};
 
 /// A machine with nothing but the stand-in, on a thread of its own; it ends when this is dropped.
-struct Machine {
-    cable: Cable,
+pub struct Machine {
+    pub cable: Cable,
     stop: Arc<AtomicBool>,
 }
 
 impl Machine {
-    fn start() -> Self {
+    pub fn start() -> Self {
         let (cable, mut controller) = Cable::new();
         let stop = Arc::<AtomicBool>::default();
         let stopped = Arc::clone(&stop);

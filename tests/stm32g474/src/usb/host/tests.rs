@@ -173,6 +173,18 @@ fn nineteen_packets_fit_into_a_frame() {
 }
 
 #[test]
+fn a_cable_pulled_and_put_back_at_once_ends_all_the_same() {
+    let mut bench = Bench::configured();
+    let waits = bench.input(64);
+    bench.pass(1);
+    bench.cable.unplug();
+    bench.cable.plug();
+    bench.pass(1);
+    assert_eq!(waits.try_recv().unwrap().status, Status::Gone);
+    assert_eq!(bench.control(GET_DEVICE).status, Status::Gone);
+}
+
+#[test]
 fn a_device_that_leaves_by_itself_ends_all_and_comes_back_without_an_address() {
     let mut bench = Bench::configured();
     let waits = bench.input(64);

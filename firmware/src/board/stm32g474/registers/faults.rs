@@ -1,0 +1,111 @@
+//! What opens the bridge without software, and what it leaves behind.
+
+use embassy_stm32::pac;
+use ihd_shared::fault::Fault;
+
+use super::BRIDGE;
+
+/// HRTIM's fault inputs that a comparator reaches: COMP2 on 1, COMP1 on 4 (HRTIM, table "HRTIM fault
+/// inputs").
+const INPUTS: [usize; 2] = [0, 3];
+
+/// HRTIM, FLTxF = 8: six samples in a row, one every 8 cycles of 170 MHz (ST's `HRTIM_FAULTFILTER_8`, with
+/// FLTSD = 0). What is shorter than 235 ns does not trip; what lasts trips within 330 ns.
+///
+/// Why a filter: each edge of the bridge moves 400 V within 100 ns; what that couples into the current
+/// sensor rings for 200 ns, and the comparators cannot be blanked by HRTIM (COMP, COMP_CxCSR, BLANKSEL
+/// names TIM1 to 20 alone). What it costs: at the most 400 V / 20 µH · 330 ns = 6.6 A above the trip.
+const FILTER: u8 = 8;
+
+/// EXTI line of the supply's detector (EXTI, table "EXTI lines connections").
+const PVD_LINE: usize = 16;
+
+/// PWR_CR2, PVDLS: 2.9 V, the highest (ST's `PWR_PVDLEVEL_6`). 3.3 V ± 5 % stay above it. Below, the
+/// current sensor and the reference of DAC and ADCs, which is the supply, no longer mean the same; and
+/// the bridge opens long before the chip resets (BOR levels end at 2.8 V).
+const PVD_LEVEL: u8 = 6;
+
+/// Arms all of it; locked until reset.
+pub fn start() {
+    start_comparator_inputs();
+    start_supply_detector();
+    // SYSCFG_CFGR2: lock-up, RAM parity, ECC and supply reach HRTIM's system fault. PVDL also locks
+    // PVDE and PVDLS, so the detector is on by now.
+    pac::SYSCFG.cfgr2().modify(|w| {
+        w.set_cll(true);
+        w.set_spl(true);
+        w.set_pvdl(true);
+        w.set_eccl(true);
+    });
+}
+
+/// HRTIM_FLTINR1: source, polarity and filter may change only while the input is off, so it is enabled by
+/// a second write, and locked by a third (ST's `HAL_HRTIM_FaultConfig` before
+/// `HAL_HRTIM_FaultModeCtl`). HRTIM_FLTAR: both open the bridge.
+fn start_comparator_inputs() {
+    let hrtim = pac::HRTIM1;
+    hrtim.fltinr1().modify(|w| {
+        for input in INPUTS {
+            w.set_fltsrc(input, true);
+            w.set_fltp(input, true);
+            w.set_fltf(input, FILTER);
+        }
+    });
+    hrtim
+        .fltinr1()
+        .modify(|w| INPUTS.map(|input| w.set_flte(input, true)));
+    hrtim
+        .fltinr1()
+        .modify(|w| INPUTS.map(|input| w.set_fltlck(input, true)));
+    let armed = hrtim.tim(BRIDGE).flt();
+    armed.modify(|w| INPUTS.map(|input| w.set_flten(input, true)));
+    armed.modify(|w| w.set_fltlck(true));
+}
+
+/// PWR_CR2. EXTI_RTSR1 and EXTI_IMR1: a sag is kept in EXTI_PR1; its interrupt stays masked in the NVIC.
+fn start_supply_detector() {
+    pac::EXTI.rtsr(0).modify(|w| w.set_line(PVD_LINE, true));
+    pac::EXTI.imr(0).modify(|w| w.set_line(PVD_LINE, true));
+    pac::PWR.cr2().modify(|w| w.set_pls(PVD_LEVEL));
+    pac::PWR.cr2().modify(|w| w.set_pvde(true));
+}
+
+/// Clears what has tripped: HRTIM_ICR; EXTI_PR1, cleared by writing 1.
+pub fn clear() {
+    pac::HRTIM1.icr().write(|w| {
+        for input in INPUTS {
+            w.set_flt(input, true);
+        }
+        w.set_sysflt(true);
+    });
+    pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
+}
+
+/// What has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
+pub fn hardware_fault() -> Option<Fault> {
+    let isr = pac::HRTIM1.isr().read();
+    if isr.sysflt() {
+        // Of the four causes only lock-up leaves no flag.
+        Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
+    } else if INPUTS.iter().any(|&input| isr.flt(input)) {
+        Some(Fault::HARDWARE_OVER_CURRENT)
+    } else {
+        None
+    }
+}
+
+/// Which of the causes of HRTIM's system fault has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two
+/// wrong bits in either half of a word of two banks); SYSCFG, SYSCFG_CFGR2 (SPF); PWR, PWR_SR2
+/// (PVDO, which goes when the supply is back) and EXTI, EXTI_PR1 ([`PVD_LINE`], which stays).
+pub fn system_fault() -> Option<Fault> {
+    let ecc = pac::FLASH.eccr().read();
+    if ecc.eccd() || ecc.eccd2() {
+        Some(Fault::FLASH_ECC)
+    } else if pac::SYSCFG.cfgr2().read().spf() {
+        Some(Fault::RAM_PARITY)
+    } else if pac::PWR.sr2().read().pvdo() || pac::EXTI.pr(0).read().line(PVD_LINE) {
+        Some(Fault::SUPPLY_LOW)
+    } else {
+        None
+    }
+}

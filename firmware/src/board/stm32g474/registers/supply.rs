@@ -1,0 +1,48 @@
+//! Resets, option bytes, and the memories' own guards.
+
+use embassy_stm32::pac;
+use ihd_firmware::reset::Flags;
+
+/// RCC, RCC_CSR: why the controller started; cleared for the next time.
+pub fn reset_flags() -> Flags {
+    let csr = pac::RCC.csr().read();
+    let flags = Flags {
+        watchdog: csr.iwdgrstf() || csr.wwdgrstf(),
+        software: csr.sftrstf(),
+        brown_out: csr.borrstf(),
+        pin: csr.pinrstf(),
+    };
+    pac::RCC.csr().modify(|w| w.set_rmvf(true));
+    flags
+}
+
+/// FLASH, FLASH_OPTR: whether there are two banks, of which one can be written while the program runs
+/// from the other (DBANK = 1, as delivered).
+pub fn has_two_banks() -> bool {
+    pac::FLASH.optr().read().dbank()
+}
+
+/// FLASH, FLASH_OPTR: whether parity of SRAM1 and CCM SRAM is checked (SRAM_PE = 0; delivered as 1).
+pub fn has_parity() -> bool {
+    !pac::FLASH.optr().read().sram_pe()
+}
+
+/// FLASH, FLASH_ECCR: whether two wrong bits were found in the second bank; cleared, by writing 1, if so.
+pub fn take_error_in_bank_2() -> bool {
+    let ecc = pac::FLASH.eccr().read();
+    let found = ecc.eccd() && ecc.bk_ecc() && !ecc.sysf_ecc();
+    if found {
+        pac::FLASH.eccr().write(|w| w.set_eccd(true));
+    }
+    found
+}
+
+/// SYSCFG, SYSCFG_SWPR: the CCM SRAM, all of whose 32 pages hold code or constants by now, is written no
+/// more until reset.
+pub fn protect_code() {
+    pac::SYSCFG.swpr().write(|w| {
+        for page in 0..32 {
+            w.set_page_wp(page, true);
+        }
+    });
+}

@@ -1,0 +1,207 @@
+//! The packets of USB/IP, version 1.1.1 (Linux: Documentation/usb/usbip_protocol.rst). Numbers are big-endian.
+
+use std::io::{self, Read};
+
+const VERSION: u16 = 0x0111;
+const OP_REQ_DEVLIST: u16 = 0x8005;
+const OP_REQ_IMPORT: u16 = 0x8003;
+const OP_REP_DEVLIST: u16 = 0x0005;
+const OP_REP_IMPORT: u16 = 0x0003;
+
+const CMD_SUBMIT: u32 = 1;
+const CMD_UNLINK: u32 = 2;
+const RET_SUBMIT: u32 = 3;
+const RET_UNLINK: u32 = 4;
+
+/// Bytes of a command's and an answer's header.
+const HEADER: usize = 48;
+const BUS_ID: usize = 32;
+/// Linux's USB_SPEED_FULL.
+const FULL_SPEED: u32 = 2;
+/// Linux's URB_ZERO_PACKET.
+const ZERO_PACKET: u32 = 0x40;
+/// More than the kernel sends in one go.
+const LONGEST: usize = 1 << 20;
+
+/// What a client asks for before it has a device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Operation {
+    /// Which devices there are.
+    List,
+    /// One of them, by its bus id.
+    Import(String),
+}
+
+/// What the kernel asks of a device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// A transfer.
+    Submit {
+        /// Its number.
+        sequence: u32,
+        /// Endpoint.
+        endpoint: u8,
+        /// Whether data come from it.
+        input: bool,
+        /// An empty packet after a full last one.
+        ends_short: bool,
+        /// Room.
+        length: usize,
+        /// Of a control transfer.
+        setup: [u8; 8],
+        /// What goes to the device.
+        data: Vec<u8>,
+    },
+    /// Takes a transfer back.
+    Unlink {
+        /// Its own number.
+        sequence: u32,
+        /// The transfer's.
+        transfer: u32,
+    },
+}
+
+/// What a client is told of a device before it has it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Such as "1-1".
+    pub bus_id: String,
+    /// Its number on the bus.
+    pub number: u32,
+    /// The device descriptor, 18 bytes.
+    pub device: Vec<u8>,
+}
+
+fn invalid(what: impl std::fmt::Display) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, format!("USB/IP: {what}"))
+}
+
+fn exactly<const N: usize>(from: &mut impl Read) -> io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    from.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn word(bytes: &[u8], place: usize) -> u32 {
+    let word = bytes[4 * place..4 * place + 4].try_into();
+    u32::from_be_bytes(word.expect("four bytes"))
+}
+
+impl Operation {
+    /// Reads one.
+    pub fn read(from: &mut impl Read) -> io::Result<Self> {
+        let [version, version_low, code, code_low, ..] = exactly::<8>(from)?;
+        if u16::from_be_bytes([version, version_low]) != VERSION {
+            return Err(invalid(format!("version {version:x}.{version_low:x}")));
+        }
+        match u16::from_be_bytes([code, code_low]) {
+            OP_REQ_DEVLIST => Ok(Self::List),
+            OP_REQ_IMPORT => {
+                let id = exactly::<BUS_ID>(from)?;
+                let id = id.split(|byte| *byte == 0).next().unwrap_or_default();
+                Ok(Self::Import(String::from_utf8_lossy(id).into_owned()))
+            }
+            other => Err(invalid(format!("operation {other:#x}"))),
+        }
+    }
+}
+
+impl Command {
+    /// Reads one.
+    pub fn read(from: &mut impl Read) -> io::Result<Self> {
+        let header = exactly::<HEADER>(from)?;
+        let word = |place| word(&header, place);
+        match word(0) {
+            CMD_UNLINK => Ok(Self::Unlink {
+                sequence: word(1),
+                transfer: word(5),
+            }),
+            CMD_SUBMIT => {
+                let (input, length) = (word(3) == 1, word(6) as usize);
+                let goes = if input { 0 } else { length };
+                if length > LONGEST {
+                    return Err(invalid(format!("a transfer of {length} bytes")));
+                }
+                let mut data = vec![0; goes];
+                from.read_exact(&mut data)?;
+                let setup = header[40..].try_into().map_err(invalid)?;
+                let endpoint = u8::try_from(word(4)).map_err(invalid)?;
+                let ends_short = word(5) & ZERO_PACKET != 0;
+                let sequence = word(1);
+                Ok(Self::Submit {
+                    sequence,
+                    endpoint,
+                    input,
+                    ends_short,
+                    length,
+                    setup,
+                    data,
+                })
+            }
+            other => Err(invalid(format!("command {other:#x}"))),
+        }
+    }
+}
+
+fn reply(code: u16, status: u32) -> Vec<u8> {
+    let head = [VERSION.to_be_bytes(), code.to_be_bytes()].concat();
+    [head, status.to_be_bytes().to_vec()].concat()
+}
+
+/// The answer to [`Operation::List`].
+pub fn device_list(devices: &[Identity]) -> Vec<u8> {
+    let mut bytes = reply(OP_REP_DEVLIST, 0);
+    bytes.extend((devices.len() as u32).to_be_bytes());
+    for device in devices {
+        bytes.extend(device.encode());
+        // Its interface: of the vendor's class.
+        bytes.extend([0xFF, 0, 0, 0]);
+    }
+    bytes
+}
+
+/// The answer to [`Operation::Import`]; none: there is no such device, or it is taken.
+pub fn imported(device: Option<&Identity>) -> Vec<u8> {
+    let mut bytes = reply(OP_REP_IMPORT, u32::from(device.is_none()));
+    bytes.extend(device.map(Identity::encode).unwrap_or_default());
+    bytes
+}
+
+impl Identity {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = format!("/emulated/{}", self.bus_id).into_bytes();
+        bytes.resize(256, 0);
+        bytes.extend(self.bus_id.as_bytes());
+        bytes.resize(256 + BUS_ID, 0);
+        for number in [1, self.number, FULL_SPEED] {
+            bytes.extend(number.to_be_bytes());
+        }
+        let byte = |place: usize| self.device.get(place).copied().unwrap_or(0);
+        // idVendor, idProduct, bcdDevice: big-endian here.
+        bytes.extend([9, 8, 11, 10, 13, 12].map(byte));
+        // Class, subclass, protocol; no configuration yet; configurations, interfaces.
+        bytes.extend([byte(4), byte(5), byte(6), 0, byte(17), 1]);
+        bytes
+    }
+}
+
+fn header(command: u32, sequence: u32, status: i32, length: usize) -> Vec<u8> {
+    let mut bytes: Vec<u8> = [command, sequence, 0, 0, 0]
+        .into_iter()
+        .flat_map(u32::to_be_bytes)
+        .collect();
+    bytes.extend(status.to_be_bytes());
+    bytes.extend((length as u32).to_be_bytes());
+    bytes.resize(HEADER, 0);
+    bytes
+}
+
+/// The end of a transfer.
+pub fn submitted(sequence: u32, status: i32, length: usize, data: &[u8]) -> Vec<u8> {
+    [&header(RET_SUBMIT, sequence, status, length)[..], data].concat()
+}
+
+/// The answer to [`Command::Unlink`].
+pub fn unlinked(sequence: u32, status: i32) -> Vec<u8> {
+    header(RET_UNLINK, sequence, status, 0)
+}

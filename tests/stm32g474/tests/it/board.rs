@@ -1,0 +1,50 @@
+//! A board for a test: the image that `cargo xtask board` built, a pot, the serial cable.
+
+use std::path::PathBuf;
+use std::sync::LazyLock;
+use std::time::Duration;
+
+use ihd_link::{Client, Transport};
+use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::mains::Mains;
+use ihd_sim::plant::Plant;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_stm32g474::bench::Bench;
+
+/// The image under test.
+pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
+    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask board` names the image");
+    PathBuf::from(path)
+});
+
+/// What `ihd hob` has at its converters: half an LSB of noise behind 500 kHz.
+fn adc() -> Adc {
+    let noise = Noise { v_v: 0.1, i_a: 0.02 };
+    Adc::new(noise, 1).with_filter(500e3)
+}
+
+/// A board with a pot, powered up.
+pub fn with_pot(pot: PotKind) -> Bench {
+    let plant = move || Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, adc());
+    Bench::power_up(&IMAGE, plant).expect("the image is there")
+}
+
+/// The host's own client at the serial cable.
+pub fn connect(bench: &Bench) -> Client {
+    over(bench.serial())
+}
+
+/// The host's own client over any cable.
+pub fn over(transport: impl Transport + 'static) -> Client {
+    let mut client = Client::connect(Box::new(transport)).expect("the board answers");
+    client.set_timeout(Duration::from_secs(2));
+    client
+}
+
+/// Fails where the program did what the reference manual forbids.
+pub fn assert_no_violations(bench: &Bench) {
+    let violations = bench.with(|machine| machine.violations());
+    let list: Vec<_> = violations.iter().map(ToString::to_string).collect();
+    assert!(list.is_empty(), "{}", list.join("\n"));
+}
