@@ -127,7 +127,10 @@ fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() 
     let ended = desk.guest.run("wait $!", MINUTES).unwrap();
     let said = desk.guest.shell("cat record.log").unwrap();
     assert_eq!(ended.status, DEVICE, "{said}");
-    assert!(said.contains("closed the link"), "{said}");
+    assert!(
+        said.contains("disconnected") || said.contains("closed the link"),
+        "{said}"
+    );
     desk.until("dmesg | grep -q 'USB disconnect'", MINUTES)
         .unwrap();
     let surveyed = desk.guest.shell("ihd inspect pulled.mcap").unwrap();
@@ -196,13 +199,9 @@ fn a_stand_in_serves_where_the_chip_is_too_slow() {
     let mut desk = Desk::new(boards).unwrap();
     assert_eq!(desk.plug(0).unwrap(), "STANDIN0");
     let report = desk
-        .record(
-            "a.mcap",
-            "--duration 3 --power 1000 --windows-every 5",
-            MINUTES,
-        )
+        .record("a.mcap", "--duration 3 --power 1000", MINUTES)
         .unwrap();
-    assert!(number(&report, "windows") >= 10.0, "{report}");
+    assert!(number(&report, "windows") >= 5.0, "{report}");
     assert_eq!(number(&report, "windows_missing"), 0.0, "{report}");
     let line =
         "ihd trainer --device usb --power 1000 --no-store --json 2>trainer.log || cat trainer.log";
