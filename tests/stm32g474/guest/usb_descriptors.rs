@@ -9,13 +9,25 @@ use nusb::transfer::{ControlIn, ControlType, Recipient};
 
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// Kinds of descriptors.
-const KINDS: [(&str, u8); 4] = [("device", 1), ("configuration", 2), ("qualifier", 6), ("bos", 15)];
+const KINDS: [(&str, u8); 4] = [
+    ("device", 1),
+    ("configuration", 2),
+    ("qualifier", 6),
+    ("bos", 15),
+];
 /// bRequest, as the BOS names it, and wIndex of the request for Microsoft's descriptor set.
 const MICROSOFT: (u8, u16) = (0x20, 7);
 
 fn show(name: &str, bytes: Option<Vec<u8>>) {
-    let digits: String = bytes.iter().flatten().map(|byte| format!("{byte:02x}")).collect();
-    println!("{name} {}", if bytes.is_some() { &digits } else { "refused" });
+    let digits: String = bytes
+        .iter()
+        .flatten()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    println!(
+        "{name} {}",
+        if bytes.is_some() { &digits } else { "refused" }
+    );
 }
 
 fn print(serial: &str) -> Result<(), Box<dyn std::error::Error>> {
@@ -35,7 +47,10 @@ fn print(serial: &str) -> Result<(), Box<dyn std::error::Error>> {
         index,
         length: 4096,
     };
-    show("microsoft", interface.control_in(asked, TIMEOUT).wait().ok());
+    show(
+        "microsoft",
+        interface.control_in(asked, TIMEOUT).wait().ok(),
+    );
     Ok(())
 }
 

@@ -39,20 +39,34 @@ impl Board {
         let stop = Arc::<AtomicBool>::default();
         let stopped = Arc::clone(&stop);
         thread::spawn(move || run(serial, controller, &stopped));
-        Self { cable, bench: None, stop }
+        Self {
+            cable,
+            bench: None,
+            stop,
+        }
     }
 
     /// The image, on a chip whose unique number begins with `unique`; it runs from now on, as fast as it can.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
         let filtered = |seed| Adc::new(Noise::default(), seed).with_filter(500e3);
-        let plant = move || Plant::new(Mains::new(50.0), PotKind::Ferromagnetic, filtered(unique.into()));
+        let plant = move || {
+            Plant::new(
+                Mains::new(50.0),
+                PotKind::Ferromagnetic,
+                filtered(unique.into()),
+            )
+        };
         let bench = Bench::power_up(image, plant)?;
         let cable = bench.with(move |machine| {
             machine.set_memory(UNIQUE, &[unique]);
             machine.cable.clone()
         });
         bench.run_freely(true);
-        Ok(Self { cable, bench: Some(bench), stop: Arc::default() })
+        Ok(Self {
+            cable,
+            bench: Some(bench),
+            stop: Arc::default(),
+        })
     }
 }
 
@@ -88,8 +102,17 @@ impl Function for Hob {
 }
 
 fn run(serial: &str, mut controller: HostController, stop: &AtomicBool) {
-    let hob = SimHob::new(&HobConfig { link_bytes_per_s: 1e6, ..HobConfig::default() });
-    let mut device = StandIn::new(serial, Hob { hob, milliseconds: 0 });
+    let hob = SimHob::new(&HobConfig {
+        link_bytes_per_s: 1e6,
+        ..HobConfig::default()
+    });
+    let mut device = StandIn::new(
+        serial,
+        Hob {
+            hob,
+            milliseconds: 0,
+        },
+    );
     let (began, mut now_us) = (Instant::now(), 0.0);
     while !stop.load(Ordering::Relaxed) {
         if now_us > began.elapsed().as_secs_f64() * 1e6 {

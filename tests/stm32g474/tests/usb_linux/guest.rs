@@ -70,7 +70,10 @@ fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
     let programs = [
         ("bin/ihd", variable("IHD_PROGRAM")?),
         ("bin/vhci-attach", env!("CARGO_BIN_EXE_vhci-attach").into()),
-        ("bin/usb-descriptors", env!("CARGO_BIN_EXE_usb-descriptors").into()),
+        (
+            "bin/usb-descriptors",
+            env!("CARGO_BIN_EXE_usb-descriptors").into(),
+        ),
     ];
     for (path, program) in programs {
         archive.program(path, &program)?;
