@@ -42,6 +42,8 @@ pub struct DeskHob {
     blocks: u32,
     /// Bytes the link carries per block; what is more waits in the device.
     pub bytes_per_block: usize,
+    /// Housekeeping has its turn every so many blocks.
+    pub turn_every: u32,
     /// What the link does to each frame towards the host.
     pub mangle: Mangle,
     to_device: VecDeque<u8>,
@@ -65,6 +67,7 @@ impl DeskHob {
             clip_every: 0,
             blocks: 0,
             bytes_per_block: usize::MAX,
+            turn_every: 1,
             mangle: Box::new(<[u8]>::to_vec),
             to_device: VecDeque::new(),
             to_host: VecDeque::new(),
@@ -74,6 +77,11 @@ impl DeskHob {
     /// The firmware below the sampling path.
     pub fn housekeeping(&self) -> &Housekeeping {
         &self.housekeeping
+    }
+
+    /// The firmware's sampling path.
+    pub fn realtime(&mut self) -> &mut RealTime {
+        &mut self.realtime
     }
 
     /// Time since boot, in nanoseconds.
@@ -115,9 +123,15 @@ impl DeskHob {
             lost: 0,
         };
         self.realtime.on_block(&block);
+        let block_cycles = (duration * 170 / 1_000) as u32;
+        self.realtime
+            .utilisation()
+            .add(block_cycles / 4, block_cycles);
         self.time_ns += duration;
         self.blocks += 1;
-        self.housekeeping.poll(&mut *self.realtime);
+        if self.blocks.is_multiple_of(self.turn_every) {
+            self.housekeeping.poll(&mut *self.realtime);
+        }
         self.exchange();
     }
 

@@ -8,8 +8,9 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup, ReplayBlocks,
-    ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
+    AnyMessage, ClearFault, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup,
+    ReplayBlocks, ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
+    Utilisation,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
@@ -110,10 +111,10 @@ impl Housekeeping {
                     self.queue.answer(Answer::Status(status));
                 }
                 Ok(AnyMessage::ReadLookup(_)) => self.queue.answer(Answer::Lookup),
-                Ok(AnyMessage::ClearFault(_)) => {
-                    access.with(RealTime::clear_fault);
-                    self.control.clear_fault();
-                    self.reply(id, Outcome::Ok, 0);
+                Ok(AnyMessage::ClearFault(_)) => self.clear_fault(access),
+                Ok(AnyMessage::GetUtilisation(_)) => {
+                    let utilisation = access.with(utilisation);
+                    self.queue.answer(Answer::Utilisation(utilisation));
                 }
                 Ok(AnyMessage::ReplayStart(m)) => self.start_replay(access, &m),
                 Ok(AnyMessage::ReplayEnd(_)) => {
@@ -177,6 +178,17 @@ impl Housekeeping {
         self.reply(SetPower::ID, Outcome::Ok, 0);
     }
 
+    fn clear_fault(&mut self, access: &mut impl Access) {
+        access.with(RealTime::clear_fault);
+        self.control.clear_fault();
+        let standing = access.with(|rt| rt.fault());
+        let outcome = match standing {
+            Fault::NONE => Outcome::Ok,
+            _ => Outcome::FaultActive,
+        };
+        self.reply(ClearFault::ID, outcome, u32::from(standing.number()));
+    }
+
     fn start_replay(&mut self, access: &mut impl Access, m: &ReplayStart) {
         let off = self.control.set_power(0);
         self.act(access, off);
@@ -213,7 +225,10 @@ impl Housekeeping {
     /// To be called after each block: control, telemetry, faults. One step of the search for a
     /// frequency is the longest it does.
     pub fn poll(&mut self, access: &mut impl Access) {
-        let (summary, fault) = access.with(|rt| (rt.take_summary(), rt.fault()));
+        let (summary, fault) = access.with(|rt| {
+            rt.note_turn();
+            (rt.take_summary(), rt.fault())
+        });
         if let Some(summary) = summary {
             if let Some(lookup) = self.pending.take() {
                 access.with(|rt| rt.set_lookup_version(lookup.version));
@@ -321,5 +336,15 @@ impl Housekeeping {
     /// Writes the next frame for the link, if there is one; returns its length, 0 for none.
     pub fn transmit(&mut self, access: &mut impl Access, out: &mut [u8; MAX_ENCODED]) -> usize {
         self.queue.transmit(access, &self.active, out)
+    }
+}
+
+fn utilisation(realtime: &mut RealTime) -> Utilisation {
+    let shares = realtime.utilisation().take();
+    Utilisation {
+        blocks: shares.blocks,
+        mean_permille: shares.mean_permille,
+        worst_permille: shares.worst_permille,
+        longest_gap_us: realtime.take_longest_gap_us(),
     }
 }

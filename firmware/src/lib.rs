@@ -38,3 +38,4 @@ pub mod replay;
 pub mod reset;
 pub mod ring;
 pub mod transmit_queue;
+pub mod utilisation;

@@ -20,6 +20,7 @@ use crate::half_cycle::{Accumulator, Summary};
 use crate::protection::Protection;
 use crate::pwm;
 use crate::recorder::Recorder;
+use crate::utilisation::Utilisation;
 
 /// One block as the board delivers it.
 #[derive(Clone, Copy, Debug)]
@@ -77,6 +78,12 @@ pub struct RealTime {
     replaying: bool,
     /// Version of the active lookup, for the windows' headers.
     lookup_version: u32,
+    utilisation: Utilisation,
+    /// Time since housekeeping's last turn, and the longest so far.
+    gap_ns: u32,
+    longest_gap_ns: u32,
+    /// A fault of the board itself, which clearing does not end.
+    standing_fault: Fault,
 }
 
 impl RealTime {
@@ -114,6 +121,10 @@ impl RealTime {
             blocks: 0,
             replaying: false,
             lookup_version: 0,
+            utilisation: Utilisation::blank(),
+            gap_ns: 0,
+            longest_gap_ns: 0,
+            standing_fault: Fault::NONE,
         }
     }
 
@@ -130,6 +141,7 @@ impl RealTime {
     /// replay mode the block is ignored and the bridge is off.
     pub fn on_block(&mut self, block: &Block<'_>) -> Drive {
         self.blocks = self.blocks.wrapping_add(1);
+        self.gap_ns = self.gap_ns.saturating_add(self.block_ns);
         if !self.replaying {
             self.take_block(block);
         }
@@ -208,6 +220,29 @@ impl RealTime {
         self.trip(fault);
     }
 
+    /// Enters the safe state for good: the board is not as it must be, and clearing does not help.
+    pub fn raise_standing(&mut self, fault: Fault) {
+        self.standing_fault = fault;
+        self.trip(fault);
+    }
+
+    /// What the sampling path costs, for the board to add each block to.
+    pub fn utilisation(&mut self) -> &mut Utilisation {
+        &mut self.utilisation
+    }
+
+    /// Housekeeping has its turn.
+    pub fn note_turn(&mut self) {
+        self.longest_gap_ns = self.longest_gap_ns.max(self.gap_ns);
+        self.gap_ns = 0;
+    }
+
+    /// Longest time between two turns of housekeeping since this was asked last, in microseconds, to
+    /// a block.
+    pub fn take_longest_gap_us(&mut self) -> u32 {
+        core::mem::take(&mut self.longest_gap_ns) / 1_000
+    }
+
     /// The active fault.
     pub fn fault(&self) -> Fault {
         self.fault
@@ -221,9 +256,10 @@ impl RealTime {
         }
     }
 
-    /// Leaves the safe state; the bridge stays off until it is asked for again.
+    /// Leaves the safe state, but for a standing fault; the bridge stays off until it is asked for
+    /// again.
     pub fn clear_fault(&mut self) {
-        self.fault = Fault::NONE;
+        self.fault = self.standing_fault;
         self.wanted = Drive::OFF;
         self.protection.reset();
     }

@@ -11,7 +11,7 @@ use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
     FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
-    TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
+    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 
 use crate::realtime::Access;
@@ -32,6 +32,8 @@ pub enum Answer {
     Reply(Reply),
     /// The status of the moment it was asked for.
     Status(Status),
+    /// How busy the controller was.
+    Utilisation(Utilisation),
     /// The lookup that is active when the answer leaves.
     Lookup,
     /// A fault tripped or was cleared.
@@ -147,6 +149,7 @@ impl TransmitQueue {
                 }
                 Answer::Reply(m) => self.frame(&m, out),
                 Answer::Status(m) => self.frame(&m, out),
+                Answer::Utilisation(m) => self.frame(&m, out),
                 Answer::Lookup => {
                     let blob = lookup.to_bytes();
                     self.frame(&LookupBlob { blob: Raw(&blob) }, out)

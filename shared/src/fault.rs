@@ -92,6 +92,10 @@ fault_table! {
     /// The controller's supply fell below its detector's threshold.
     SUPPLY_LOW = 15 "SupplyLow":
         "the controller's supply is too low; check it";
+    /// The controller's option bytes are not those that the firmware needs. Clearing does not end it.
+    OPTION_BYTES = 16 "OptionBytes":
+        "the controller's option bytes are wrong (one flash bank, or RAM parity off); set DBANK=1 and \
+         SRAM_PE=0 with a debug probe (docs/board.md), then reset it";
 }
 
 /// Text of a number that [`Fault::TABLE`] lacks.

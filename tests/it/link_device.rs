@@ -48,6 +48,110 @@ fn a_device_says_what_it_is_and_takes_commands() {
     assert_eq!(client.counters().frames_bad, 0);
 }
 
+/// The desk's board spends a quarter of its time on samples; 37.5 µs are a block at 80 kHz.
+#[test]
+fn a_device_says_how_busy_it_is_since_it_was_asked_last() {
+    let (mut client, link) = connected();
+    link.hob().run(2);
+    let seen = client.utilisation().unwrap().unwrap();
+    assert!((520..540).contains(&seen.blocks), "{seen:?}");
+    assert_eq!((seen.mean_permille, seen.worst_permille), (249, 249));
+    assert_eq!(seen.longest_gap_us, 37);
+    link.hob().turn_every = 20;
+    link.hob().run(1);
+    link.hob().turn_every = 1;
+    link.hob().run(1);
+    assert_eq!(client.utilisation().unwrap().unwrap().longest_gap_us, 750);
+    link.hob().run(1);
+    assert_eq!(client.utilisation().unwrap().unwrap().longest_gap_us, 37);
+}
+
+/// A device of protocol 1.2: it says so, and knows neither `GetUtilisation` nor anything after.
+#[derive(Default)]
+struct Device1_2 {
+    deframer: Deframer,
+    sent: Vec<u8>,
+}
+
+impl Transport for Device1_2 {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let mut out = [0; MAX_ENCODED];
+        for &byte in bytes {
+            let Some(Ok(frame)) = self.deframer.push(byte) else {
+                continue;
+            };
+            let length = match frame.id {
+                Hello::ID => {
+                    let mut hello = desk_hello();
+                    (hello.protocol_minor, hello.schema_hash) = (2, 0x6948_75a9_1436_e731);
+                    encode(&hello, 0, &mut out)
+                }
+                to => {
+                    let outcome = Outcome::UnknownMessage;
+                    let (seq, detail) = (1, 0);
+                    encode(
+                        &Reply {
+                            to,
+                            outcome,
+                            detail,
+                        },
+                        seq,
+                        &mut out,
+                    )
+                }
+            }
+            .unwrap();
+            self.sent.extend(&out[..length]);
+        }
+        Ok(())
+    }
+    fn receive(&mut self, buf: &mut [u8], _: Duration) -> Result<usize, LinkError> {
+        let length = self.sent.len();
+        buf[..length].copy_from_slice(&std::mem::take(&mut self.sent));
+        Ok(length)
+    }
+    fn describe(&self) -> String {
+        "device of 1.2".into()
+    }
+}
+
+#[test]
+fn an_older_device_that_does_not_know_its_utilisation_is_no_error() {
+    let mut client = Client::connect(Box::new(Device1_2::default())).unwrap();
+    assert_eq!(client.hello().protocol_minor, 2);
+    assert_eq!(client.utilisation().unwrap(), None);
+}
+
+/// Wrong option bytes: the device runs and says so, and clearing does not let it heat.
+#[test]
+fn a_standing_fault_is_reported_and_cannot_be_cleared() {
+    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    link.hob().realtime().raise_standing(Fault::OPTION_BYTES);
+    link.hob().run(1);
+    let mut client = Client::connect(Box::new(link.clone())).unwrap();
+    let number = u32::from(Fault::OPTION_BYTES.number());
+    let Some(Event::Fault(event)) = client.next_event(Duration::from_secs(1)).unwrap() else {
+        panic!("it must be reported");
+    };
+    assert_eq!(event.fault, Fault::OPTION_BYTES);
+    for _ in 0..2 {
+        let status = client.status().unwrap();
+        assert_eq!(
+            (status.state, status.fault),
+            (State::Faulted, Fault::OPTION_BYTES)
+        );
+        assert_eq!(
+            refusal(client.set_power(1_000)),
+            (Outcome::FaultActive, number)
+        );
+        assert_eq!(
+            refusal(client.clear_fault()),
+            (Outcome::FaultActive, number)
+        );
+        link.hob().run(1);
+    }
+}
+
 #[test]
 fn another_major_is_reported_at_the_host() {
     let mut hello = desk_hello();

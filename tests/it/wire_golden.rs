@@ -12,10 +12,10 @@ use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, decode, encode_raw};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, FaultEvent, GetStatus, Hello, LookupBlob, MESSAGES, Message, Outcome,
-    Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode,
-    ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrajectoryChunk,
-    WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, ClearFault, FaultEvent, GetStatus, GetUtilisation, Hello, LookupBlob, MESSAGES,
+    Message, Outcome, Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates,
+    ReplayMode, ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry,
+    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
@@ -93,6 +93,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             data: Raw(chunk),
         }),
         AnyMessage::ReplayEnd(ReplayEnd {}),
+        AnyMessage::GetUtilisation(GetUtilisation {}),
         AnyMessage::Reply(Reply {
             to: 5,
             outcome: Outcome::LookupStale,
@@ -139,6 +140,12 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
         AnyMessage::ReplayEstimates(ReplayEstimates {
             first: 200,
             data: Raw(chunk),
+        }),
+        AnyMessage::Utilisation(Utilisation {
+            blocks: 120_001,
+            mean_permille: 459,
+            worst_permille: 601,
+            longest_gap_us: 19_876,
         }),
     ]
 }

@@ -9,16 +9,57 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
+#[cfg(feature = "stm32g474")]
+use ihd_firmware::reset::Flags;
 use ihd_firmware::reset::{CrashRecord, Reason, WORDS};
 
 #[cfg(feature = "mps2-an386")]
-use super::mps2_an386::outputs_off;
+use super::mps2_an386::{outputs_off, stay};
 #[cfg(feature = "stm32g474")]
-use super::stm32g474::{outputs_off, system_fault};
+use super::stm32g474::{is_damaged_page, outputs_off, stay, system_fault};
 
 /// Not cleared at start: memory.x places it outside what start-up code writes.
 #[unsafe(link_section = ".crash_record")]
 static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
+
+/// How often in a row the program ended before it had run for a while, and its complement.
+#[unsafe(link_section = ".crash_record")]
+static ENDS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
+
+/// So many are enough to have reported each; the next would be no different.
+const MOST_ENDS: u32 = 4;
+
+fn count_end() -> u32 {
+    let [ends, check] = ENDS.each_ref().map(|word| word.load(Ordering::Relaxed));
+    let ends = if check == !ends { ends + 1 } else { 1 };
+    set_ends(ends);
+    ends
+}
+
+fn set_ends(ends: u32) {
+    for (kept, word) in ENDS.iter().zip([ends, !ends]) {
+        kept.store(word, Ordering::Relaxed);
+    }
+}
+
+/// Counts a start after the watchdog; stays there if it is one too many in a row. Power-on and the reset
+/// pin begin anew.
+#[cfg(feature = "stm32g474")]
+pub fn count_start(flags: Flags) {
+    if flags.watchdog {
+        if count_end() > MOST_ENDS {
+            stay(kept().fault);
+        }
+    } else if flags.brown_out || (flags.pin && !flags.software) {
+        set_ends(0);
+    }
+}
+
+/// The program has run for a while.
+#[cfg(feature = "stm32g474")]
+pub fn ran_well() {
+    set_ends(0);
+}
 
 /// What the last run left; counts this start.
 pub fn read_crash_record() -> Option<CrashRecord> {
@@ -65,6 +106,9 @@ fn end(reason: Reason) -> ! {
         reason: Some(reason),
         ..kept()
     });
+    if count_end() > MOST_ENDS {
+        stay(kept().fault);
+    }
     cortex_m::peripheral::SCB::sys_reset()
 }
 
@@ -74,11 +118,15 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 }
 
 /// An error of flash or RAM that cannot be corrected (RM0440: FLASH, "Error code correction (ECC)";
-/// SYSCFG, SYSCFG_CFGR2). HRTIM's system fault has opened the bridge already; the number is left for
-/// the next start, as no code is to be trusted from here on.
+/// SYSCFG, SYSCFG_CFGR2). In a page of the lookup it is what a power failure leaves, and the page counts as
+/// empty. Elsewhere HRTIM's system fault has opened the bridge already; the number is left for the next
+/// start, as no code is to be trusted from here on.
 #[cfg(feature = "stm32g474")]
 #[cortex_m_rt::exception]
-unsafe fn NonMaskableInt() -> ! {
+unsafe fn NonMaskableInt() {
+    if is_damaged_page() {
+        return;
+    }
     if let Some(fault) = system_fault() {
         note_fault(fault.number());
     }

@@ -3,7 +3,7 @@
 //! Control never waits for the link: while a frame waits for its port, blocks are still polled. The
 //! port that was heard last is the one that is answered.
 
-use embassy_futures::select::{Either4, select4};
+use embassy_futures::select::{Either, Either3, select, select3};
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::Access;
 use ihd_shared::wire::frame::MAX_ENCODED;
@@ -96,6 +96,7 @@ pub async fn run(
     // 64 bytes are a USB packet.
     let (mut a, mut b) = (Inbox::<64>::EMPTY, Inbox::<64>::EMPTY);
     let mut heard = Heard::First;
+    let mut block_was_last = false;
     loop {
         for (inbox, port) in [(&mut a, Heard::First), (&mut b, Heard::Second)] {
             if !inbox.rest().is_empty() {
@@ -108,23 +109,34 @@ pub async fn run(
             out.length = housekeeping.transmit(&mut path, &mut out.frame);
         }
         let frame = out.frame.get(out.sent..out.length).unwrap_or(&[]);
-        // Blocks first: whatever the host sends, control gets its turn.
-        let event = select4(
-            BLOCK_DONE.wait(),
+        let ports = select3(
             receive(&mut first.0, a.room()),
             receive(&mut second.0, b.room()),
             send(&mut first.1, &mut second.1, heard, frame),
-        )
-        .await;
+        );
+        // In turn: whatever the host sends, control gets its turn, and however fast blocks come, the
+        // ports get theirs.
+        let event = if block_was_last {
+            match select(ports, BLOCK_DONE.wait()).await {
+                Either::First(port) => Some(port),
+                Either::Second(()) => None,
+            }
+        } else {
+            match select(BLOCK_DONE.wait(), ports).await {
+                Either::First(()) => None,
+                Either::Second(port) => Some(port),
+            }
+        };
+        block_was_last = event.is_none();
         match event {
-            Either4::Second(n) => a.filled(n),
-            Either4::Third(n) => b.filled(n),
-            Either4::First(()) => {
+            Some(Either3::First(n)) => a.filled(n),
+            Some(Either3::Second(n)) => b.filled(n),
+            Some(Either3::Third(n)) => out.sent += n,
+            None => {
                 housekeeping.poll(&mut path);
                 tick(housekeeping, &mut path);
                 crash::note_fault(path.with(|rt| rt.fault()).number());
             }
-            Either4::Fourth(n) => out.sent += n,
         }
     }
 }

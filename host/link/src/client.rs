@@ -6,8 +6,8 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
 use ihd_shared::wire::messages::{
-    ClearFault, GetStatus, Hello, Message, Outcome, PushLookup, Raw, ReadLookup, Reply, SetPower,
-    Status, Stream,
+    ClearFault, GetStatus, GetUtilisation, Hello, Message, Outcome, PushLookup, Raw, ReadLookup,
+    Reply, SetPower, Status, Stream, Utilisation,
 };
 
 use super::incoming::{Answer, Event, Incoming};
@@ -145,6 +145,30 @@ impl Client {
             Answer::Status(status) => Some(status),
             _ => None,
         })
+    }
+
+    /// How busy the controller was since this was asked last; `None` from a device older than
+    /// protocol 1.3, which does not know the question.
+    ///
+    /// # Errors
+    /// As every command.
+    pub fn utilisation(&mut self) -> Result<Option<Utilisation>, LinkError> {
+        let answer = self.ask(
+            &GetUtilisation {},
+            "GetUtilisation",
+            |answer| match answer {
+                Answer::Utilisation(utilisation) => Some(utilisation),
+                _ => None,
+            },
+        );
+        match answer {
+            Ok(utilisation) => Ok(Some(utilisation)),
+            Err(LinkError::Refused {
+                outcome: Outcome::UnknownMessage,
+                ..
+            }) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     /// Offers a lookup. Taken, it becomes active at the next half-cycle boundary, which

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Hello, ReplayMode, Reply, Status, Telemetry,
+    AnyMessage, DecodeError, FaultEvent, Hello, ReplayMode, Reply, Status, Telemetry, Utilisation,
 };
 
 use super::Counters;
@@ -39,6 +39,8 @@ pub enum Answer {
     Reply(Reply),
     /// The controller now.
     Status(Status),
+    /// How busy the controller was.
+    Utilisation(Utilisation),
     /// The active lookup's bytes.
     Lookup(Vec<u8>),
     /// Whether the device takes its samples from the link.
@@ -88,6 +90,7 @@ impl Incoming {
             Ok(AnyMessage::Hello(m)) => self.answers.push_back(Answer::Hello(m)),
             Ok(AnyMessage::Reply(m)) => self.answers.push_back(Answer::Reply(m)),
             Ok(AnyMessage::Status(m)) => self.answers.push_back(Answer::Status(m)),
+            Ok(AnyMessage::Utilisation(m)) => self.answers.push_back(Answer::Utilisation(m)),
             Ok(AnyMessage::LookupBlob(m)) => {
                 self.answers.push_back(Answer::Lookup(m.blob.0.to_vec()));
             }
@@ -121,6 +124,7 @@ impl Incoming {
                 AnyMessage::SetPower(_)
                 | AnyMessage::Stream(_)
                 | AnyMessage::GetStatus(_)
+                | AnyMessage::GetUtilisation(_)
                 | AnyMessage::PushLookup(_)
                 | AnyMessage::ReadLookup(_)
                 | AnyMessage::ClearFault(_)

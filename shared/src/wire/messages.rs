@@ -233,6 +233,8 @@ message_table! { 'a;
     }
     /// Leaves replay mode; power must be asked for again. Answered by `ReplayMode`.
     0x0a "to device" ReplayEnd {}
+    /// Asks for a `Utilisation`; since protocol 1.3.
+    0x0b "to device" GetUtilisation {}
     /// Answer to every command that has no answer of its own.
     0x80 "from device" Reply {
         /// Id of the command.
@@ -383,6 +385,18 @@ message_table! { 'a;
         /// estimate.
         #[serde(borrow)]
         data: Raw<'a>,
+    }
+    /// How busy the controller was since `GetUtilisation` was asked last.
+    0x8b "from device" Utilisation {
+        /// Blocks of samples whose processing was measured; 0 on a board that cannot measure it.
+        blocks: u32,
+        /// Share of the processor's time that they took, in permille.
+        mean_permille: u16,
+        /// The same of the block that took most of its own time.
+        worst_permille: u16,
+        /// Longest time between two turns of what runs below the sampling path and feeds the
+        /// watchdog, in microseconds.
+        longest_gap_us: u32,
     }
 }
 

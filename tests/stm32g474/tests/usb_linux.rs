@@ -1,41 +1,211 @@
-//! Linux drives boards over USB: a guest under QEMU, with the host program in it. `cargo xtask usb` runs this.
+//! Linux drives boards over USB: a guest under QEMU with the host program in it, and the image on an emulated chip
+//! plugged into it over USB/IP. `cargo xtask usb` runs this.
 
 #[path = "usb_linux/boards.rs"]
 mod boards;
+#[path = "usb_linux/desk.rs"]
+mod desk;
 #[path = "usb_linux/guest.rs"]
 mod guest;
 #[path = "usb_linux/initramfs.rs"]
 mod initramfs;
 
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
 
 use boards::Board;
-use guest::Guest;
-use ihd_stm32g474::usb::usbip::Server;
+use desk::{Desk, number};
+use ihd_stm32g474::usb::Board as Host;
+
+/// What `ihd` ends with when the device or the link to it fails.
+const DEVICE: i32 = 3;
+const MINUTES: Duration = Duration::from_secs(300);
+
+fn image() -> PathBuf {
+    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask usb` names the image");
+    path.into()
+}
+
+/// The image, plugged in; its serial number.
+fn plugged_in() -> (Desk, String) {
+    let board = Board::emulated(&image(), 0x12).unwrap();
+    let mut desk = Desk::new(vec![board]).unwrap();
+    let serial = desk.plug(0).unwrap();
+    (desk, serial)
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
 
 #[test]
 #[ignore = "needs QEMU and a kernel: cargo xtask usb"]
-fn scratch() {
-    let began = Instant::now();
-    let mut guest = Guest::boot().unwrap();
-    println!("booted {:?}", began.elapsed());
-    let board = Board::stand_in("0123456789AB");
-    let server = Server::start([board.cable.clone()]).unwrap();
-    let port = server.address().port();
-    let mut run = |line: &str| {
-        let began = Instant::now();
-        let answer = guest.run(line, Duration::from_secs(120)).unwrap();
-        println!(
-            "$ {line}\n{}[{} in {:?}]",
-            answer.text,
-            answer.status,
-            began.elapsed()
-        );
-    };
-    run("ihd --version");
-    run(&format!("vhci-attach 10.0.2.2:{port} 1-1 0"));
-    run("sleep 2; dmesg | tail -12; ls -R /dev/bus/usb; cat /sys/bus/usb/devices/1-1/serial");
-    run("ihd record --device usb --out a.mcap --duration 3 --power 1000");
-    run("time ihd trainer --device usb --power 1000 --no-store");
-    run("free; cat /proc/uptime");
+fn linux_sees_the_descriptors_that_the_image_gives() {
+    // First without an operating system, which also shows that the board takes a second host after the first.
+    let board = Board::emulated(&image(), 0x12).unwrap();
+    let host = Host::enumerate(&board.cable, 9).unwrap();
+    let told = host.description.clone();
+    board.cable.unplug();
+    let mut desk = Desk::new(vec![board]).unwrap();
+    let serial = desk.plug(0).unwrap();
+    assert_eq!(serial, told.strings[2]);
+    let seen = desk
+        .guest
+        .shell(&format!("usb-descriptors {serial}"))
+        .unwrap();
+    for (name, bytes) in [
+        ("device", &told.device),
+        ("configuration", &told.configuration),
+        ("bos", &told.bos),
+        ("microsoft", &told.microsoft),
+    ] {
+        let wanted = format!("{name} {}", hexadecimal(bytes));
+        assert!(seen.contains(&wanted), "{wanted}\n{seen}");
+    }
+    // Windows binds its driver by this.
+    assert!(told.microsoft.windows(6).any(|bytes| bytes == b"WINUSB"));
+    // No class of the standard's, so no driver of the kernel's own takes it.
+    let driver = desk
+        .guest
+        .shell("cat /sys/bus/usb/devices/1-1:1.0/uevent")
+        .unwrap();
+    assert!(!driver.contains("DRIVER="), "{driver}");
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn whole_windows_are_recorded_over_usb() {
+    let (mut desk, _) = plugged_in();
+    let report = desk
+        .record("a.mcap", "--duration 20 --power 1000", MINUTES)
+        .unwrap();
+    assert!(number(&report, "windows") >= 3.0, "{report}");
+    for damage in [
+        "windows_missing",
+        "windows_rejected",
+        "frames_bad",
+        "frames_lost",
+        "telemetry_missing",
+    ] {
+        assert_eq!(number(&report, damage), 0.0, "{damage}: {report}");
+    }
+    let surveyed = desk.guest.shell("ihd inspect a.mcap").unwrap();
+    assert!(surveyed.contains("whole half-cycles"), "{surveyed}");
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn the_trainer_identifies_the_load_over_usb() {
+    let (mut desk, serial) = plugged_in();
+    let line =
+        "ihd trainer --device usb --power 1000 --no-store --json 2>trainer.log || cat trainer.log";
+    let answer = desk.guest.run(line, MINUTES).unwrap().text;
+    println!("{answer}");
+    assert!(answer.contains(&format!("usb ({serial})")), "{answer}");
+    assert!(number(&answer, "lookup_version") >= 1.0);
+    assert_eq!(number(&answer, "rejected"), 0.0);
+    let (asked, delivered) = (number(&answer, "asked_w"), number(&answer, "delivered_w"));
+    assert!(
+        (delivered - asked).abs() < 0.05 * asked,
+        "{delivered} W for {asked} W"
+    );
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() {
+    let (mut desk, _) = plugged_in();
+    desk.guest
+        .shell("ihd record --device usb --out pulled.mcap --power 1000 >record.log 2>&1 & echo $!")
+        .unwrap();
+    let written = "test $(stat -c %s pulled.mcap 2>/dev/null || echo 0) -gt 200000";
+    desk.until(written, MINUTES).unwrap();
+    desk.boards[0].cable.unplug();
+    let ended = desk.guest.run("wait $!", MINUTES).unwrap();
+    let said = desk.guest.shell("cat record.log").unwrap();
+    assert_eq!(ended.status, DEVICE, "{said}");
+    assert!(
+        said.contains("disconnected") || said.contains("closed the link"),
+        "{said}"
+    );
+    desk.until("dmesg | grep -q 'USB disconnect'", MINUTES)
+        .unwrap();
+    let surveyed = desk.guest.shell("ihd inspect pulled.mcap").unwrap();
+    assert!(surveyed.contains("whole half-cycles"), "{surveyed}");
+    desk.plug(0).unwrap();
+    let report = desk.record("again.mcap", "--duration 5", MINUTES).unwrap();
+    assert!(number(&report, "telemetry") > 0.0, "{report}");
+    assert_eq!(number(&report, "frames_bad"), 0.0, "{report}");
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn linux_lets_go_of_a_board_and_takes_it_again() {
+    let (mut desk, serial) = plugged_in();
+    desk.guest
+        .shell("echo 0 >/sys/devices/platform/vhci_hcd.0/detach")
+        .unwrap();
+    desk.until("dmesg | grep -q 'USB disconnect'", MINUTES)
+        .unwrap();
+    let nothing = desk
+        .guest
+        .run("ihd record --device usb --out none.mcap", MINUTES)
+        .unwrap();
+    assert_eq!(nothing.status, DEVICE, "{}", nothing.text);
+    assert!(
+        nothing.text.contains("no ihd controller is plugged in"),
+        "{}",
+        nothing.text
+    );
+    assert_eq!(desk.plug(0).unwrap(), serial);
+    desk.record("again.mcap", "--duration 2", MINUTES).unwrap();
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn two_boards_have_serial_numbers_of_their_own() {
+    let boards = [0x12, 0x34].map(|unique| Board::emulated(&image(), unique).unwrap());
+    let mut desk = Desk::new(boards.into()).unwrap();
+    let first = desk.plug(0).unwrap();
+    let second = desk.plug(1).unwrap();
+    assert_ne!(first, second);
+    let either = desk
+        .guest
+        .run("ihd record --device usb --out either.mcap", MINUTES)
+        .unwrap();
+    assert_eq!(either.status, DEVICE, "{}", either.text);
+    assert!(
+        either.text.contains("more than one ihd controller"),
+        "{}",
+        either.text
+    );
+    for serial in [first, second] {
+        desk.guest
+            .shell(&format!("usb-descriptors {serial}"))
+            .unwrap();
+    }
+    desk.end();
+}
+
+#[test]
+#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+fn a_stand_in_serves_where_the_chip_is_too_slow() {
+    let boards = vec![Board::stand_in("STANDIN0"), Board::stand_in("STANDIN1")];
+    let mut desk = Desk::new(boards).unwrap();
+    assert_eq!(desk.plug(0).unwrap(), "STANDIN0");
+    let report = desk
+        .record("a.mcap", "--duration 3 --power 1000", MINUTES)
+        .unwrap();
+    assert!(number(&report, "windows") >= 5.0, "{report}");
+    assert_eq!(number(&report, "windows_missing"), 0.0, "{report}");
+    let line =
+        "ihd trainer --device usb --power 1000 --no-store --json 2>trainer.log || cat trainer.log";
+    let answer = desk.guest.run(line, MINUTES).unwrap().text;
+    assert_eq!(number(&answer, "lookup_version"), 1.0, "{answer}");
+    desk.end();
 }

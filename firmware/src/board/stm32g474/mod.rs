@@ -7,6 +7,7 @@
 //! PA7         COMP2+              coil current inverted; COMP2 trips on the other peak
 //! PB1, PB0    ADC3 IN1, IN12      bus voltage, mains voltage
 //! PA2, PA3    LPUART1             the ST-LINK's serial port of a NUCLEO
+//! PA5         LED                 LD2 of a NUCLEO
 //! PA11, PA12  USB                 vendor bulk interface
 //! ```
 //!
@@ -16,6 +17,7 @@
 //! It has run on an emulated STM32G474 (tests/stm32g474), not on hardware yet.
 
 mod adc;
+mod led;
 mod nonvolatile;
 mod registers;
 mod serial;
@@ -34,4 +36,14 @@ pub fn outputs_off() {
 /// Which of the chip's system faults has left a flag.
 pub fn system_fault() -> Option<Fault> {
     registers::faults::system_fault()
+}
+
+/// Whether an NMI is about a page of the lookup that is being read, and done with.
+pub fn is_damaged_page() -> bool {
+    nonvolatile::is_damaged_page()
+}
+
+/// Stays for ever, and says by its LED which fault there was.
+pub fn stay(fault: u16) -> ! {
+    led::flash_for_ever(fault)
 }

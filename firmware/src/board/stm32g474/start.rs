@@ -11,12 +11,13 @@ use embassy_stm32::rcc;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::usb::Driver;
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Peripherals, bind_interrupts, interrupt, peripherals, uid};
+use embassy_stm32::{Peri, Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Access, Bridge};
 use ihd_firmware::{nonvolatile, reset};
+use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -24,12 +25,12 @@ use ihd_shared::wire::messages::{Hello, State};
 use static_cell::StaticCell;
 
 use super::adc::{Adc, SAMPLING_EXECUTOR};
+use super::led::Led;
 use super::nonvolatile::LookupPages;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
-use crate::board::load::{self, Load};
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
-use crate::board::{crash, link};
+use crate::board::{crash, cycles, link};
 
 bind_interrupts!(struct Irqs {
     USB_LP => embassy_stm32::usb::InterruptHandler<USB>;
@@ -40,8 +41,8 @@ bind_interrupts!(struct Irqs {
 /// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
-/// Blocks between two log lines about the load: 1.2 s at 80 kHz, 2.9 s at 34 kHz.
-const TELL_EVERY: u32 = 32_768;
+/// So many blocks after the start, 1.2 s at 80 kHz and 2.9 s at 34 kHz, it was a good one.
+const RAN_WELL: u32 = 32_768;
 
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
@@ -52,11 +53,8 @@ type UsbDriver = Driver<'static, USB>;
 /// What the link task owns besides the link itself.
 struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
+    led: Led,
     heartbeat: Heartbeat,
-    /// When the watchdog was fed last, by the cycle counter.
-    fed_at: u32,
-    /// When the load was logged last, in blocks.
-    told_at: u32,
     pages: LookupPages,
     kept_version: u32,
 }
@@ -65,11 +63,18 @@ struct Board {
 fn main() -> ! {
     let flags = registers::supply::reset_flags();
     let last = crash::read_crash_record();
+    crash::count_start(flags);
     let p = registers::clocks::start();
+    registers::supply::protect_code();
     if let Some(core) = cortex_m::Peripherals::take() {
-        load::start(core);
+        cycles::start(core);
     }
-    defmt::info!("reset reason {=u8}", reset::reason(flags, last) as u8);
+    defmt::info!(
+        "reset reason {=u8}, fault before it {=u16}; {=u32} MHz",
+        reset::reason(flags, last) as u8,
+        last.map_or(0, |record| record.fault),
+        registers::clocks::CORE_MHZ
+    );
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
     let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
@@ -93,21 +98,25 @@ fn hello(flags: reset::Flags, last: Option<reset::CrashRecord>) -> Hello {
     hello
 }
 
+/// Not inlined: its frame of 3 KiB would stay on the stack under everything that runs afterwards.
+#[inline(never)]
 fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
     interrupt_side: sampling::InterruptSide,
-    thread_side: ThreadSide,
+    mut thread_side: ThreadSide,
 ) {
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
-    let mut pages = LookupPages(Flash::new_blocking(p.FLASH));
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
-    if let Some(lookup) = nonvolatile::load(&mut pages) {
-        housekeeping.restore(lookup);
+    if !option_bytes_ok() {
+        thread_side.with(|rt| rt.raise_standing(Fault::OPTION_BYTES));
     }
+    let pages = lookup_pages(p.FLASH, housekeeping);
+    let led = Led::new(p.PA5, cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.
     registers::comparators::start();
+    defmt::info!("comparators on");
     for pin in [
         Flex::new(p.PA0),
         Flex::new(p.PA1),
@@ -128,15 +137,16 @@ fn start(
     if let Ok(token) = SAMPLING_TASK.spawn(|| SamplingTask::new(Adc::start(), interrupt_side)) {
         sampling_spawner.spawn(token);
     }
+    defmt::info!("timers and ADCs run, faults armed");
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
     let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
     let uart = serial_port(p.LPUART1, p.PA3, p.PA2);
     watchdog.unleash();
+    defmt::info!("watchdog runs: {=u32} µs", WATCHDOG_US);
     let board = Board {
         watchdog,
+        led,
         heartbeat: Heartbeat::default(),
-        fed_at: load::now(),
-        told_at: 0,
         kept_version: housekeeping.lookup().version,
         pages,
     };
@@ -147,6 +157,41 @@ fn start(
     if let Ok(token) = link_task(usb, uart, housekeeping, thread_side, board) {
         spawner.spawn(token);
     }
+}
+
+/// FLASH_OPTR; what is wrong is a fault as long as the program runs.
+fn option_bytes_ok() -> bool {
+    let (banks, parity) = (
+        registers::supply::has_two_banks(),
+        registers::supply::has_parity(),
+    );
+    defmt::info!(
+        "option bytes: DBANK {=bool}, RAM parity {=bool}",
+        banks,
+        parity
+    );
+    if !(banks && parity) {
+        defmt::error!("set option bytes DBANK = 1 and SRAM_PE = 0 (docs/board.md)");
+    }
+    banks && parity
+}
+
+/// The pages of the lookup; what they hold becomes active. embassy's driver panics where its idea of the
+/// banks is not the chip's.
+fn lookup_pages(
+    flash: Peri<'static, peripherals::FLASH>,
+    housekeeping: &mut Housekeeping,
+) -> LookupPages {
+    let two_banks = registers::supply::has_two_banks();
+    let mut pages = LookupPages(two_banks.then(|| Flash::new_blocking(flash)));
+    match nonvolatile::load(&mut pages) {
+        Some(lookup) => {
+            defmt::info!("lookup {=u32} from flash", lookup.version);
+            housekeeping.restore(lookup);
+        }
+        None => defmt::info!("no lookup in flash"),
+    }
+    pages
 }
 
 /// The clocks of what [`registers`] drives.
@@ -171,9 +216,9 @@ fn bridge_pin(mut pin: Flex<'static>) {
 }
 
 fn serial_port(
-    uart: embassy_stm32::Peri<'static, LPUART1>,
-    receive: embassy_stm32::Peri<'static, peripherals::PA3>,
-    transmit: embassy_stm32::Peri<'static, peripherals::PA2>,
+    uart: Peri<'static, LPUART1>,
+    receive: Peri<'static, peripherals::PA3>,
+    transmit: Peri<'static, peripherals::PA2>,
 ) -> Option<(serial::Receiver, serial::Sender)> {
     static TRANSMIT: StaticCell<[u8; serial::TRANSMIT_BUFFER]> = StaticCell::new();
     static RECEIVE: StaticCell<[u8; serial::RECEIVE_BUFFER]> = StaticCell::new();
@@ -208,16 +253,6 @@ async fn link_task(
     }
 }
 
-fn tell(load: Load) {
-    defmt::info!(
-        "{=u32} blocks: {=u32} cycles each, {=u32} at most; watchdog fed within {=u32} cycles",
-        load.blocks,
-        load.busy_cycles / load.blocks.max(1),
-        load.worst_cycles,
-        load.longest_feed_gap_cycles
-    );
-}
-
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
@@ -231,13 +266,14 @@ impl Board {
             }
             rt.blocks()
         });
+        let control = housekeeping.control();
+        let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
+        self.led.show(state, fault, cycles::now());
         if self.heartbeat.beat(blocks) {
             self.watchdog.pet();
-            self.fed_at = load::fed(self.fed_at);
         }
-        if blocks.wrapping_sub(self.told_at) >= TELL_EVERY {
-            self.told_at = blocks;
-            tell(load::load());
+        if blocks == RAN_WELL {
+            crash::ran_well();
         }
         let version = housekeeping.lookup().version;
         if version != self.kept_version && housekeeping.control().state() == State::Idle {

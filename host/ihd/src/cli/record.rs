@@ -10,7 +10,7 @@ use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
 use ihd_link::{Client, DeviceSpec, Event, Transport};
 use ihd_shared::hob::RATED_POWER_W;
-use ihd_shared::wire::messages::Status;
+use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -19,6 +19,7 @@ use serde::Serialize;
 use super::interrupt;
 use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
+use crate::report::utilisation;
 
 /// How often the device hears from us: it switches off after 10 s without.
 const HEARD_EVERY: Duration = Duration::from_secs(2);
@@ -77,6 +78,10 @@ struct Report {
     link: LinkCounters,
     device_windows_dropped: u32,
     device_telemetry_dropped: u32,
+    /// While it recorded.
+    processor: serde_json::Value,
+    #[serde(skip)]
+    processor_line: String,
 }
 
 impl RecordArgs {
@@ -99,12 +104,14 @@ impl RecordArgs {
         let closed = client.finish_recording();
         bar.finish_and_clear();
         let mut report = recorded?;
-        let status = left?;
+        let (status, used) = left?;
         closed?;
         report.link = ihd_capture::mcap::link_counters(&client.counters());
         report.bytes = std::fs::metadata(&self.out).map_or(0, |m| m.len());
         report.device_windows_dropped = status.windows_dropped;
         report.device_telemetry_dropped = status.telemetry_dropped;
+        report.processor = utilisation::json(used.as_ref());
+        report.processor_line = utilisation::line(used.as_ref());
         self.print(&report)
     }
 
@@ -131,6 +138,8 @@ impl RecordArgs {
         if let Some(power_w) = self.power {
             client.set_power(power_w)?;
         }
+        // What it counts from here on is of this recording.
+        client.utilisation()?;
         let began = client.clock();
         let mut heard = began;
         let mut faults = 0;
@@ -165,17 +174,20 @@ impl RecordArgs {
             link: LinkCounters::default(),
             device_windows_dropped: 0,
             device_telemetry_dropped: 0,
+            processor: serde_json::Value::Null,
+            processor_line: String::new(),
         })
     }
 
     /// Leaves the device silent, and off where it was switched on; takes what is on its way.
-    fn leave(&self, client: &mut Client) -> Result<Status> {
+    fn leave(&self, client: &mut Client) -> Result<(Status, Option<Utilisation>)> {
+        let used = client.utilisation()?;
         if self.power.is_some() {
             client.set_power(0)?;
         }
         client.stream(0, 0)?;
         while client.next_event(LOOK_EVERY)?.is_some() {}
-        Ok(client.status()?)
+        Ok((client.status()?, used))
     }
 
     fn print(&self, r: &Report) -> Result<()> {
@@ -201,6 +213,7 @@ impl RecordArgs {
             "frames     {} good, {} bad, {} lost; {} fault events",
             l.frames_good, l.frames_bad, l.frames_lost, r.faults
         );
+        println!("processor  {}", r.processor_line);
         Ok(())
     }
 }

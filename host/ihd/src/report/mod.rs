@@ -8,6 +8,7 @@ pub mod table;
 pub mod trained;
 #[cfg(feature = "pinn")]
 pub mod training;
+pub mod utilisation;
 
 /// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]

@@ -9,6 +9,7 @@ use ihd_train::{Point, Report};
 use serde::Serialize;
 
 use super::table::Table;
+use super::utilisation;
 
 /// The report as text.
 pub fn text(report: &Report) -> String {
@@ -44,6 +45,8 @@ pub fn text(report: &Report) -> String {
         s.pot, s.state, s.fault
     );
     let _ = writeln!(out, "link     {}", link(report));
+    let used = utilisation::line(report.utilisation.as_ref());
+    let _ = writeln!(out, "busy     {used}");
     if let Some(first_s) = report.first_lookup_s {
         let _ = writeln!(
             out,
@@ -156,6 +159,7 @@ pub fn json(report: &Report) -> serde_json::Value {
         "pot": format!("{:?}", s.pot).to_lowercase(),
         "state": format!("{:?}", s.state).to_lowercase(),
         "fault": s.fault.number(),
+        "processor": utilisation::json(report.utilisation.as_ref()),
         "windows": Windows {
             received: c.windows.received,
             dropped_by_device: c.windows.dropped_by_device,

@@ -8,7 +8,7 @@ use ihd_capture::mcap::SessionRecorder;
 use ihd_link::{Client, Counters, Window};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::Status;
+use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_signal::truth::Truth;
 
 use super::device::{Device, TruthSource};
@@ -44,6 +44,8 @@ pub struct Report {
     pub built: Option<Built>,
     /// The device at the end.
     pub status: Status,
+    /// How busy it was; `None` before protocol 1.3.
+    pub utilisation: Option<Utilisation>,
     /// What the link counted.
     pub counters: Counters,
     /// Windows that the gate refused.
@@ -100,6 +102,7 @@ pub fn run(
             built: None,
             counters: Counters::default(),
             status,
+            utilisation: None,
             refused: 0,
             first_lookup_s: None,
             total_s: 0.0,
@@ -110,6 +113,7 @@ pub fn run(
     let outcome = run.all_points();
     if outcome.is_ok() {
         run.report.status = run.device.client.status()?;
+        run.report.utilisation = run.device.client.utilisation()?;
     }
     let off = run.device.finish();
     outcome?;

@@ -28,6 +28,8 @@ const RESET_US: f64 = 10_000.0;
 const RECOVERY_US: f64 = 10_000.0;
 /// After SET_ADDRESS a device has this long (USB 2.0, 9.2.6.3).
 const ADDRESS_US: f64 = 2_000.0;
+/// The wall's time that emulated time waits for a slow reader.
+const PATIENCE: Duration = Duration::from_secs(1);
 /// More than this is not caught up with after a pause.
 const BEHIND_US: f64 = 5_000.0;
 
@@ -41,6 +43,7 @@ enum Command {
 struct Shared {
     attached: AtomicBool,
     ended: AtomicBool,
+    patient: AtomicBool,
     now_ns: AtomicU64,
     next_id: AtomicU64,
 }
@@ -88,6 +91,12 @@ impl Cable {
         self.shared.attached.load(Ordering::Relaxed)
     }
 
+    /// From now on emulated time waits for a host that is slower than the board, as a whole emulated computer is: it
+    /// stands still while whoever reads all the time has not asked for more.
+    pub fn be_patient(&self) {
+        self.shared.patient.store(true, Ordering::Relaxed);
+    }
+
     /// Whether the machine is gone.
     pub fn ended(&self) -> bool {
         self.shared.ended.load(Ordering::Relaxed)
@@ -124,6 +133,8 @@ pub struct HostController {
     reset_until_us: f64,
     /// Pipes that rest until a time, since the device was silent there.
     resting: BTreeMap<Pipe, f64>,
+    /// From here somebody reads all the time.
+    read: Option<Pipe>,
 }
 
 impl Drop for HostController {
@@ -148,6 +159,7 @@ impl HostController {
             next_frame_us: 0.0,
             reset_until_us: 0.0,
             resting: BTreeMap::new(),
+            read: None,
         }
     }
 
@@ -163,6 +175,7 @@ impl HostController {
         while let Ok(command) = self.commands.try_recv() {
             self.obey(command);
         }
+        self.wait_for_reader();
         let mut time = free.max(now_us - BEHIND_US);
         self.next_frame_us = self.next_frame_us.max(time - FRAME_US);
         while time <= now_us {
@@ -186,15 +199,37 @@ impl HostController {
             }
             Command::Submit(id, request, done) => {
                 let queue = self.queues.entry(request.pipe()).or_default();
+                if matches!(request, Request::In { .. }) {
+                    self.read = Some(request.pipe());
+                }
                 queue.push_back(Transfer::new(id, request, done));
             }
             Command::Cancel(id) => {
+                self.read = None;
                 for queue in self.queues.values_mut() {
                     let place = queue.iter().position(|transfer| transfer.id == id);
                     if let Some(transfer) = place.and_then(|place| queue.remove(place)) {
                         transfer.finish(Status::Cancelled);
                     }
                 }
+            }
+        }
+    }
+
+    fn wait_for_reader(&mut self) {
+        let patient = self.shared.patient.load(Ordering::Relaxed);
+        while let Some(pipe) = self.read.filter(|_| patient) {
+            if self
+                .queues
+                .get(&pipe)
+                .is_some_and(|queue| !queue.is_empty())
+            {
+                return;
+            }
+            match self.commands.recv_timeout(PATIENCE) {
+                Ok(command) => self.obey(command),
+                // It has read all it wanted.
+                Err(_) => self.read = None,
             }
         }
     }
@@ -211,6 +246,7 @@ impl HostController {
     /// Nothing is at the end of the cable any more.
     fn lost(&mut self) {
         self.enabled = false;
+        self.read = None;
         for transfer in self.queues.values_mut().flat_map(|queue| queue.drain(..)) {
             transfer.finish(Status::Gone);
         }

@@ -151,6 +151,7 @@ impl Export {
         if identity.is_none() {
             return Ok(());
         }
+        self.cable.be_patient();
         let (answers, arrived) = mpsc::channel::<Vec<u8>>();
         let (mut back, cable) = (stream.try_clone()?, self.cable.clone());
         let writer = thread::spawn(move || {

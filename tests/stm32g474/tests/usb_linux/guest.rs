@@ -67,11 +67,17 @@ fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
             .into_owned();
         archive.file(&format!("lib/modules/{name}"), &fs::read(&path)?);
     }
-    archive.program("bin/ihd", &variable("IHD_PROGRAM")?)?;
-    archive.program(
-        "bin/vhci-attach",
-        Path::new(env!("CARGO_BIN_EXE_vhci-attach")),
-    )?;
+    let programs = [
+        ("bin/ihd", variable("IHD_PROGRAM")?),
+        ("bin/vhci-attach", env!("CARGO_BIN_EXE_vhci-attach").into()),
+        (
+            "bin/usb-descriptors",
+            env!("CARGO_BIN_EXE_usb-descriptors").into(),
+        ),
+    ];
+    for (path, program) in programs {
+        archive.program(path, &program)?;
+    }
     Ok(archive.finish())
 }
 

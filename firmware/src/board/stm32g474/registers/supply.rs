@@ -27,6 +27,16 @@ pub fn has_parity() -> bool {
     !pac::FLASH.optr().read().sram_pe()
 }
 
+/// FLASH, FLASH_ECCR: whether two wrong bits were found in the second bank; cleared, by writing 1, if so.
+pub fn take_error_in_bank_2() -> bool {
+    let ecc = pac::FLASH.eccr().read();
+    let found = ecc.eccd() && ecc.bk_ecc() && !ecc.sysf_ecc();
+    if found {
+        pac::FLASH.eccr().write(|w| w.set_eccd(true));
+    }
+    found
+}
+
 /// SYSCFG, SYSCFG_SWPR: the CCM SRAM, all of whose 32 pages hold code or constants by now, is written no
 /// more until reset.
 pub fn protect_code() {

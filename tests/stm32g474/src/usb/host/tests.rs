@@ -159,6 +159,35 @@ fn nak_waits_until_it_is_cancelled_or_the_cable_is_pulled() {
 }
 
 #[test]
+fn time_waits_for_a_reader_that_is_behind() {
+    let mut bench = Bench::configured();
+    bench.cable.be_patient();
+    let sent = bench.out(vec![1; 63]);
+    let first = bench.input(64);
+    let cable = bench.cable.clone();
+    let later = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(50));
+        let before = cable.now();
+        let (sender, receiver) = mpsc::channel();
+        cable.submit(
+            Request::In {
+                endpoint: 1,
+                length: 64,
+            },
+            move |outcome| {
+                drop(sender.send(outcome.status));
+            },
+        );
+        (before, receiver)
+    });
+    bench.pass(1);
+    assert_eq!(sent.try_recv().unwrap().status, Status::Done);
+    assert_eq!(first.try_recv().unwrap().length, 63);
+    let (before, _second) = later.join().unwrap();
+    assert!(bench.cable.now() - before < Duration::from_millis(2));
+}
+
+#[test]
 fn nineteen_packets_fit_into_a_frame() {
     let mut bench = Bench::configured();
     let sent = bench.out(vec![0; 1_000_000]);

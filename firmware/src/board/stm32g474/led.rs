@@ -1,0 +1,94 @@
+//! The NUCLEO's green LED (LD2 on PA5), for who stands beside the board without a host.
+//!
+//! | LED | meaning |
+//! |---|---|
+//! | a flash every 2 s | idle, waiting for a power request |
+//! | lit | probing or heating |
+//! | n flashes, a pause | fault n |
+//! | n flashes, or a flicker, and the host gets no answer | the program ended too often in a row and stays so (`crash.rs`); fault n was active before, or none |
+
+use embassy_stm32::Peri;
+use embassy_stm32::gpio::{Level, Output, Speed};
+use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::vals::Moder;
+use embassy_stm32::pac::iwdg::vals::Key;
+use embassy_stm32::pac::rcc::vals::Sw;
+use embassy_stm32::peripherals::PA5;
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::State;
+
+use super::registers::clocks::CORE_MHZ;
+
+const PIN: usize = 5;
+
+/// Half of the time from one flash of a fault to the next, and the pause after the last.
+const FLASH_MS: u32 = 200;
+const PAUSE_MS: u32 = 1_600;
+
+const CYCLES_PER_MS: u32 = CORE_MHZ * 1_000;
+
+/// The LED and its time.
+pub struct Led {
+    pin: Output<'static>,
+    /// Cycle counter at the last whole millisecond.
+    at: u32,
+    ms: u32,
+}
+
+impl Led {
+    /// Dark.
+    pub fn new(pin: Peri<'static, PA5>, now: u32) -> Self {
+        Self {
+            pin: Output::new(pin, Level::Low, Speed::Low),
+            at: now,
+            ms: 0,
+        }
+    }
+
+    /// Shows it; called at least every 20 s.
+    pub fn show(&mut self, state: State, fault: Fault, now: u32) {
+        let ms = now.wrapping_sub(self.at) / CYCLES_PER_MS;
+        self.at = self.at.wrapping_add(ms * CYCLES_PER_MS);
+        self.ms = self.ms.wrapping_add(ms);
+        let lit = match (fault, state) {
+            (Fault::NONE, State::Probing | State::Heating) => true,
+            (Fault::NONE, _) => self.ms % 2_000 < 50,
+            (fault, _) => flashes(u32::from(fault.number()), self.ms),
+        };
+        self.pin.set_level(Level::from(lit));
+    }
+}
+
+fn flashes(number: u32, ms: u32) -> bool {
+    let on = number * 2 * FLASH_MS;
+    let ms = ms % (on + PAUSE_MS);
+    ms < on && ms % (2 * FLASH_MS) < FLASH_MS
+}
+
+/// Flashes a fault's number for ever, or flickers without one, feeding the watchdog should it run. Registers alone: whatever came
+/// before cannot be trusted.
+pub fn flash_for_ever(number: u16) -> ! {
+    pac::RCC.ahb2enr().modify(|w| w.set_gpioaen(true));
+    let _ = pac::RCC.ahb2enr().read();
+    pac::GPIOA
+        .moder()
+        .modify(|w| w.set_moder(PIN, Moder::OUTPUT));
+    let mhz = match pac::RCC.cfgr().read().sws() {
+        Sw::PLL1_R => CORE_MHZ,
+        _ => 16,
+    };
+    let mut ms = 0;
+    loop {
+        let lit = match number {
+            0 => ms % 200 < 100,
+            _ => flashes(u32::from(number), ms),
+        };
+        pac::GPIOA.bsrr().write(|w| match lit {
+            true => w.set_bs(PIN, true),
+            false => w.set_br(PIN, true),
+        });
+        pac::IWDG.kr().write(|w| w.set_key(Key::RESET));
+        cortex_m::asm::delay(mhz * 1_000);
+        ms += 1;
+    }
+}

@@ -1,0 +1,122 @@
+//! A guest, the boards beside it, and the USB/IP server between them.
+
+use std::net::SocketAddr;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{bail, ensure};
+use ihd_stm32g474::usb::usbip::Server;
+
+use crate::boards::Board;
+use crate::guest::Guest;
+
+/// From plugging a board in until the kernel has its serial number.
+const ENUMERATION: Duration = Duration::from_secs(60);
+/// Between two looks at something that takes its time.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// The desk.
+pub struct Desk {
+    /// The computer.
+    pub guest: Guest,
+    /// What can be plugged into it.
+    pub boards: Vec<Board>,
+    server: SocketAddr,
+}
+
+/// A number of a report in JSON, by its name; where there are several of the name, the first.
+pub fn number(report: &str, name: &str) -> f64 {
+    let value = report
+        .split_once(&format!("\"{name}\": "))
+        .map(|(_, rest)| rest);
+    let digits = value.and_then(|value| value.split([',', '\n', '}']).next());
+    digits
+        .and_then(|digits| digits.trim().parse().ok())
+        .unwrap_or(f64::NAN)
+}
+
+impl Desk {
+    /// Boots the guest; nothing is plugged in.
+    pub fn new(boards: Vec<Board>) -> anyhow::Result<Self> {
+        let server = Server::start(boards.iter().map(|board| board.cable.clone()))?.address();
+        let began = Instant::now();
+        let guest = Guest::boot()?;
+        println!(
+            "the guest is up after {:.1} s",
+            began.elapsed().as_secs_f64()
+        );
+        Ok(Self {
+            guest,
+            boards,
+            server,
+        })
+    }
+
+    /// Plugs a board in and returns the serial number that the kernel reads.
+    pub fn plug(&mut self, board: usize) -> anyhow::Result<String> {
+        let (began, port) = (Instant::now(), self.server.port());
+        let bus_id = format!("1-{}", board + 1);
+        // The port of the virtual controller is free again a moment after something was unplugged.
+        let attach = format!("vhci-attach 10.0.2.2:{port} {bus_id} {board}");
+        self.until(&attach, ENUMERATION)?;
+        let serial = format!("cat /sys/bus/usb/devices/{bus_id}/serial");
+        self.until(&format!("{serial} 2>/dev/null"), ENUMERATION)?;
+        println!("plugged in after {:.1} s", began.elapsed().as_secs_f64());
+        Ok(self.guest.shell(&serial)?.trim().to_owned())
+    }
+
+    /// Repeats a line of shell until it succeeds.
+    pub fn until(&mut self, line: &str, timeout: Duration) -> anyhow::Result<()> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            let answer = self.guest.run(line, timeout)?;
+            if answer.status == 0 {
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                let log = self.guest.shell("dmesg | tail -20")?;
+                bail!("not within {timeout:?}: {line}: {}\n{log}", answer.text);
+            }
+            thread::sleep(GLANCE);
+        }
+    }
+
+    /// `ihd record` into a file of the guest; its report in JSON.
+    pub fn record(
+        &mut self,
+        file: &str,
+        options: &str,
+        timeout: Duration,
+    ) -> anyhow::Result<String> {
+        let emulated = |desk: &Self| {
+            desk.boards[0]
+                .bench
+                .as_ref()
+                .map_or(0.0, |bench| bench.now_s())
+        };
+        let (began, from) = (Instant::now(), emulated(self));
+        let line = format!(
+            "ihd record --device usb --out {file} {options} --json 2>record.log || cat record.log"
+        );
+        let answer = self.guest.run(&line, timeout)?;
+        let report = answer.text;
+        ensure!(report.contains("\"link\""), "{line}: {report}");
+        let (wall, passed) = (began.elapsed().as_secs_f64(), emulated(self) - from);
+        let bytes = number(&report, "bytes");
+        println!(
+            "recorded {bytes} bytes in {wall:.1} s, of which {passed:.2} s passed on the chip"
+        );
+        Ok(report)
+    }
+
+    /// The end: no board did what its manual forbids, or was reset.
+    pub fn end(self) {
+        for bench in self.boards.iter().filter_map(|board| board.bench.as_ref()) {
+            let (violations, resets) =
+                bench.with(|machine| (machine.violations(), machine.resets.clone()));
+            let violations: Vec<_> = violations.iter().map(ToString::to_string).collect();
+            assert!(violations.is_empty(), "{violations:#?}");
+            assert!(resets.is_empty(), "{resets:?}");
+        }
+    }
+}
