@@ -133,7 +133,7 @@ def values():
     row("crest voltage of one 64.9 kΩ", (v_r + 325 / 2) / n, "V", "")
     row("power of one 232 kΩ of the bus", 1e3 * (230 / n) ** 2 / p["bus_top"], "mW", "")
     row("burden's power at 54 A rms", (54 / p["turns"]) ** 2 * p["burden"], "W", "76 A / √2")
-    # 60 V/A of turns: A_L of 2 µH and more.
+    # A core with A_L of 2 µH or more; 3 Ω of winding.
     l_ct = p["turns"] ** 2 * 2e-6
     row("phase error of the transformer at 34 kHz", 1e3 * (p["burden"] + 3) / (2 * math.pi * F_MIN_HZ * l_ct), "mrad", "(4.12 + 3) Ω / (ω · 80 mH)")
     row("bootstrap: time constant", p["r_boot"] * p["c_boot"] * 1e6, "µs", "10 Ω · 1 µF")
@@ -142,6 +142,13 @@ def values():
     row("clamp current at an amplifier's 5 V", (5 - 3.3 - 0.35) / p["pin_r"] * 1e3, "mA", "")
     f_slow = f_top * 61 / 3 / 2
     row("ADC3's input as a resistance", 1e-3 / (f_slow * 5e-12), "kΩ", "1 / (813 kHz · 5 pF)")
+    for name, r25, beta, up, temperatures in (
+        ("heat sink", 10e3, 3435, 2.21e3, (-20, 25, 85, 150)),
+        ("glass, coil", 100e3, 3950, 10e3, (-20, 25, 85, 200, 300)),
+    ):
+        for celsius in temperatures:
+            ntc = r25 * math.exp(beta * (1 / (celsius + 273.15) - 1 / 298.15))
+            row(f"NTC {name} at {celsius} °C", V_ADC_V * ntc / (ntc + up), "V", f"{ntc / 1e3:.3g} kΩ")
     # ±640 V, issue 14: the nearest E96 resistors.
     wide = V_REF_V * n * p["coil_top"] / 665
     row("coil voltage with 665 Ω for 1.07 kΩ", wide, "V", error(wide, 640.0))
