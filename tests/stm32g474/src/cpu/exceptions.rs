@@ -86,11 +86,19 @@ pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
         words.push(register(cpu, RegisterARM::FPSCR));
         words.push(0);
     }
-    for (k, value) in words.iter().enumerate() {
-        // "the fault handler executes even though the stack push for the handler failed"
-        let _ = cpu.mem_write(u64::from(frame) + 4 * k as u64, &value.to_le_bytes());
+    let bytes: Vec<u8> = words.iter().flat_map(|value| value.to_le_bytes()).collect();
+    if cpu.mem_write(u64::from(frame), &bytes).is_err() && exception > HARD_FAULT {
+        // A fault in stacking comes before the interrupt (B1.5.6, derived exceptions), which waits. The fault's handler
+        // executes though its own push fails.
+        return enter(cpu, HARD_FAULT, pc);
     }
-    let vectors = cpu.get_data().chip.system.get(&0xED08).copied().unwrap_or(0);
+    let vectors = cpu
+        .get_data()
+        .chip
+        .system
+        .get(&0xED08)
+        .copied()
+        .unwrap_or(0);
     let vectors = if vectors == 0 { 0x0800_0000 } else { vectors };
     let handler = word(cpu, vectors + 4 * exception as u32).map_err(|_| LockUp)?;
     let back = if was_handler { TO_HANDLER } else { TO_THREAD };
@@ -129,7 +137,8 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
     if let Some((exception, began)) = state.chip.nvic.leave() {
         let time = state.timing.handlers.entry(exception).or_default();
         let cycles = state.chip.cycles - began + RETURN_CYCLES;
-        (time.runs, time.cycles, time.worst) = (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
+        (time.runs, time.cycles, time.worst) =
+            (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
     }
     state.event = true;
     let sp = register(cpu, RegisterARM::SP);
@@ -166,7 +175,8 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
     let sp = sp + popped + if xpsr & 1 << 9 != 0 { 4 } else { 0 };
     set(cpu, RegisterARM::SP, sp);
     let waiting = next(cpu).is_some();
-    cpu.get_data_mut().pass(if waiting { TAIL_CYCLES } else { RETURN_CYCLES });
+    cpu.get_data_mut()
+        .pass(if waiting { TAIL_CYCLES } else { RETURN_CYCLES });
     Ok(frame[6])
 }
 
