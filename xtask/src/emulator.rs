@@ -1,4 +1,4 @@
-//! QEMU's Arm system emulator: found, installed, or unpacked beside the build.
+//! QEMU's system emulators: found, installed, or unpacked beside the build.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,26 +9,43 @@ use anyhow::Context;
 use crate::setup::{apt_get, install, say};
 use crate::workspace::{Workspace, first_line};
 
-/// The program, and Debian's and Ubuntu's package of it.
-const EMULATOR: &str = "qemu-system-arm";
+/// One of QEMU's emulators.
+#[derive(Clone, Copy)]
+pub struct Emulator {
+    /// Debian's and Ubuntu's package of it.
+    package: &'static str,
+    program: &'static str,
+}
+
+/// For the firmware's image.
+pub const ARM: Emulator = Emulator::new("qemu-system-arm", "qemu-system-arm");
+
+/// For a Linux to which boards are plugged.
+pub const X86: Emulator = Emulator::new("qemu-system-x86", "qemu-system-x86_64");
+
+impl Emulator {
+    const fn new(package: &'static str, program: &'static str) -> Self {
+        Self { package, program }
+    }
+}
 
 /// A program that runs the emulator, installed if need be.
-pub fn find(workspace: &Workspace) -> anyhow::Result<PathBuf> {
-    let beside = workspace.target.join("tools/qemu");
-    let script = beside.join(EMULATOR);
-    if let Ok(program) = starts(EMULATOR.into()).or_else(|_| starts(script.clone())) {
+pub fn find(workspace: &Workspace, emulator: Emulator) -> anyhow::Result<PathBuf> {
+    let Emulator { package, program } = emulator;
+    let beside = workspace.target.join("tools").join(package);
+    let script = beside.join(program);
+    if let Ok(program) = starts(program.into()).or_else(|_| starts(script.clone())) {
         return Ok(program);
     }
-    let Err(refused) = apt_get(&[EMULATOR]) else {
-        return starts(EMULATOR.into());
+    let Err(refused) = apt_get(&[package]) else {
+        return starts(program.into());
     };
     say(&format!(
         "{refused:#}; unpacking the packages into {} instead, where they disturb nothing",
         beside.display()
     ));
-    unpack(&beside, &script).with_context(|| {
-        format!("{EMULATOR} is missing: install QEMU's Arm system emulator ({refused:#})")
-    })?;
+    unpack(&beside, &script, emulator)
+        .with_context(|| format!("{program} is missing: install {package} ({refused:#})"))?;
     starts(script)
 }
 
@@ -42,7 +59,8 @@ fn starts(program: PathBuf) -> anyhow::Result<PathBuf> {
 /// Unpacks the emulator and the libraries that this machine lacks into a folder, and writes a script
 /// that starts it. For machines on which something installed conflicts with the package (backports of
 /// qemu-utils do with the QEMU of the same Debian).
-fn unpack(folder: &Path, script: &Path) -> anyhow::Result<()> {
+fn unpack(folder: &Path, script: &Path, emulator: Emulator) -> anyhow::Result<()> {
+    let Emulator { package, program } = emulator;
     let (archives, root) = (folder.join("archives"), folder.join("root"));
     fs::create_dir_all(archives.join("partial"))?;
     fs::create_dir_all(&root)?;
@@ -50,18 +68,19 @@ fn unpack(folder: &Path, script: &Path) -> anyhow::Result<()> {
     download.args(["install", "--download-only", "--yes"]);
     download.args(["--no-install-recommends", "-o"]);
     download.arg(format!("Dir::Cache::archives={}", archives.display()));
-    install(download.arg(EMULATOR))?;
+    install(download.arg(package))?;
     for entry in fs::read_dir(&archives).context("no archives")? {
-        let package = entry?.path();
-        if package.extension().is_some_and(|suffix| suffix == "deb") {
-            install(Command::new("dpkg-deb").arg("-x").args([&package, &root]))?;
+        let archive = entry?.path();
+        if archive.extension().is_some_and(|suffix| suffix == "deb") {
+            install(Command::new("dpkg-deb").arg("-x").args([&archive, &root]))?;
         }
     }
     fs::remove_dir_all(&archives).context("cannot remove the archives")?;
     // A folder that is not there does no harm on the search path.
     let text = format!(
         "#!/bin/sh\nlibraries=$(printf '%s:' '{root}'/lib/*-linux-gnu '{root}'/usr/lib/*-linux-gnu)\n\
-         LD_LIBRARY_PATH=${{libraries%:}} exec '{root}/usr/bin/{EMULATOR}' -L '{root}/usr/share/qemu' \"$@\"\n",
+         LD_LIBRARY_PATH=${{libraries%:}} exec '{root}/usr/bin/{program}' \
+         -L '{root}/usr/share/qemu' -L '{root}/usr/share/seabios' \"$@\"\n",
         root = root.display()
     );
     fs::write(script, text).with_context(|| script.display().to_string())?;

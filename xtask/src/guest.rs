@@ -122,9 +122,7 @@ fn packages() -> anyhow::Result<BTreeSet<String>> {
         let listed = String::from_utf8(listed.unwrap_or_default()).unwrap_or_default();
         let starts =
             |name: &&str| name.starts_with("linux-image-") || name.starts_with("linux-modules-");
-        let real = |name: &&str| {
-            name.bytes().any(|byte| byte.is_ascii_digit()) && !name.contains("unsigned")
-        };
+        let real = |name: &&str| !KERNELS.contains(name) && !name.ends_with("-unsigned");
         listed
             .lines()
             .filter(starts)

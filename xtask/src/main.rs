@@ -5,6 +5,7 @@ mod call_graph;
 mod cycles;
 mod emulator;
 mod fuzz;
+mod guest;
 mod images;
 mod licences;
 mod setup;
@@ -76,6 +77,11 @@ enum Chore {
         #[arg(long)]
         write: bool,
     },
+    /// Plug the board's image, emulated, into a Linux that runs the host program, and test it over USB.
+    ///
+    /// The Linux is a guest of QEMU, made of Debian's or Ubuntu's packages, which are downloaded once into target/.
+    #[command(after_help = "Example:\n  cargo xtask usb")]
+    Usb,
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
     /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
@@ -114,6 +120,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Firmware => session.images(),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
+        Chore::Usb => session.usb(),
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),

@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{budget, cycles, emulator, fuzz, licences};
+use crate::{budget, cycles, emulator, fuzz, guest, licences};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
@@ -43,6 +43,8 @@ pub enum Step {
     Cycles,
     /// The image on an emulated Cortex-M4F, talked to by the host's own client
     Emulator,
+    /// The board's image on USB, driven by a Linux with the host program in it
+    Usb,
     /// Each fuzz target for some seconds
     Fuzz,
 }
@@ -75,6 +77,7 @@ impl Session {
             Step::Budget => self.budget(),
             Step::Cycles => self.cycles(false),
             Step::Emulator => self.emulator(),
+            Step::Usb => self.usb(),
             Step::Fuzz => fuzz::fuzz(&self.workspace, None, None),
         }
     }
@@ -86,11 +89,13 @@ impl Session {
     /// Finds or installs what the other steps need.
     pub fn set_up(&self) -> anyhow::Result<()> {
         let tools = setup::tools(&self.workspace);
-        let qemu = emulator::find(&self.workspace);
+        let qemu = emulator::find(&self.workspace, emulator::ARM);
+        let guest = emulator::find(&self.workspace, emulator::X86)
+            .and_then(|_| guest::find(&self.workspace));
         // A missing tool must not keep the firmware's compiler from being looked for.
         let firmware = setup::firmware_toolchain(self.wanted)?;
         say(&format!("firmware: {}", firmware.describe()));
-        tools.and(qemu.map(drop))
+        tools.and(qemu.map(drop)).and(guest.map(drop))
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
@@ -126,7 +131,7 @@ impl Session {
 
     /// Counts instructions; `write` puts them into docs/performance.md.
     pub fn cycles(&self, write: bool) -> anyhow::Result<()> {
-        let qemu = emulator::find(&self.workspace)?;
+        let qemu = emulator::find(&self.workspace, emulator::ARM)?;
         let limits = budget::Limits::read(&self.workspace)?;
         let counts = cycles::count(&qemu, &self.image(COUNTS)?)?;
         let table = cycles::table(&counts, &limits);
@@ -136,8 +141,13 @@ impl Session {
         none_broken(&broken)
     }
 
+    /// Has a Linux drive the board's image over USB.
+    pub fn usb(&self) -> anyhow::Result<()> {
+        guest::test(&self.workspace, &self.image(STM32G474)?)
+    }
+
     fn emulator(&self) -> anyhow::Result<()> {
-        let qemu = emulator::find(&self.workspace)?;
+        let qemu = emulator::find(&self.workspace, emulator::ARM)?;
         let image = self.image(MPS2_AN386)?;
         let mut test = self.workspace.cargo(EMULATED_BOARD.split(' '));
         run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", qemu))

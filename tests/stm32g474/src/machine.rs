@@ -264,7 +264,10 @@ impl Machine {
                 Err(lock_up) => self.or_lock_up(Err(lock_up)),
             };
         }
-        self.cpu.get_data_mut().run_until = until;
+        let state = self.cpu.get_data_mut();
+        state.run_until = until;
+        // Stopped behind that block, or gone elsewhere since.
+        state.stopped_at = state.stopped_at.filter(|&at| at == pc);
         let ended = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 0);
         let Err(error) = ended else { return Ok(()) };
         let pc = self.pc();
@@ -328,6 +331,7 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
         event: false,
         sleeping: false,
         run_until: 0,
+        stopped_at: None,
     };
     let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB, state)?;
     // UC_CPU_ARM_CORTEX_M4.
@@ -411,6 +415,10 @@ fn watch_ccm(cpu: &mut Unicorn<'static, State>) -> Result<(), uc_error> {
 /// Before each block of code: its time passes, and what is due meanwhile happens.
 fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let address = address as u32;
+    // A block that was stopped before it began has had its time already.
+    if cpu.get_data_mut().stopped_at.take() == Some(address) {
+        return;
+    }
     let known = cpu.get_data().timing.known(address, bytes);
     let block = match known {
         Some(block) => block,
@@ -438,6 +446,7 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
         cpu.get_data_mut().chip.nvic.next(primask, basepri).is_some()
     };
     if ends || pending {
+        cpu.get_data_mut().stopped_at = Some(address);
         let _ = cpu.emu_stop();
     }
 }

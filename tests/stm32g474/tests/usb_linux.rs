@@ -191,21 +191,3 @@ fn two_boards_have_serial_numbers_of_their_own() {
     }
     desk.end();
 }
-
-#[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
-fn a_stand_in_serves_where_the_chip_is_too_slow() {
-    let boards = vec![Board::stand_in("STANDIN0"), Board::stand_in("STANDIN1")];
-    let mut desk = Desk::new(boards).unwrap();
-    assert_eq!(desk.plug(0).unwrap(), "STANDIN0");
-    let report = desk
-        .record("a.mcap", "--duration 3 --power 1000", MINUTES)
-        .unwrap();
-    assert!(number(&report, "windows") >= 5.0, "{report}");
-    assert_eq!(number(&report, "windows_missing"), 0.0, "{report}");
-    let line =
-        "ihd trainer --device usb --power 1000 --no-store --json 2>trainer.log || cat trainer.log";
-    let answer = desk.guest.run(line, MINUTES).unwrap().text;
-    assert_eq!(number(&answer, "lookup_version"), 1.0, "{answer}");
-    desk.end();
-}

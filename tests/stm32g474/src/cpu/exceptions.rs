@@ -43,6 +43,10 @@ fn word(cpu: &Cpu, address: u32) -> Result<u32, uc_error> {
     Ok(u32::from_le_bytes(bytes))
 }
 
+/// ICI/IT bits and the number of the exception in xPSR (Armv7-M, B1.4.2); this module keeps that number itself.
+const IT_STATE: u32 = 0x0600_FC00;
+const EXCEPTION: u32 = 0x3FF;
+
 /// Whether a program counter is one of EXC_RETURN's.
 pub fn is_return(pc: u32) -> bool {
     pc >= RETURN_MIN
@@ -91,6 +95,9 @@ pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
     let handler = word(cpu, vectors + 4 * exception as u32).map_err(|_| LockUp)?;
     let back = if was_handler { TO_HANDLER } else { TO_THREAD };
     let back = if floats { back & !NO_FLOATS } else { back };
+    // The handler begins outside an IT block (Armv7-M, B1.5.6); Unicorn ends a block of code at a page of 1 KiB,
+    // which may be inside one.
+    set(cpu, RegisterARM::XPSR, flags & !IT_STATE);
     set(cpu, RegisterARM::SP, frame);
     set(cpu, RegisterARM::LR, back);
     set(cpu, RegisterARM::PC, handler);
@@ -142,7 +149,9 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
         set(cpu, which, value);
     }
     let xpsr = frame[7];
-    set(cpu, RegisterARM::XPSR_NZCVQG, xpsr);
+    // With the state of an IT block that was interrupted.
+    let now = register(cpu, RegisterARM::XPSR);
+    set(cpu, RegisterARM::XPSR, xpsr & !EXCEPTION | now & EXCEPTION);
     let control = register(cpu, RegisterARM::CONTROL) & !(FPCA as u32);
     if floats {
         for (k, value) in singles[..16].iter().enumerate() {

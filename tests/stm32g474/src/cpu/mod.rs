@@ -137,6 +137,8 @@ pub struct State {
     pub sleeping: bool,
     /// When the run is to end.
     pub run_until: Ticks,
+    /// The block before which Unicorn was stopped.
+    pub stopped_at: Option<u32>,
 }
 
 impl State {

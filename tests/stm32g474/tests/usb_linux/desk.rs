@@ -5,6 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
+use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::usb::usbip::Server;
 
 use crate::boards::Board;
@@ -88,12 +89,7 @@ impl Desk {
         options: &str,
         timeout: Duration,
     ) -> anyhow::Result<String> {
-        let emulated = |desk: &Self| {
-            desk.boards[0]
-                .bench
-                .as_ref()
-                .map_or(0.0, |bench| bench.now_s())
-        };
+        let emulated = |desk: &Self| desk.boards[0].bench.now_s();
         let (began, from) = (Instant::now(), emulated(self));
         let line = format!(
             "ihd record --device usb --out {file} {options} --json 2>record.log || cat record.log"
@@ -102,18 +98,20 @@ impl Desk {
         let report = answer.text;
         ensure!(report.contains("\"link\""), "{line}: {report}");
         let (wall, passed) = (began.elapsed().as_secs_f64(), emulated(self) - from);
-        let bytes = number(&report, "bytes");
+        // Those of the file come before those of the link.
+        let link = report.split_once("\"link\"").map_or("", |(_, link)| link);
+        let (bytes, windows) = (number(link, "bytes"), number(link, "windows"));
         println!(
-            "recorded {bytes} bytes in {wall:.1} s, of which {passed:.2} s passed on the chip"
+            "recorded {windows} windows, {bytes} bytes, in {wall:.1} s; {passed:.2} s on the chip"
         );
         Ok(report)
     }
 
     /// The end: no board did what its manual forbids, or was reset.
     pub fn end(self) {
-        for bench in self.boards.iter().filter_map(|board| board.bench.as_ref()) {
-            let (violations, resets) =
-                bench.with(|machine| (machine.violations(), machine.resets.clone()));
+        for board in &self.boards {
+            let ended = |machine: &mut Machine| (machine.violations(), machine.resets.clone());
+            let (violations, resets) = board.bench.with(ended);
             let violations: Vec<_> = violations.iter().map(ToString::to_string).collect();
             assert!(violations.is_empty(), "{violations:#?}");
             assert!(resets.is_empty(), "{resets:?}");

@@ -175,7 +175,7 @@ fn time_waits_for_a_reader_that_is_behind() {
                 length: 64,
             },
             move |outcome| {
-                drop(sender.send(outcome.status));
+                let _ = sender.send(outcome.status);
             },
         );
         (before, receiver)
