@@ -30,7 +30,7 @@ def constant(path, name):
 # What the firmware reads by.
 V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_V")
 I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_A")
-BUS_FULL_SCALE_V = constant("firmware/src/board/stm32g474/adc.rs", "BUS_DV_FULL_SCALE") / 10
+BUS_FULL_SCALE_V = constant("firmware/src/mains.rs", "BUS_DV_FULL_SCALE") / 10
 I_TRIP_A = constant("firmware/src/protection.rs", "TRIP_CODE")
 MAINS_ARMED_CODE = constant("firmware/src/mains.rs", "ARMED_AT")
 C_R_NF = constant("shared/src/hob.rs", "RESONANCE_CAPACITANCE_NF")
