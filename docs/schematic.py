@@ -5,7 +5,7 @@
     python3 docs/schematic.py --check    # fails if the picture is not what this writes
 
 The scales that the firmware reads by come from its sources, so a scale that changes there shows as an
-error here. Every value of a part stands once, in PARTS.
+error here. What sets a scale or a corner stands once, in PARTS; picture and arithmetic take it from there.
 """
 
 import math
@@ -30,7 +30,7 @@ def constant(path, name):
 # What the firmware reads by.
 V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_V")
 I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_A")
-BUS_FULL_SCALE_V = constant("firmware/src/board/stm32g474/adc.rs", "BUS_DV_FULL_SCALE") / 10
+BUS_FULL_SCALE_V = constant("firmware/src/mains.rs", "BUS_DV_FULL_SCALE") / 10
 I_TRIP_A = constant("firmware/src/protection.rs", "TRIP_CODE")
 MAINS_ARMED_CODE = constant("firmware/src/mains.rs", "ARMED_AT")
 C_R_NF = constant("shared/src/hob.rs", "RESONANCE_CAPACITANCE_NF")
@@ -78,6 +78,29 @@ def parallel(a, b):
     return a * b / (a + b)
 
 
+def ohm(r):
+    """As a label: three digits."""
+    return f"{r / 1e3:g} kΩ" if r >= 1e3 else f"{r:g} Ω"
+
+
+def farad(c):
+    for unit, name in ((1e-6, "µF"), (1e-9, "nF")):
+        if c >= 0.1 * unit:
+            return f"{c / unit:.3g} {name}"
+    return f"{c * 1e12:.3g} pF"
+
+
+def full_scales():
+    """Coil voltage, mains, bus in volt; coil current in ampere."""
+    p, n = PARTS, PARTS["series"]
+    return (
+        V_REF_V * n * p["coil_top"] / p["coil_bottom"],
+        V_REF_V * n * p["mains_top"] / p["mains_bottom"],
+        V_ADC_V * (n * p["bus_top"] / p["bus_bottom"] + 1),
+        V_REF_V / p["burden"] * p["turns"],
+    )
+
+
 def values():
     """The arithmetic, as (name, number, unit, how)."""
     p, n = PARTS, PARTS["series"]
@@ -90,13 +113,10 @@ def values():
     def error(got, wanted):
         return f"{100 * (got / wanted - 1):+.2f} % of {wanted:g}"
 
-    coil = V_REF_V * n * p["coil_top"] / p["coil_bottom"]
+    coil, mains, bus, amps = full_scales()
     row("coil voltage, full scale", coil, "V", error(coil, V_FULL_SCALE_V))
-    mains = V_REF_V * n * p["mains_top"] / p["mains_bottom"]
     row("mains voltage, full scale", mains, "V", error(mains, MAINS_FULL_SCALE_V))
-    bus = V_ADC_V * (n * p["bus_top"] / p["bus_bottom"] + 1)
     row("bus voltage, full scale", bus, "V", error(bus, BUS_FULL_SCALE_V))
-    amps = V_REF_V / p["burden"] * p["turns"]
     row("coil current, full scale", amps, "A", error(amps, I_FULL_SCALE_A))
     pole = corner_hz(p["pin_r"], p["pin_c_fast"])
     row("anti-alias pole", pole / 1e3, "kHz", error(pole / 1e3, ANTI_ALIAS_HZ / 1e3))
@@ -278,6 +298,11 @@ class Sheet:
         for k, half in enumerate((12, 8, 4)):
             self.wire((x - half, y + 4 * k), (x + half, y + 4 * k), cls="s")
 
+    def chassis(self, x, y):
+        self.wire((x - 15, y), (x + 15, y), cls="plate")
+        for k in (-14, -3, 8):
+            self.wire((x + k + 6, y), (x + k - 2, y + 11), cls="s")
+
     def supply(self, x, y, name):
         self.wire((x, y), (x, y - 8))
         self.wire((x - 10, y - 8), (x + 10, y - 8), cls="plate")
@@ -324,7 +349,7 @@ text{font-family:'DejaVu Sans',Verdana,Arial,sans-serif;fill:#111}
 def pin_cell(s, x, y, capacitor, pin, rise=44):
     """Series resistor, capacitor, clamps, and the pin; 220 wide."""
     s.resistor(x, y, 66, "h")
-    s.text(x + 33, y - 12, "316 Ω", "t", "middle")
+    s.text(x + 33, y - 12, ohm(PARTS["pin_r"]), "t", "middle")
     s.wire((x + 66, y), (x + 178, y))
     s.dot(x + 80, y)
     s.capacitor(x + 80, y, rise, "v")
@@ -349,8 +374,8 @@ def power_stage(s):
         s.text(46, y - 12, name, "net", "middle")
     s.text(24, 268, "230 V~\n50/60 Hz", "t")
     s.wire((51, earth), (90, earth), (90, earth + 14))
-    s.ground(90, earth + 14)
-    s.text(108, earth + 24, "chassis, pot support: not DC−", "n")
+    s.chassis(90, earth + 14)
+    s.text(116, earth + 22, "chassis and frame. Never DC−", "n")
     s.wire((51, line), (88, line))
     s.wire((51, neutral), (400, neutral))
     for y, name, up in ((line, "L′", -1), (neutral, "N′", 1)):
@@ -362,7 +387,7 @@ def power_stage(s):
     s.wire((164, line), (400, line))
     s.dot(186, line), s.dot(186, neutral)
     s.varistor(186, line, neutral - line, "v")
-    s.text(204, 262, "RV1\n275 V~", "t")
+    s.text(204, 242, "RV1\n275 V~", "t")
     s.dot(268, line), s.dot(268, neutral)
     s.capacitor(268, line, neutral - line, "v")
     s.text(278, 308, "C1 X2\n0.47 µF", "t")
@@ -424,7 +449,7 @@ def power_stage(s):
     s.wire((860, 162), (860, 215), (890, 215)), s.dot(860, 172)
     s.wire((812, 172), (890, 172))
     s.capacitor(812, 172, 44, "v"), s.ground(812, 216)
-    s.text(798, 199, "10 µF", "t", "end")
+    s.text(795, 199, "10 µF", "t", "end")
     s.resistor(890, 172, 56, "h")
     s.text(918, 159, "10 Ω", "t", "middle")
     s.diode(946, 172, 60, "h")
@@ -528,19 +553,19 @@ def difference(s, y, title, name, nets, top, bottom, cap, pin_c, pin):
 
 def bus_voltage(s, y):
     x = 24
-    s.text(x, y - 72, "Bus, 0…498 V → PB1, ADC3 IN1", "h")
+    s.text(x, y - 72, f"Bus, 0…{full_scales()[2]:.0f} V → PB1, ADC3 IN1", "h")
     s.flag(x + 56, y - 20, "DC+", "left")
     s.resistor(x + 56, y - 20, 124, "h", 84)
-    s.text(x + 118, y - 32, "4 × 232 kΩ", "t", "middle")
+    s.text(x + 118, y - 32, f"4 × {ohm(PARTS['bus_top'])}", "t", "middle")
     s.wire((x + 180, y - 20), (x + 264, y - 20))
     s.dot(x + 192, y - 20), s.dot(x + 236, y - 20)
     s.resistor(x + 192, y - 20, 62, "v"), s.ground(x + 192, y + 42)
-    s.text(x + 180, y + 16, "6.19 kΩ", "t", "end")
+    s.text(x + 180, y + 16, ohm(PARTS["bus_bottom"]), "t", "end")
     s.capacitor(x + 236, y - 20, 62, "v"), s.ground(x + 236, y + 42)
-    s.text(x + 234, y + 66, "2.2 nF", "t", "middle")
+    s.text(x + 234, y + 66, farad(PARTS["bus_c"]), "t", "middle")
     s.opamp(x + 264, y, "U4B")
     follow(s, x + 264, y, x + 344)
-    pin_cell(s, x + 360, y, "10 nF", "PB1")
+    pin_cell(s, x + 360, y, farad(PARTS["pin_c_slow"]), "PB1")
 
 
 def follow(s, x, y, corner):
@@ -551,14 +576,14 @@ def follow(s, x, y, corner):
 
 def current(s, y):
     x = 668
-    s.text(x, y - 74, "Coil current, ±80.1 A → PA1, inverted → PA7", "h")
+    s.text(x, y - 74, f"Coil current, ±{full_scales()[3]:.1f} A → PA1, inverted → PA7", "h")
     s.flag(x + 56, y, "CT+", "left"), s.flag(x + 56, y + 62, "CT−", "left")
     s.wire((x + 56, y), (966, y)), s.wire((x + 56, y + 62), (x + 100, y + 62), (x + 100, y + 94), (x + 72, y + 94))
     s.flag(x + 72, y + 94, "VREF", "left")
     s.dot(x + 100, y), s.dot(x + 100, y + 62)
     s.resistor(x + 100, y, 62, "v")
-    s.text(x + 113, y + 28, "4.12 Ω\n1 W, 0.1 %", "t")
-    pin_cell(s, 966, y, "1 nF", "PA1")
+    s.text(x + 113, y + 28, ohm(PARTS["burden"]) + "\n1 W, 0.1 %", "t")
+    pin_cell(s, 966, y, farad(PARTS["pin_c_fast"]), "PA1")
     # The inverter around VREF.
     low = y + 178
     s.dot(880, y)
@@ -573,7 +598,7 @@ def current(s, y):
     s.resistor(880, low - 62, 60, "h")
     s.text(910, low - 74, "10 kΩ", "t", "middle")
     s.wire((940, low - 62), (956, low - 62), (956, low))
-    pin_cell(s, 966, low, "1 nF", "PA7")
+    pin_cell(s, 966, low, farad(PARTS["pin_c_fast"]), "PA7")
 
 
 def reference(s, y):
@@ -708,8 +733,13 @@ def main_sheet():
     warning = "DANGER: DC− is live. Every node here, serial port, USB and SWD too, is at mains potential. Isolate before you connect a computer or a scope."
     s.text(840, 36, warning, "warn", "middle")
     bridge(s, *power_stage(s))
-    difference(s, 632, "Coil voltage, ±400.3 V → PA0, ADC1 IN1", "U3A", ("SW", "X"), "64.9 kΩ", "1.07 kΩ", None, "1 nF", "PA0")
-    difference(s, 838, "Mains, ±399.8 V → PB0, ADC3 IN12", "U4A", ("L′", "N′"), "232 kΩ", "3.83 kΩ", "2.2 nF", "10 nF", "PB0")
+    p, (coil, mains, _, _) = PARTS, full_scales()
+    fast, slow = farad(p["pin_c_fast"]), farad(p["pin_c_slow"])
+    title = f"Coil voltage, ±{coil:.1f} V → PA0, ADC1 IN1"
+    difference(s, 632, title, "U3A", ("SW", "X"), ohm(p["coil_top"]), ohm(p["coil_bottom"]), None, fast, "PA0")
+    title = f"Mains, ±{mains:.1f} V → PB0, ADC3 IN12"
+    shunt = farad(p["mains_c"])
+    difference(s, 838, title, "U4A", ("L′", "N′"), ohm(p["mains_top"]), ohm(p["mains_bottom"]), shunt, slow, "PB0")
     bus_voltage(s, 1060)
     current(s, 612)
     reference(s, 920)
