@@ -17,7 +17,7 @@ fn version(version: u32) -> RlLookup {
 fn push(bench: &Bench, number: u32) {
     let mut client = connect(bench);
     client.push_lookup(&version(number)).unwrap();
-    bench.run_s(0.035);
+    bench.run_s(0.045);
 }
 
 fn active(bench: &Bench) -> u32 {

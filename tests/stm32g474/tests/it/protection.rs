@@ -48,9 +48,9 @@ fn after_reset(bench: &Bench) -> (u8, u16) {
     )
 }
 
-/// A place in the thread: no handler runs.
+/// A place in the thread: it waits for an event, and no handler runs.
 fn reach_thread(machine: &mut Machine) {
-    while machine.chip().nvic.is_handler() {
+    while machine.chip().nvic.is_handler() || !machine.sleeping() {
         machine.run_for(500).unwrap();
     }
 }
