@@ -73,3 +73,33 @@ fn the_watchdog_is_fed_in_time_at_two_cycles_an_instruction() {
     assert!(resets.is_empty(), "{resets:?}");
     assert!(gap > 0 && gap_ms <= 20.0, "{gap_ms} ms");
 }
+
+/// The board measures itself with the cycle counter of DWT; the emulator, which moves that counter, measures from
+/// outside. The board's figure begins when the task is polled: it lacks the entry and the return of the interrupt and the
+/// executor's way to the task, some 240 cycles.
+#[test]
+fn the_load_that_it_reports_is_the_load_that_it_has() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(500).unwrap();
+    bench.run_s(0.1);
+    client.utilisation().unwrap();
+    let (mean, worst, _) = load(&bench, 0.1);
+    let told = client.utilisation().unwrap().expect("protocol 1.3");
+    println!(
+        "{told:?}; from outside {:.1} % and {:.1} %",
+        mean * 100.0,
+        worst * 100.0
+    );
+    assert!(told.blocks > 2_000, "{told:?}");
+    let told_mean = f64::from(told.mean_permille) / 1_000.0;
+    assert!(
+        (0.0..0.05).contains(&(mean - told_mean)),
+        "{mean} against {told:?}"
+    );
+    assert!(
+        f64::from(told.worst_permille) / 1_000.0 <= worst + 0.02,
+        "{worst} against {told:?}"
+    );
+    assert!((1..20_000).contains(&told.longest_gap_us), "{told:?}");
+}
