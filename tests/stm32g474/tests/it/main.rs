@@ -2,6 +2,7 @@
 
 mod board;
 mod heating;
+mod link;
 mod lookup;
 mod protection;
 mod start;
