@@ -23,7 +23,10 @@ pub fn tools(on: &Workspace) -> anyhow::Result<()> {
         install(pip.arg(&folder).args(PYPI)).or_else(|why| apt_get(&DEBIAN).context(why))?;
     }
     let cmake = first_line(command_with_tools(on, "cmake").arg("--version"));
-    say(&format!("Unicorn's build: {}", cmake.context("cmake does not start")?));
+    say(&format!(
+        "Unicorn's build: {}",
+        cmake.context("cmake does not start")?
+    ));
     Ok(())
 }
 
@@ -34,14 +37,23 @@ fn debian_has_both() -> bool {
 
 /// A program with cmake on its path, and libclang with the compiler's own headers, which PyPI's lacks.
 fn command_with_tools(on: &Workspace, program: &str) -> Command {
-    let mut command = if program == "cargo" { on.cargo([""; 0]) } else { Command::new(program) };
+    let mut command = if program == "cargo" {
+        on.cargo([""; 0])
+    } else {
+        Command::new(program)
+    };
     let folder = on.target.join("tools/unicorn");
     if folder.is_dir() {
         let path = std::env::var("PATH").unwrap_or_default();
         command.env("PATH", format!("{}:{path}", folder.join("bin").display()));
-        command.env("PYTHONPATH", &folder).env("LIBCLANG_PATH", folder.join("clang/native"));
+        command
+            .env("PYTHONPATH", &folder)
+            .env("LIBCLANG_PATH", folder.join("clang/native"));
         let headers = first_line(Command::new("cc").arg("-print-file-name=include"));
-        command.env("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{}", headers.unwrap_or_default()));
+        command.env(
+            "BINDGEN_EXTRA_CLANG_ARGS",
+            format!("-I{}", headers.unwrap_or_default()),
+        );
     }
     command.env("CARGO_TARGET_DIR", on.target.join("stm32g474"));
     command
@@ -60,7 +72,14 @@ pub fn test(on: &Workspace, image: &Path) -> anyhow::Result<()> {
     run(cargo(on, "fmt").arg("--check"))?;
     run(cargo(on, "clippy").args(["--all-targets", "--", "-D", "warnings"]))?;
     let mut test = cargo(on, "test");
-    test.args(["--lib", "--test", "it", "--no-fail-fast", "--", "--nocapture"]);
+    test.args([
+        "--lib",
+        "--test",
+        "it",
+        "--no-fail-fast",
+        "--",
+        "--nocapture",
+    ]);
     run(test.env("IHD_STM32G474_IMAGE", image))
 }
 
@@ -68,6 +87,7 @@ pub fn test(on: &Workspace, image: &Path) -> anyhow::Result<()> {
 pub fn hob(on: &Workspace, image: &Path, arguments: &[String]) -> anyhow::Result<()> {
     tools(on)?;
     let mut hob = cargo(on, "run");
-    hob.args(["--quiet", "--bin", "hob", "--", "--image"]).arg(image);
+    hob.args(["--quiet", "--bin", "hob", "--", "--image"])
+        .arg(image);
     run(hob.args(arguments))
 }
