@@ -37,9 +37,10 @@ pub fn test(workspace: &Workspace, image: &Path) -> anyhow::Result<()> {
     // What the tests of the workspace built; built again only where they did not run.
     let built = "test --workspace --lib --bins --tests --no-run";
     run(&mut workspace.cargo(built.split(' ')))?;
-    let line =
-        "test --manifest-path tests/stm32g474/Cargo.toml --test usb_linux -- --ignored --nocapture";
-    let mut test = workspace.cargo(line.split(' '));
+    // One after the other: each keeps two cores busy, the guest's and the chip's.
+    let line = "test --manifest-path tests/stm32g474/Cargo.toml --test usb_linux -- --ignored --nocapture \
+                --test-threads 1";
+    let mut test = workspace.cargo(line.split_whitespace());
     test.env("CARGO_TARGET_DIR", workspace.target.join("stm32g474"));
     test.env("IHD_QEMU_X86", qemu).env("IHD_GUEST", guest);
     test.env("IHD_STM32G474_IMAGE", image)
