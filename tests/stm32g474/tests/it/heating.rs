@@ -2,6 +2,7 @@
 
 use ihd_shared::wire::messages::{Pot, State};
 use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::time::seconds;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
@@ -48,4 +49,24 @@ fn it_refuses_to_heat_aluminium_and_air() {
         assert!(watt_over(&bench, 0.02) < 1.0, "{pot:?}");
         assert_no_violations(&bench);
     }
+}
+
+#[test]
+fn a_pot_that_is_taken_away_ends_the_heating() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.2);
+    bench.with(|machine| {
+        machine.chip().hrtim.off_at = None;
+        machine.chip().pins.plant.set_pot(PotKind::None);
+    });
+    let lifted_s = bench.now_s();
+    bench.run_s(0.06);
+    let off = bench.with(|machine| machine.chip().hrtim.off_at);
+    let off_ms = (seconds(off.expect("the bridge opened")) - lifted_s) * 1e3;
+    println!("pot taken away: off after {off_ms:.1} ms");
+    assert!(off_ms < 40.0, "{off_ms}");
+    assert_eq!(client.status().unwrap().state, State::Faulted);
+    assert_no_violations(&bench);
 }

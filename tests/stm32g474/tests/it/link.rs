@@ -36,6 +36,44 @@ fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
     found
 }
 
+/// Bytes of the stack that were ever used: start-up paints it (cortex-m-rt), memory.x says where it is.
+fn stack_used(bench: &Bench) -> usize {
+    const STACK: (u32, usize) = (0x2000_0000, 16 * 1024);
+    const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
+    let stack = bench.with(|machine| machine.memory(STACK.0, STACK.1));
+    let untouched = stack.chunks(4).take_while(|word| **word == PAINT).count();
+    STACK.1 - 4 * untouched
+}
+
+/// What the budget allows.
+fn stack_budget() -> usize {
+    let budget = include_str!("../../../../firmware/budget.toml");
+    let line = budget
+        .lines()
+        .find_map(|line| line.strip_prefix("stack = "));
+    line.and_then(|bytes| bytes.parse().ok())
+        .expect("stack = BYTES")
+}
+
+/// Pins that a frame above 256 bytes was retried for ever: a window travels in frames of up to a kilobyte.
+#[test]
+fn a_window_comes_over_the_serial_port_too() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    bench.with(|machine| machine.chip().pins.taken = Some(Vec::new()));
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.3);
+    client.stream(1, 50).unwrap();
+    let window = windows(&mut client, 1).remove(0);
+    let taken = bench.with(|machine| machine.chip().pins.taken.clone().expect("they are kept"));
+    let mut stretches = taken.windows(window.pairs.len());
+    assert!(
+        stretches.any(|stretch| stretch == window.pairs),
+        "not what was sampled"
+    );
+    assert_no_violations(&bench);
+}
+
 #[test]
 fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -57,6 +95,9 @@ fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
             window.seq
         );
     }
+    let used = stack_used(&bench);
+    println!("stack: {used} bytes of {}", stack_budget());
+    assert!(used > 2_000 && used <= stack_budget(), "{used}");
     assert_no_violations(&bench);
 }
 

@@ -1,10 +1,12 @@
 //! The lookup in flash: kept through a reset, and a loss of power at any moment of its writing.
 
+use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::flash::Pages;
+use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::registers::flash::flash_optr;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
@@ -116,20 +118,27 @@ fn restart_with(bench: &Bench, pages: Pages) {
     });
 }
 
-/// DBANK = 0: the flash is one bank, and writing it would hold the program up. It must say so, not restart for ever.
+/// One bank, which would hold the program up while a lookup is written; or RAM without parity, as chips are delivered.
+/// It must say so, not restart for ever.
 #[test]
-fn a_single_bank_is_reported_and_nothing_is_driven() {
-    let bench = with_pot(PotKind::Ferromagnetic);
-    bench.with(|machine| {
-        machine.chip().set_option(flash_optr::DBANK, 0);
-        machine.power_cycle().unwrap();
-        machine.resets.clear();
-    });
-    let mut client = connect(&bench);
-    bench.run_s(0.1);
-    let status = client.status().unwrap();
-    println!("{status:?}");
-    assert_eq!(status.fault.number(), 16, "{status:?}");
-    let resets = bench.with(|machine| machine.resets.clone());
-    assert!(resets.is_empty(), "{resets:?}");
+fn wrong_option_bytes_are_reported_and_nothing_is_driven() {
+    for (option, value) in [(flash_optr::DBANK, 0), (flash_optr::SRAM_PE, 1)] {
+        let bench = with_pot(PotKind::Ferromagnetic);
+        bench.with(move |machine| {
+            machine.chip().set_option(option, value);
+            machine.power_cycle().unwrap();
+            machine.resets.clear();
+        });
+        let mut client = connect(&bench);
+        let refused = client.set_power(1_000);
+        bench.run_s(0.1);
+        let status = client.status().unwrap();
+        assert_eq!(status.fault, Fault::OPTION_BYTES, "{status:?}");
+        assert!(refused.is_err(), "power is refused");
+        let (resets, bridge) =
+            bench.with(|machine| (machine.resets.clone(), machine.chip().pins.bridge()));
+        assert!(resets.is_empty(), "{resets:?}");
+        assert_eq!(bridge, Bridge::Open);
+        assert_no_violations(&bench);
+    }
 }
