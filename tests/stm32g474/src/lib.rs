@@ -6,6 +6,7 @@ pub mod cpu;
 pub mod image;
 pub mod machine;
 pub mod pins;
+pub mod processor;
 pub mod registers;
 pub mod server;
 pub mod time;

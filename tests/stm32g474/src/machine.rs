@@ -1,32 +1,21 @@
 //! The emulated board: processor, chip, power stage. Time passes while [`Machine::run_until`] runs.
 
+mod probe;
+
 use std::path::Path;
 
 use ihd_sim::plant::Plant;
-use unicorn_engine::{Arch, HookType, Mode, Prot, RegisterARM, Unicorn, uc_error};
+use unicorn_engine::{RegisterARM, Unicorn, uc_error};
 
-use crate::chip::flash::{PAGES, PAGES_BYTES, Pages};
 use crate::chip::{Chip, Reset};
 use crate::cpu::exceptions::{self, LockUp};
 use crate::cpu::{CycleModel, State, Timing};
-use crate::image::{FLASH, Image, ImageError, PROGRAM_BYTES};
-use crate::pins::Pins;
+use crate::image::{FLASH, Image, ImageError};
+use crate::processor::{CCM, CCM_BYTES, RAM, RAM_BYTES, move_transfers, processor, ram_bytes};
 use crate::registers::syscfg;
 use crate::time::Ticks;
-use crate::usb::{Cable, HostController};
+use crate::usb::Cable;
 use crate::violation::Violation;
-
-/// First address of the RAM, and its bytes with the alias of CCM SRAM.
-pub const RAM: u64 = 0x2000_0000;
-/// See [`RAM`].
-pub const RAM_BYTES: usize = 128 * 1024;
-
-/// CCM SRAM, where code executes without wait states.
-pub const CCM: u64 = 0x1000_0000;
-const CCM_BYTES: usize = 32 * 1024;
-
-/// Device number, flash size and calibration values of the factory.
-const FACTORY: u64 = 0x1FFF_7000;
 
 /// WFE.
 const WFE: u16 = 0xBF20;
@@ -113,105 +102,6 @@ impl Machine {
             rule: rule.clone(),
         });
         chip.log.violations.iter().cloned().chain(of_usb).collect()
-    }
-
-    /// Reads memory.
-    pub fn memory(&self, address: u32, bytes: usize) -> Vec<u8> {
-        self.cpu
-            .mem_read_as_vec(u64::from(address), bytes)
-            .unwrap_or_default()
-    }
-
-    /// Writes memory: a test's interference.
-    pub fn set_memory(&mut self, address: u32, bytes: &[u8]) {
-        let _ = self.cpu.mem_write(u64::from(address), bytes);
-    }
-
-    /// Program counter.
-    pub fn pc(&self) -> u32 {
-        self.cpu.pc_read().unwrap_or(0) as u32
-    }
-
-    /// Lets the program go on elsewhere: a test's interference.
-    pub fn set_pc(&mut self, pc: u32) {
-        let _ = self.cpu.set_pc(u64::from(pc | 1));
-    }
-
-    /// The stack pointer.
-    pub fn sp(&self) -> u32 {
-        self.cpu.reg_read(RegisterARM::SP).unwrap_or(0) as u32
-    }
-
-    /// Moves the stack pointer: a test's interference.
-    pub fn set_sp(&mut self, sp: u32) {
-        let _ = self.cpu.reg_write(RegisterARM::SP, u64::from(sp));
-    }
-
-    /// Whether the program waits for an event.
-    pub fn sleeping(&self) -> bool {
-        self.cpu.get_data().sleeping
-    }
-
-    /// Entries of an exception since the last reset.
-    pub fn entries(&self, exception: usize) -> u64 {
-        self.cpu
-            .get_data()
-            .chip
-            .nvic
-            .entries
-            .get(exception)
-            .copied()
-            .unwrap_or(0)
-    }
-
-    /// From now on notes what of the RAM is read before it was written; slow.
-    ///
-    /// # Errors
-    /// Of the emulator.
-    pub fn watch_ram(&mut self) -> Result<(), MachineError> {
-        let length = ram_bytes(&self.image);
-        let end = RAM + length as u64 - 1;
-        self.cpu.get_data_mut().written = vec![false; length];
-        self.cpu.add_mem_hook(
-            HookType::MEM_WRITE,
-            RAM,
-            end,
-            |cpu, _, address, bytes, _| {
-                let at = (address - RAM) as usize;
-                cpu.get_data_mut().written[at..][..bytes].fill(true);
-                true
-            },
-        )?;
-        self.cpu
-            .add_mem_hook(HookType::MEM_READ, RAM, end, |cpu, _, address, bytes, _| {
-                let at = (address - RAM) as usize;
-                let state = cpu.get_data_mut();
-                // Frames of exceptions and the DMA's pairs are written by the emulator itself.
-                if state.written[at..][..bytes].iter().all(|&written| !written)
-                    && state.read_unwritten.len() < 100
-                {
-                    state
-                        .read_unwritten
-                        .push((address as u32, state.chip.log.pc));
-                }
-                true
-            })?;
-        Ok(())
-    }
-
-    /// Which bytes of the RAM have been written since [`Machine::watch_ram`].
-    pub fn written(&self) -> Vec<bool> {
-        self.cpu.get_data().written.clone()
-    }
-
-    /// Addresses that were read before they were written, with the block of code that did it.
-    pub fn read_unwritten(&self) -> Vec<(u32, u32)> {
-        self.cpu.get_data().read_unwritten.clone()
-    }
-
-    /// Whether the processor has locked up.
-    pub fn is_locked_up(&self) -> bool {
-        self.locked_up
     }
 
     /// Reset of the processor: stack pointer and program counter from the vector table.
@@ -353,18 +243,14 @@ impl Machine {
         if exceptions::is_return(pc) {
             return Ok(());
         }
-        if error == uc_error::INSN_INVALID && self.half(pc.wrapping_sub(2)) == WFE {
-            self.cpu.set_pc(u64::from(pc | 1))?;
+        // Unicorn has no WFE; it stops at it or behind it.
+        let wfe = [pc.wrapping_sub(2), pc]
+            .into_iter()
+            .find(|&at| self.half(at) == WFE);
+        if let Some(at) = wfe.filter(|_| error == uc_error::INSN_INVALID) {
+            self.cpu.set_pc(u64::from((at + 2) | 1))?;
             let state = self.cpu.get_data_mut();
-            state.sleeping = !state.event;
-            state.event = false;
-            return Ok(());
-        }
-        if error == uc_error::INSN_INVALID && self.half(pc) == WFE {
-            self.cpu.set_pc(u64::from((pc + 2) | 1))?;
-            let state = self.cpu.get_data_mut();
-            state.sleeping = !state.event;
-            state.event = false;
+            state.sleeping = !std::mem::take(&mut state.event);
             return Ok(());
         }
         let faulted = exceptions::fault(&mut self.cpu, pc);
@@ -385,186 +271,5 @@ impl Machine {
             self.chip().system_fault(syscfg::cfgr2::CLL);
         }
         Ok(())
-    }
-}
-
-fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
-    if cpu.get_data().chip.transfers.is_empty() {
-        return Ok(());
-    }
-    let transfers = std::mem::take(&mut cpu.get_data_mut().chip.transfers);
-    for transfer in &transfers {
-        cpu.mem_write(
-            u64::from(transfer.address),
-            &transfer.value.to_le_bytes()[..transfer.bytes],
-        )?;
-    }
-    let mut transfers = transfers;
-    transfers.clear();
-    cpu.get_data_mut().chip.transfers = transfers;
-    Ok(())
-}
-
-/// Processor and memory map.
-fn processor(
-    image: &Image,
-    plant: Plant,
-    host: HostController,
-) -> Result<Unicorn<'static, State>, uc_error> {
-    let state = State {
-        chip: Chip::new(Pins::new(plant, host), Pages::default()),
-        timing: Timing::default(),
-        event: false,
-        sleeping: false,
-        run_until: 0,
-        stopped_at: None,
-        written: Vec::new(),
-        read_unwritten: Vec::new(),
-    };
-    let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB, state)?;
-    // UC_CPU_ARM_CORTEX_M4.
-    cpu.ctl_set_cpu_model(CORTEX_M4)?;
-    cpu.mem_map(FLASH, PROGRAM_BYTES as u64, Prot::READ | Prot::EXEC)?;
-    cpu.mem_write(FLASH, &image.flash)?;
-    cpu.mem_map(RAM, ram_bytes(image) as u64, Prot::ALL)?;
-    cpu.mem_map(CCM, CCM_BYTES as u64, Prot::ALL)?;
-    cpu.mem_map(FACTORY, 0x1000, Prot::READ)?;
-    cpu.mem_write(
-        FACTORY + 0x590,
-        b"\x12\x34\x56\x78\x9a\xbc\xde\xf0\x11\x22\x33\x44",
-    )?;
-    cpu.mem_write(FACTORY + 0x5E0, &512u16.to_le_bytes())?;
-    for (base, bytes) in [
-        (0x4000_0000, 0x2_8000),
-        (0x4800_0000, 0x2000),
-        (0x5000_0000, 0x2000),
-    ] {
-        map_registers(&mut cpu, base, bytes)?;
-    }
-    cpu.mmio_map(
-        u64::from(PAGES),
-        PAGES_BYTES as u64,
-        Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
-            let read = cpu.get_data_mut().chip.read_page(offset as u32, bytes);
-            // NMI comes with the load: Unicorn leaves it undone here, and it is done after the handler.
-            u64::from(read.unwrap_or_else(|| {
-                let _ = cpu.emu_stop();
-                0
-            }))
-        }),
-        Some(
-            |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-                cpu.get_data_mut()
-                    .chip
-                    .write_page(offset as u32, bytes, value as u32);
-                stop_if_reset(cpu);
-            },
-        ),
-    )?;
-    cpu.mmio_map(
-        0xE000_0000,
-        0x10_0000,
-        Some(|cpu: &mut Unicorn<'_, State>, offset: u64, _: usize| {
-            u64::from(cpu.get_data_mut().chip.read_system(offset as u32))
-        }),
-        Some(
-            |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-                cpu.get_data_mut()
-                    .chip
-                    .write_system(offset as u32, bytes, value as u32);
-                stop_if_reset(cpu);
-            },
-        ),
-    )?;
-    cpu.add_block_hook(1, 0, on_block)?;
-    Ok(cpu)
-}
-
-/// UC_CPU_ARM_CORTEX_M4 of Unicorn's list.
-const CORTEX_M4: i32 = 9;
-
-fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Result<(), uc_error> {
-    cpu.mmio_map(
-        u64::from(base),
-        u64::from(bytes),
-        Some(
-            move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
-                u64::from(cpu.get_data_mut().chip.read(base + offset as u32, bytes))
-            },
-        ),
-        Some(
-            move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-                let state = cpu.get_data_mut();
-                state.chip.write(base + offset as u32, bytes, value as u32);
-                state.timing.set_access(&state.chip.file);
-                stop_if_reset(cpu);
-            },
-        ),
-    )
-}
-
-/// Ends the run where the chip starts again; Unicorn leaves the instruction undone, which no longer matters.
-fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
-    let chip = &cpu.get_data().chip;
-    if chip.reset.is_some() || chip.flash.power_gone {
-        let _ = cpu.emu_stop();
-    }
-}
-
-/// CCM SRAM is one memory seen at two addresses, and this emulator has two memories: an image with code there does
-/// without the RAM's last 32 KiB, the alias.
-fn ram_bytes(image: &Image) -> usize {
-    if image.uses_ccm {
-        RAM_BYTES - CCM_BYTES
-    } else {
-        RAM_BYTES
-    }
-}
-
-/// Before each block of code: its time passes, and what is due meanwhile happens.
-fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
-    let address = address as u32;
-    // A block that was stopped before it began has had its time already.
-    if cpu.get_data_mut().stopped_at.take() == Some(address) {
-        return;
-    }
-    let known = cpu.get_data().timing.known(address, bytes);
-    let block = match known {
-        Some(block) => block,
-        None => {
-            let code = cpu
-                .mem_read_as_vec(u64::from(address), bytes as usize)
-                .unwrap_or_default();
-            cpu.get_data_mut().timing.learn(address, &code)
-        }
-    };
-    let state = cpu.get_data_mut();
-    let cycles = state.timing.run(&block);
-    state.chip.log.pc = address;
-    state.event |= block.sends_event;
-    state.pass(u64::from(cycles));
-    if state.chip.log.now < state.chip.next_event()
-        && !state.chip.nvic.any_pending()
-        && state.chip.log.now < state.run_until
-    {
-        return;
-    }
-    if state.chip.log.now >= state.chip.next_event() {
-        state.chip.advance();
-    }
-    let ends = state.chip.log.now >= state.run_until || state.chip.reset.is_some();
-    let _ = move_transfers(cpu);
-    let pending = cpu.get_data().chip.nvic.any_pending() && {
-        let primask = cpu.reg_read(RegisterARM::PRIMASK).unwrap_or(0) & 1 == 1;
-        let basepri = cpu.reg_read(RegisterARM::BASEPRI).unwrap_or(0) as u8;
-        cpu.get_data_mut()
-            .chip
-            .nvic
-            .next(primask, basepri)
-            .is_some()
-    };
-    if ends || pending {
-        cpu.get_data_mut().stopped_at = Some(address);
-        let _ = cpu.emu_stop();
     }
 }

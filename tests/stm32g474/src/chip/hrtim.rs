@@ -3,10 +3,13 @@
 //! A timer that counts is a period and the moment at which it began to count from 0; the counter is computed where it
 //! is asked for. Both timers use prescaler 2 in this image, so one count is one tick; others are a violation.
 
-use crate::registers::{Field, hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
+mod faults;
+
+use crate::registers::{hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
 use crate::time::{Ticks, us};
 use crate::violation::Log;
 
+use self::faults::INPUTS;
 use super::register_file::RegisterFile;
 
 /// Time for the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
@@ -74,17 +77,6 @@ const PRELOADED: [&[u32]; 2] = [
     ],
     &[hrtim_timb::perbr::ADDRESS],
 ];
-
-/// Enable and lock bits of the fault inputs 1 to 4 in FLTINR1.
-const INPUTS: [[Field; 5]; 4] = {
-    use hrtim_common::fltinr1::*;
-    [
-        [FLT1E, FLT1P, FLT1SRC, FLT1F, FLT1LCK],
-        [FLT2E, FLT2P, FLT2SRC, FLT2F, FLT2LCK],
-        [FLT3E, FLT3P, FLT3SRC, FLT3F, FLT3LCK],
-        [FLT4E, FLT4P, FLT4SRC, FLT4F, FLT4LCK],
-    ]
-};
 
 impl Hrtim {
     /// The next moment at which timer B rolls over, which triggers the ADCs if HRTIM_ADC1R says so.
@@ -172,52 +164,6 @@ impl Hrtim {
             self.enabled = [false; 2];
             self.off_at = Some(now);
         }
-    }
-
-    /// A fault input is active: outputs off where it is armed.
-    pub fn fault_input(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
-        let [enable, ..] = INPUTS[input];
-        if !file.is(enable) {
-            return;
-        }
-        let flags = file.word(hrtim_common::isr::ADDRESS) | 1 << input;
-        file.set_word(hrtim_common::isr::ADDRESS, flags);
-        if file.word(hrtim_tima::fltar::ADDRESS) & 1 << input != 0 {
-            self.switch_off(now);
-        }
-    }
-
-    /// What is shorter than this on a fault input does not trip, in seconds: FLTxF samples in a row of f_HRTIM or of
-    /// f_FLTS divided (RM0440, 27.5.50; FLTSD 27.5.51).
-    pub fn fault_filter_s(&self, input: usize, file: &RegisterFile) -> f64 {
-        let [_, _, _, filter, _] = INPUTS[input];
-        let divided = f64::from(1u32 << file.get(hrtim_common::fltinr2::FLTSD));
-        let (samples, cycles) = match file.get(filter) {
-            0 => return 0.0,
-            1 => (2.0, 1.0),
-            2 => (4.0, 1.0),
-            3 => (8.0, 1.0),
-            4 => (6.0, 2.0 * divided),
-            5 => (8.0, 2.0 * divided),
-            6 => (6.0, 4.0 * divided),
-            7 => (8.0, 4.0 * divided),
-            8 => (6.0, 8.0 * divided),
-            9 => (8.0, 8.0 * divided),
-            10 => (5.0, 16.0 * divided),
-            11 => (6.0, 16.0 * divided),
-            12 => (8.0, 16.0 * divided),
-            13 => (5.0, 32.0 * divided),
-            14 => (6.0, 32.0 * divided),
-            _ => (8.0, 32.0 * divided),
-        };
-        // Up to one more period of the filter's clock passes before the first sample.
-        (samples + 1.0) * cycles / 170e6
-    }
-
-    /// SYSCFG's system fault: outputs off, always.
-    pub fn system_fault(&mut self, file: &mut RegisterFile, now: Ticks) {
-        file.set(hrtim_common::isr::SYSFLT, 1);
-        self.switch_off(now);
     }
 
     /// Reads a register whose content is computed.
@@ -309,23 +255,6 @@ impl Hrtim {
             }
             _ => value,
         }
-    }
-
-    fn fault_input_written(&mut self, before: u32, value: u32, log: &mut Log) -> u32 {
-        let mut kept = value;
-        for [enable, polarity, source, filter, lock] in INPUTS {
-            let settings = polarity.mask() | source.mask() | filter.mask();
-            if lock.of(before) == 1 {
-                let all = settings | enable.mask() | lock.mask();
-                if (value ^ before) & all != 0 {
-                    log.broken("HRTIM FLTINR1 written after FLTxLCK (RM0440 27.5.50)");
-                }
-                kept = (kept & !all) | (before & all);
-            } else if enable.of(before) == 1 && (value ^ before) & settings != 0 {
-                log.broken("HRTIM FLTINR1: polarity, source and filter change only while FLTxE is 0 (RM0440 27.5.50)");
-            }
-        }
-        kept
     }
 
     fn dead_time_written(

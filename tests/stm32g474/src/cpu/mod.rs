@@ -90,11 +90,6 @@ impl Timing {
         block
     }
 
-    /// Forgets the code: memory that held some was written anew.
-    pub fn forget(&mut self) {
-        self.blocks.clear();
-    }
-
     /// Takes FLASH_ACR over.
     pub fn set_access(&mut self, file: &RegisterFile) {
         self.flash.access = Access {
