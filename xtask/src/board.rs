@@ -72,14 +72,8 @@ pub fn test(on: &Workspace, image: &Path) -> anyhow::Result<()> {
     run(cargo(on, "fmt").arg("--check"))?;
     run(cargo(on, "clippy").args(["--all-targets", "--", "-D", "warnings"]))?;
     let mut test = cargo(on, "test");
-    test.args([
-        "--lib",
-        "--test",
-        "it",
-        "--no-fail-fast",
-        "--",
-        "--nocapture",
-    ]);
+    test.args(["--lib", "--bins", "--test", "it", "--test", "usb_board"]);
+    test.args(["--no-fail-fast", "--", "--nocapture"]);
     run(test.env("IHD_STM32G474_IMAGE", image))
 }
 

@@ -45,6 +45,9 @@ pub const PROGRAM_BYTES: usize = 508 * 1024;
 pub struct Image {
     /// The program's part of the flash; 0xFF where nothing was written.
     pub flash: Vec<u8>,
+    /// Whether some of them are copied to CCM SRAM: then the RAM's last 32 KiB, which are the same memory, are not
+    /// there for the program.
+    pub uses_ccm: bool,
     symbols: HashMap<String, u32>,
 }
 
@@ -66,11 +69,13 @@ impl Image {
         let file =
             object::read::elf::ElfFile32::<object::Endianness>::parse(&*bytes).map_err(elf)?;
         let mut flash = vec![0xFF; PROGRAM_BYTES];
+        let mut uses_ccm = false;
         for segment in file.segments() {
             let data = segment.data().map_err(elf)?;
             if data.is_empty() {
                 continue;
             }
+            uses_ccm |= (0x1000_0000..0x1000_8000).contains(&segment.address());
             let address = u64::from(
                 segment
                     .elf_program_header()
@@ -90,6 +95,7 @@ impl Image {
             .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)));
         Ok(Self {
             flash,
+            uses_ccm,
             symbols: symbols.collect(),
         })
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ihd_sim::plant::Plant;
-use unicorn_engine::{Arch, HookType, MemType, Mode, Prot, RegisterARM, Unicorn, uc_error};
+use unicorn_engine::{Arch, HookType, Mode, Prot, RegisterARM, Unicorn, uc_error};
 
 use crate::chip::flash::{PAGES, PAGES_BYTES, Pages};
 use crate::chip::{Chip, Reset};
@@ -16,15 +16,14 @@ use crate::time::Ticks;
 use crate::usb::{Cable, HostController};
 use crate::violation::Violation;
 
-/// First address of the RAM, and its bytes: SRAM1, SRAM2 and the alias of CCM.
+/// First address of the RAM, and its bytes with the alias of CCM SRAM.
 pub const RAM: u64 = 0x2000_0000;
 /// See [`RAM`].
 pub const RAM_BYTES: usize = 128 * 1024;
 
-/// CCM SRAM where code executes without wait states, and where the same memory is seen behind SRAM2.
+/// CCM SRAM, where code executes without wait states.
 pub const CCM: u64 = 0x1000_0000;
 const CCM_BYTES: usize = 32 * 1024;
-const CCM_ALIAS: u64 = 0x2001_8000;
 
 /// Device number, flash size and calibration values of the factory.
 const FACTORY: u64 = 0x1FFF_7000;
@@ -165,6 +164,51 @@ impl Machine {
             .unwrap_or(0)
     }
 
+    /// From now on notes what of the RAM is read before it was written; slow.
+    ///
+    /// # Errors
+    /// Of the emulator.
+    pub fn watch_ram(&mut self) -> Result<(), MachineError> {
+        let length = ram_bytes(&self.image);
+        let end = RAM + length as u64 - 1;
+        self.cpu.get_data_mut().written = vec![false; length];
+        self.cpu.add_mem_hook(
+            HookType::MEM_WRITE,
+            RAM,
+            end,
+            |cpu, _, address, bytes, _| {
+                let at = (address - RAM) as usize;
+                cpu.get_data_mut().written[at..][..bytes].fill(true);
+                true
+            },
+        )?;
+        self.cpu
+            .add_mem_hook(HookType::MEM_READ, RAM, end, |cpu, _, address, bytes, _| {
+                let at = (address - RAM) as usize;
+                let state = cpu.get_data_mut();
+                // Frames of exceptions and the DMA's pairs are written by the emulator itself.
+                if state.written[at..][..bytes].iter().all(|&written| !written)
+                    && state.read_unwritten.len() < 100
+                {
+                    state
+                        .read_unwritten
+                        .push((address as u32, state.chip.log.pc));
+                }
+                true
+            })?;
+        Ok(())
+    }
+
+    /// Which bytes of the RAM have been written since [`Machine::watch_ram`].
+    pub fn written(&self) -> Vec<bool> {
+        self.cpu.get_data().written.clone()
+    }
+
+    /// Addresses that were read before they were written, with the block of code that did it.
+    pub fn read_unwritten(&self) -> Vec<(u32, u32)> {
+        self.cpu.get_data().read_unwritten.clone()
+    }
+
     /// Whether the processor has locked up.
     pub fn is_locked_up(&self) -> bool {
         self.locked_up
@@ -213,7 +257,7 @@ impl Machine {
         let noise: Vec<u8> = (0..RAM_BYTES as u32)
             .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
-        self.cpu.mem_write(RAM, &noise)?;
+        self.cpu.mem_write(RAM, &noise[..ram_bytes(&self.image)])?;
         self.cpu.mem_write(CCM, &noise[..CCM_BYTES])?;
         Ok(())
     }
@@ -374,13 +418,15 @@ fn processor(
         sleeping: false,
         run_until: 0,
         stopped_at: None,
+        written: Vec::new(),
+        read_unwritten: Vec::new(),
     };
     let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB, state)?;
     // UC_CPU_ARM_CORTEX_M4.
     cpu.ctl_set_cpu_model(CORTEX_M4)?;
     cpu.mem_map(FLASH, PROGRAM_BYTES as u64, Prot::READ | Prot::EXEC)?;
     cpu.mem_write(FLASH, &image.flash)?;
-    cpu.mem_map(RAM, RAM_BYTES as u64, Prot::ALL)?;
+    cpu.mem_map(RAM, ram_bytes(image) as u64, Prot::ALL)?;
     cpu.mem_map(CCM, CCM_BYTES as u64, Prot::ALL)?;
     cpu.mem_map(FACTORY, 0x1000, Prot::READ)?;
     cpu.mem_write(
@@ -431,7 +477,6 @@ fn processor(
         ),
     )?;
     cpu.add_block_hook(1, 0, on_block)?;
-    watch_ccm(&mut cpu)?;
     Ok(cpu)
 }
 
@@ -466,11 +511,14 @@ fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
     }
 }
 
-/// CCM is one memory seen at two addresses; this emulator maps two, so a program that uses both views is reported.
-fn watch_ccm(cpu: &mut Unicorn<'static, State>) -> Result<(), uc_error> {
-    let _ = (HookType::MEM_WRITE, MemType::WRITE, CCM_ALIAS);
-    let _ = cpu;
-    Ok(())
+/// CCM SRAM is one memory seen at two addresses, and this emulator has two memories: an image with code there does
+/// without the RAM's last 32 KiB, the alias.
+fn ram_bytes(image: &Image) -> usize {
+    if image.uses_ccm {
+        RAM_BYTES - CCM_BYTES
+    } else {
+        RAM_BYTES
+    }
 }
 
 /// Before each block of code: its time passes, and what is due meanwhile happens.

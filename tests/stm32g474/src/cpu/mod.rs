@@ -143,6 +143,10 @@ pub struct State {
     pub run_until: Ticks,
     /// The block before which Unicorn was stopped.
     pub stopped_at: Option<u32>,
+    /// Which bytes of the RAM were written, if that is watched.
+    pub written: Vec<bool>,
+    /// What was read before that, and by which block of code.
+    pub read_unwritten: Vec<(u32, u32)>,
 }
 
 impl State {

@@ -5,8 +5,8 @@ use std::time::Duration;
 use ihd_firmware::realtime::{Block, RealTime};
 use ihd_link::{Client, Event, Window};
 use ihd_shared::sampling::{ADC_LOCK_P, CODE_HALF_RANGE, Pair};
-use ihd_shared::usb::PRODUCT;
 use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::usb::PRODUCT;
 use ihd_shared::window::TrajectoryEntry;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::usb::Board as UsbHost;
@@ -26,10 +26,11 @@ fn over_usb(bench: &Bench) -> (UsbHost, Client) {
 fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
     let mut found = Vec::new();
     while found.len() < wanted {
-        let event = client.next_event(Duration::from_secs(2)).expect("the link holds");
-        match event.expect("windows come") {
-            Event::Window(window) => found.push(*window),
-            _ => {}
+        let event = client
+            .next_event(Duration::from_secs(2))
+            .expect("the link holds");
+        if let Event::Window(window) = event.expect("windows come") {
+            found.push(*window);
         }
     }
     found
@@ -47,8 +48,14 @@ fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
         let taken = bench.with(|machine| machine.chip().pins.taken.clone().expect("they are kept"));
         let length = window.pairs.len();
         assert!(length > 9_000, "{length} pairs at {} Hz", window.f_sw_hz);
-        let same = taken.windows(length).position(|stretch| stretch == window.pairs);
-        assert!(same.is_some(), "window {} of {length} pairs is not what was sampled", window.seq);
+        let same = taken
+            .windows(length)
+            .position(|stretch| stretch == window.pairs);
+        assert!(
+            same.is_some(),
+            "window {} of {length} pairs is not what was sampled",
+            window.seq
+        );
     }
     assert_no_violations(&bench);
 }
@@ -59,9 +66,14 @@ fn blocks() -> Vec<[Pair; ADC_LOCK_P]> {
         let phase = std::f64::consts::TAU * 3.0 * n as f64 / ADC_LOCK_P as f64;
         let envelope = (std::f64::consts::PI * n as f64 / (166.0 * ADC_LOCK_P as f64)).sin();
         let code = |share: f64| (share * f64::from(CODE_HALF_RANGE)) as i16;
-        Pair { v: code(0.5 * envelope * phase.sin()), i: code(0.4 * envelope * (phase - 1.1).sin()) }
+        Pair {
+            v: code(0.5 * envelope * phase.sin()),
+            i: code(0.4 * envelope * (phase - 1.1).sin()),
+        }
     };
-    (0..166).map(|block| std::array::from_fn(|k| sample(block * ADC_LOCK_P + k))).collect()
+    (0..166)
+        .map(|block| std::array::from_fn(|k| sample(block * ADC_LOCK_P + k)))
+        .collect()
 }
 
 const F_SW_HZ: u32 = 50_000;
@@ -77,7 +89,12 @@ fn a_replay_gives_the_bits_that_the_library_gives_here() {
         .enumerate()
         .map(|(k, pairs)| {
             let zero_crossing = (k == 0).then_some(0);
-            here.replay_block(&Block { pairs, zero_crossing, bus_dv: BUS_DV, lost: 0 })
+            here.replay_block(&Block {
+                pairs,
+                zero_crossing,
+                bus_dv: BUS_DV,
+                lost: 0,
+            })
         })
         .collect();
     let bench = with_pot(PotKind::Ferromagnetic);

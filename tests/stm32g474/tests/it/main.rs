@@ -4,6 +4,7 @@ mod board;
 mod heating;
 mod link;
 mod lookup;
+mod memory;
 mod protection;
 mod start;
 mod timing;
