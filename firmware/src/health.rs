@@ -3,9 +3,9 @@
 /// Blocks between two feedings: 2.4 ms at 80 kHz, 5.7 ms at 34 kHz.
 const EVERY: u32 = 64;
 
-/// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest it is away is while it
-/// keeps a lookup: a page's erasure (24.5 ms) and 70 double words (6 ms). Who is later than twice that
-/// is not in control.
+/// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest that it was away on the
+/// emulated chip is 7 ms at two cycles an instruction (docs/board.md). Who is later than eight times
+/// that is not in control.
 const BEHIND: u32 = 1_600;
 
 /// Feeds the watchdog of a control loop that is whole.

@@ -8,6 +8,8 @@
 //! A save erases the older page, writes the lookup, and its sequence last. Wherever the power goes,
 //! the other page still holds what it held.
 
+use core::future::Future;
+
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::LEN;
 
@@ -23,16 +25,30 @@ pub trait Flash {
     type Error;
     /// Reads a page's record.
     fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]);
-    /// Sets every bit of a page.
+    /// Sets every bit of a page. Takes tens of milliseconds, in which others run.
     ///
     /// # Errors
     /// What the hardware reports.
-    fn erase(&mut self, page: usize) -> Result<(), Self::Error>;
+    fn erase(&mut self, page: usize) -> impl Future<Output = Result<(), Self::Error>>;
     /// Writes whole words at an offset that is one's multiple, once after each erasure.
     ///
     /// # Errors
     /// What the hardware reports.
-    fn write(&mut self, page: usize, offset: usize, bytes: &[u8]) -> Result<(), Self::Error>;
+    fn write(
+        &mut self,
+        page: usize,
+        offset: usize,
+        bytes: &[u8],
+    ) -> impl Future<Output = Result<(), Self::Error>>;
+}
+
+/// Why a lookup was not kept. The one kept before is still there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SaveError<E> {
+    /// What the hardware reports.
+    Flash(E),
+    /// It reported nothing, but the page does not hold what was written.
+    NotThere,
 }
 
 /// What a page holds, if it is whole.
@@ -63,27 +79,40 @@ pub fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
     newest(flash).map(|(_, _, lookup)| lookup)
 }
 
-/// Keeps a lookup.
+/// Keeps a lookup, and reads it back: embassy-stm32's asynchronous driver clears an error before it looks at it.
 ///
 /// # Errors
-/// What the flash reports; the lookup kept before is still there.
-pub fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), F::Error> {
+/// [`SaveError`]; the lookup kept before is still there.
+pub async fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
     let (page, sequence) = match newest(flash) {
         Some((page, sequence, _)) => (1 - page, sequence.wrapping_add(1)),
         None => (0, 0),
     };
     let mut bytes = [0xFF; RECORD_BYTES - WORD];
     bytes[..LEN].copy_from_slice(&lookup.to_bytes());
-    flash.erase(page)?;
-    flash.write(page, WORD, &bytes)?;
     let mut head = [0; WORD];
     head[..4].copy_from_slice(&sequence.to_le_bytes());
     head[4..].copy_from_slice(&(!sequence).to_le_bytes());
-    flash.write(page, 0, &head)
+    flash.erase(page).await.map_err(SaveError::Flash)?;
+    flash
+        .write(page, WORD, &bytes)
+        .await
+        .map_err(SaveError::Flash)?;
+    flash
+        .write(page, 0, &head)
+        .await
+        .map_err(SaveError::Flash)?;
+    match read(flash, page) {
+        Some((found, kept)) if found == sequence && kept == *lookup => Ok(()),
+        _ => Err(SaveError::NotThere),
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use core::pin::pin;
+    use core::task::{Context, Poll, Waker};
+
     use super::*;
     use ihd_shared::lookup::prior::prior;
 
@@ -108,7 +137,7 @@ mod tests {
         fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) {
             *out = self.pages[page];
         }
-        fn erase(&mut self, page: usize) -> Result<(), PowerGone> {
+        async fn erase(&mut self, page: usize) -> Result<(), PowerGone> {
             for word in 0..RECORD_BYTES / WORD {
                 if self.spend().is_err() {
                     // Half erased: some bits set, some not.
@@ -119,7 +148,12 @@ mod tests {
             }
             Ok(())
         }
-        fn write(&mut self, page: usize, offset: usize, bytes: &[u8]) -> Result<(), PowerGone> {
+        async fn write(
+            &mut self,
+            page: usize,
+            offset: usize,
+            bytes: &[u8],
+        ) -> Result<(), PowerGone> {
             for (k, word) in bytes.chunks(WORD).enumerate() {
                 let place = &mut self.pages[page][offset + k * WORD..][..WORD];
                 assert!(place.iter().all(|&b| b == 0xFF), "written twice");
@@ -128,6 +162,15 @@ mod tests {
                 self.pages[page][offset + k * WORD..][..WORD].copy_from_slice(word);
             }
             Ok(())
+        }
+    }
+
+    /// This flash never waits.
+    fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
+        let saving = pin!(super::save(flash, lookup));
+        match saving.poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(saved) => saved,
+            Poll::Pending => unreachable!("it never waits"),
         }
     }
 
@@ -175,6 +218,27 @@ mod tests {
             assert_eq!(load(&mut flash), Some(lookup(4)));
         }
         assert_eq!((kept[0], kept[2]), (0, 1));
+    }
+
+    /// Flash that takes everything and keeps nothing, in silence.
+    struct DeafFlash;
+
+    impl Flash for DeafFlash {
+        type Error = PowerGone;
+        fn read(&mut self, _: usize, out: &mut [u8; RECORD_BYTES]) {
+            out.fill(0xFF);
+        }
+        async fn erase(&mut self, _: usize) -> Result<(), PowerGone> {
+            Ok(())
+        }
+        async fn write(&mut self, _: usize, _: usize, _: &[u8]) -> Result<(), PowerGone> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_afterwards_was_not_kept() {
+        assert_eq!(save(&mut DeafFlash, &lookup(1)), Err(SaveError::NotThere));
     }
 
     #[test]

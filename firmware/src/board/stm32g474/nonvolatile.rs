@@ -3,8 +3,11 @@
 
 use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
 
-use embassy_stm32::flash::{Blocking, Error, Flash};
+use embassy_stm32::flash::{Async, Error, Flash};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
 use ihd_firmware::nonvolatile::{self, RECORD_BYTES};
+use ihd_shared::lookup::RlLookup;
 
 use super::registers;
 
@@ -17,7 +20,22 @@ const _: () = assert!(RECORD_BYTES <= PAGE as usize);
 
 /// The flash behind the pages; none where it has one bank, as then a page has another size, and the program
 /// would stand still while one is erased.
-pub struct LookupPages(pub Option<Flash<'static, Blocking>>);
+pub struct LookupPages(pub Option<Flash<'static, Async>>);
+
+/// The lookup that is to be kept; a newer one replaces it.
+pub static TO_KEEP: Signal<CriticalSectionRawMutex, RlLookup> = Signal::new();
+
+/// Keeps lookups, beside everything else: an erasure takes 22 ms, in which control and watchdog go on.
+#[embassy_executor::task]
+pub async fn keep(mut pages: LookupPages) -> ! {
+    loop {
+        let lookup = TO_KEEP.wait().await;
+        if nonvolatile::save(&mut pages, &lookup).await.is_err() {
+            // Not tried again: the lookup is still active, and is pushed again.
+            defmt::warn!("lookup {=u32} was not kept", lookup.version);
+        }
+    }
+}
 
 /// A page is being read.
 static READING: AtomicBool = AtomicBool::new(false);
@@ -57,19 +75,19 @@ impl nonvolatile::Flash for LookupPages {
         }
     }
 
-    fn erase(&mut self, page: usize) -> Result<(), Error> {
-        self.flash()?
-            .blocking_erase(offset(page), offset(page) + PAGE)
+    async fn erase(&mut self, page: usize) -> Result<(), Error> {
+        let end = offset(page) + PAGE;
+        self.flash()?.erase(offset(page), end).await
     }
 
-    fn write(&mut self, page: usize, at: usize, bytes: &[u8]) -> Result<(), Error> {
-        self.flash()?
-            .blocking_write(offset(page) + at as u32, bytes)
+    async fn write(&mut self, page: usize, at: usize, bytes: &[u8]) -> Result<(), Error> {
+        let begin = offset(page) + at as u32;
+        self.flash()?.write(begin, bytes).await
     }
 }
 
 impl LookupPages {
-    fn flash(&mut self) -> Result<&mut Flash<'static, Blocking>, Error> {
+    fn flash(&mut self) -> Result<&mut Flash<'static, Async>, Error> {
         self.0.as_mut().ok_or(Error::Protected)
     }
 }

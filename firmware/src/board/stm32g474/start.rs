@@ -3,7 +3,7 @@
 use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
-use embassy_stm32::flash::Flash;
+use embassy_stm32::flash::{self, Flash};
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::peripherals::{IWDG, LPUART1, USB};
@@ -26,7 +26,7 @@ use static_cell::StaticCell;
 
 use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
-use super::nonvolatile::LookupPages;
+use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -35,10 +35,11 @@ use crate::board::{crash, cycles, link};
 bind_interrupts!(struct Irqs {
     USB_LP => embassy_stm32::usb::InterruptHandler<USB>;
     LPUART1 => usart::BufferedInterruptHandler<LPUART1>;
+    FLASH => flash::InterruptHandler;
 });
 
-/// A control loop that stands still this long is reset. The outputs are off from then on. Longer
-/// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
+/// A control loop that stands still this long is reset. The outputs are off from then on; what must be
+/// faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
 /// So many blocks after the start, 1.2 s at 80 kHz and 2.9 s at 34 kHz, it was a good one.
@@ -55,7 +56,6 @@ struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     led: Led,
     heartbeat: Heartbeat,
-    pages: LookupPages,
     kept_version: u32,
 }
 
@@ -133,6 +133,7 @@ fn start(
     interrupt::DMA1_CHANNEL1.set_priority(Priority::P1);
     interrupt::USB_LP.set_priority(Priority::P3);
     interrupt::LPUART1.set_priority(Priority::P3);
+    interrupt::FLASH.set_priority(Priority::P3);
     let sampling_spawner = SAMPLING_EXECUTOR.start(interrupt::DMA1_CHANNEL1);
     if let Ok(token) = SAMPLING_TASK.spawn(|| SamplingTask::new(Adc::start(), interrupt_side)) {
         sampling_spawner.spawn(token);
@@ -148,8 +149,10 @@ fn start(
         led,
         heartbeat: Heartbeat::default(),
         kept_version: housekeeping.lookup().version,
-        pages,
     };
+    if let Ok(token) = nonvolatile_pages::keep(pages) {
+        spawner.spawn(token);
+    }
     if let Ok(token) = usb_task(device) {
         spawner.spawn(token);
     }
@@ -183,7 +186,7 @@ fn lookup_pages(
     housekeeping: &mut Housekeeping,
 ) -> LookupPages {
     let two_banks = registers::supply::has_two_banks();
-    let mut pages = LookupPages(two_banks.then(|| Flash::new_blocking(flash)));
+    let mut pages = LookupPages(two_banks.then(|| Flash::new(flash, Irqs)));
     match nonvolatile::load(&mut pages) {
         Some(lookup) => {
             defmt::info!("lookup {=u32} from flash", lookup.version);
@@ -277,11 +280,8 @@ impl Board {
         }
         let version = housekeeping.lookup().version;
         if version != self.kept_version && housekeeping.control().state() == State::Idle {
-            // Not tried again when it fails: the lookup is still active, and is pushed again.
             self.kept_version = version;
-            if nonvolatile::save(&mut self.pages, housekeeping.lookup()).is_err() {
-                defmt::warn!("lookup {=u32} was not kept", version);
-            }
+            TO_KEEP.signal(housekeeping.lookup().clone());
         }
     }
 }

@@ -93,13 +93,24 @@ impl FlashController {
         self.busy.map(|(_, until)| until)
     }
 
-    /// Completes what is due.
-    pub fn advance(&mut self, now: Ticks) {
+    /// Level of the interrupt: the end of an operation, or an error (RM0440, 3.6).
+    pub fn line(file: &RegisterFile) -> bool {
+        use flash::{flash_cr, flash_sr};
+        const ERRORS: u32 = 0xC3FA;
+        let errors = file.word(flash_sr::ADDRESS) & ERRORS != 0;
+        (file.is(flash_cr::EOPIE) && file.is(flash_sr::EOP)) || (file.is(flash_cr::ERRIE) && errors)
+    }
+
+    /// Completes what is due. EOP is set only if its interrupt is enabled (RM0440, 3.7.5).
+    pub fn advance(&mut self, now: Ticks, file: &mut RegisterFile) {
         if let Some((operation, until)) = self.busy
             && now >= until
         {
             self.complete(operation);
             self.busy = None;
+            if file.is(flash::flash_cr::EOPIE) {
+                file.set(flash::flash_sr::EOP, 1);
+            }
         }
     }
 

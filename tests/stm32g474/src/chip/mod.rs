@@ -29,8 +29,9 @@ use self::watchdog::Watchdog;
 const REQUEST_ADC1: u32 = 5;
 const REQUEST_ADC3: u32 = 37;
 
-/// USB_LP (RM0440, 14.3, vector table).
+/// USB_LP and FLASH (RM0440, 14.3, vector table).
 const USB_LP: usize = 20;
+const FLASH: usize = 4;
 
 /// How often the other end of the USB cable is looked after: a full-speed packet of 64 bytes takes 50 µs.
 const USB_POLL: Ticks = us(25);
@@ -251,7 +252,7 @@ impl Chip {
         }
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.serial.advance(now, hclk_hz, &self.file);
-        self.flash.advance(now);
+        self.flash.advance(now, &mut self.file);
         if now >= self.next_usb_poll {
             let now_us = crate::time::seconds(now) * 1e6;
             self.usb.set_time(now_us);
@@ -269,6 +270,7 @@ impl Chip {
         self.nvic
             .set_line(serial::INTERRUPT, self.serial.line(&self.file));
         self.nvic.set_line(USB_LP, self.usb.interrupt());
+        self.nvic.set_line(FLASH, FlashController::line(&self.file));
     }
 
     /// HRTIM's first trigger: the power stage goes on to this moment, and the converters take what is there.
