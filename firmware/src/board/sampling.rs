@@ -17,7 +17,7 @@ use embassy_sync::signal::Signal;
 use ihd_firmware::realtime::{Access, Block, Drive, RealTime};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
-use super::load;
+use super::cycles;
 
 /// The one sampling path. Its window alone is 64 KiB, so it is never moved.
 struct Place(UnsafeCell<RealTime>);
@@ -59,6 +59,17 @@ impl InterruptSide {
         let realtime = unsafe { &mut *PLACE.0.get() };
         realtime.on_block(block)
     }
+
+    /// Counts the cycles that a block took, without the interrupt's entry and exit, some 30.
+    #[inline(always)]
+    fn note_busy(&mut self, busy_cycles: u32, block_cycles: u32) {
+        if block_cycles == 0 {
+            return;
+        }
+        // SAFETY: as in `on_block`.
+        let realtime = unsafe { &mut *PLACE.0.get() };
+        realtime.utilisation().add(busy_cycles, block_cycles);
+    }
 }
 
 impl Access for ThreadSide {
@@ -76,6 +87,9 @@ pub trait SampleSource: Unpin {
     /// Hands the oldest block that was not handed out yet to `take`, and its answer to the bridge.
     /// Returns whether there was one.
     fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool;
+
+    /// Cycles of the processor from one block to the next; 0 where they are not counted.
+    fn block_cycles(&self) -> u32;
 }
 
 /// The sampling task: runs each time that its executor's interrupt comes, which is the sample
@@ -105,10 +119,12 @@ impl<S: SampleSource> Future for SamplingTask<S> {
         // this runs in it, for ever: embassy-executor 0.10 pends the executor's own (NVIC, STIR).
         wake_task_no_pend(task_from_waker(cx.waker()));
         let path = &mut this.path;
-        let mut begun = load::now();
+        let mut begun = cycles::now();
         while this.source.next(|block| path.on_block(block)) {
             BLOCK_DONE.signal(());
-            begun = load::block_done(begun);
+            let ended = cycles::now();
+            path.note_busy(ended.wrapping_sub(begun), this.source.block_cycles());
+            begun = ended;
         }
         Poll::Pending
     }

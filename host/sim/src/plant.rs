@@ -170,6 +170,11 @@ impl Plant {
         pairs
     }
 
+    /// Duration of an integration step, in seconds.
+    pub fn dt_s(&self) -> f64 {
+        self.inverter.dt_s()
+    }
+
     /// Takes one sample and simulates until the next; `current` gets the coil's current in ampere after every
     /// integration step, as a comparator sees it. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {

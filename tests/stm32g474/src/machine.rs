@@ -136,6 +136,16 @@ impl Machine {
         let _ = self.cpu.reg_write(RegisterARM::SP, u64::from(sp));
     }
 
+    /// Whether the program waits for an event.
+    pub fn sleeping(&self) -> bool {
+        self.cpu.get_data().sleeping
+    }
+
+    /// Entries of an exception since the last reset.
+    pub fn entries(&self, exception: usize) -> u64 {
+        self.cpu.get_data().chip.nvic.entries.get(exception).copied().unwrap_or(0)
+    }
+
     /// Whether the processor has locked up.
     pub fn is_locked_up(&self) -> bool {
         self.locked_up
@@ -336,10 +346,16 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
         u64::from(PAGES),
         PAGES_BYTES as u64,
         Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
-            u64::from(cpu.get_data_mut().chip.read_page(offset as u32, bytes))
+            let read = cpu.get_data_mut().chip.read_page(offset as u32, bytes);
+            // NMI comes with the load: Unicorn leaves it undone here, and it is done after the handler.
+            u64::from(read.unwrap_or_else(|| {
+                let _ = cpu.emu_stop();
+                0
+            }))
         }),
         Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
             cpu.get_data_mut().chip.write_page(offset as u32, bytes, value as u32);
+            stop_if_reset(cpu);
         }),
     )?;
     cpu.mmio_map(
@@ -377,6 +393,7 @@ fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Re
     )
 }
 
+/// Ends the run where the chip starts again; Unicorn leaves the instruction undone, which no longer matters.
 fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
     let chip = &cpu.get_data().chip;
     if chip.reset.is_some() || chip.flash.power_gone {

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use ihd_firmware::drive;
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair};
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_sim::plant::Plant;
 
 use crate::chip::hrtim::Bridge;
@@ -49,12 +49,16 @@ pub struct Pins {
     /// What is at the other end of the USB cable.
     pub usb: HostController,
     bridge: Bridge,
-    i_low_a: f64,
-    i_high_a: f64,
+    /// The comparators' settings: PA1 and PA7, the latter inverted. `None` does not compare.
+    pub comparators: [Option<Comparator>; 2],
+    /// Time for which each comparator has been above its threshold, in seconds.
+    above_s: [f64; 2],
     /// Added to what the current sensor shows, in ampere: a test's surge.
     pub surge_a: f64,
     /// Pairs that the converters find in place of the power stage's, while there are any.
     pub fed: VecDeque<Pair>,
+    /// Energy that the pairs have carried, in joule, and the time that took, in seconds: a wattmeter.
+    pub wattmeter: (f64, f64),
     /// What the converters found, if somebody wants it.
     pub taken: Option<Vec<Pair>>,
 }
@@ -66,10 +70,11 @@ impl Pins {
             plant,
             usb,
             bridge: Bridge::Open,
-            i_low_a: 0.0,
-            i_high_a: 0.0,
+            comparators: [None; 2],
+            above_s: [0.0; 2],
             surge_a: 0.0,
             fed: VecDeque::new(),
+            wattmeter: (0.0, 0.0),
             taken: None,
         }
     }
@@ -90,29 +95,42 @@ impl Pins {
         self.bridge
     }
 
-    /// Lets the power stage go on for one sampling period, and takes what stands at its beginning.
-    pub fn sample(&mut self) -> Sample {
+    /// Lets the power stage go on for one sampling period, and takes what stands at its beginning. Also returns which
+    /// comparators tripped, and how long after the beginning, in seconds.
+    pub fn sample(&mut self) -> (Sample, [Option<f64>; 2]) {
         let t_s = self.plant.t_s();
         let (bus_v, mains_v) = (self.plant.mains().bus_v(t_s), self.plant.mains().mains_v(t_s));
-        (self.i_low_a, self.i_high_a) = (f64::INFINITY, f64::NEG_INFINITY);
-        let (low, high) = (&mut self.i_low_a, &mut self.i_high_a);
+        let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
+        let mut tripped = [None; 2];
+        let mut step = 0;
+        let dt_s = self.plant.dt_s();
         let pair = self.plant.sample(|i_a| {
-            *low = low.min(i_a);
-            *high = high.max(i_a);
+            step += 1;
+            for (k, sign) in [(0, 1.0), (1, -1.0)] {
+                let Some(comparator) = comparators[k] else { continue };
+                let code = MIDDLE + sign * (i_a + surge_a) / AMPERE_PER_CODE;
+                above_s[k] = if code > comparator.threshold_code { above_s[k] + dt_s } else { 0.0 };
+                if above_s[k] > comparator.filter_s {
+                    tripped[k].get_or_insert(f64::from(step) * dt_s);
+                }
+            }
         });
+        let sampling_s = self.plant.t_s() - t_s;
+        self.wattmeter.0 += f64::from(pair.v) * VOLT_PER_CODE * f64::from(pair.i) * AMPERE_PER_CODE * sampling_s;
+        self.wattmeter.1 += sampling_s;
         let pair = self.fed.pop_front().unwrap_or(pair);
         if let Some(taken) = &mut self.taken {
             taken.push(pair);
         }
-        Sample { pair, bus_v, mains_v }
+        (Sample { pair, bus_v, mains_v }, tripped)
     }
+}
 
-    /// Highest code at a comparator's pin over the last sampling period: 0 is PA1, 1 is PA7, which is inverted.
-    pub fn highest_code(&self, comparator: usize) -> f64 {
-        let i_a = match comparator {
-            0 => self.i_high_a + self.surge_a,
-            _ => -(self.i_low_a + self.surge_a),
-        };
-        MIDDLE + i_a / AMPERE_PER_CODE
-    }
+/// A comparator of the chip with the filter behind it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Comparator {
+    /// The DAC's code at its other input.
+    pub threshold_code: f64,
+    /// What is shorter than this does not trip, in seconds.
+    pub filter_s: f64,
 }

@@ -9,7 +9,7 @@ use ihd_firmware::mains::ZeroCrossing;
 use ihd_firmware::pwm::Periods;
 use ihd_firmware::realtime::{Block, Bridge, Drive};
 use ihd_firmware::ring::Ring;
-use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
 use super::registers::{adc, bridge, dma};
 use crate::board::sampling::SampleSource;
@@ -45,18 +45,25 @@ fn DMA1_CHANNEL1() {
     unsafe { SAMPLING_EXECUTOR.on_interrupt() }
 }
 
+/// A block is three switching periods, a cycle eight ticks.
+fn block_cycles(periods: Periods) -> u32 {
+    ADC_LOCK_Q as u32 * u32::from(periods.switching) / 8
+}
+
 /// The ADCs, and the bridge they are locked to.
 pub struct Adc {
     ring: Ring,
     mains: ZeroCrossing,
     drive: Drive,
+    block_cycles: u32,
     pairs: [Pair; ADC_LOCK_P],
 }
 
 impl Adc {
     /// Starts the timers with the bridge off, then the conversions they trigger.
     pub fn start() -> Self {
-        bridge::start_timers(Periods::nearest(Drive::OFF.f_sw_hz));
+        let periods = Periods::nearest(Drive::OFF.f_sw_hz);
+        bridge::start_timers(periods);
         // SAFETY: both are static, and nobody writes them but the DMA.
         unsafe {
             adc::start_slow(BUS, MAINS, SLOW.0.get().cast());
@@ -66,6 +73,7 @@ impl Adc {
             ring: Ring::default(),
             mains: ZeroCrossing::default(),
             drive: Drive::OFF,
+            block_cycles: block_cycles(periods),
             pairs: [Pair::default(); ADC_LOCK_P],
         }
     }
@@ -100,7 +108,9 @@ impl Adc {
             bridge::open();
         }
         if drive.f_sw_hz != self.drive.f_sw_hz {
-            bridge::set_periods(Periods::nearest(drive.f_sw_hz));
+            let periods = Periods::nearest(drive.f_sw_hz);
+            bridge::set_periods(periods);
+            self.block_cycles = block_cycles(periods);
         }
         match (self.drive.bridge, drive.bridge) {
             (Bridge::Open, Bridge::LowerOn) => bridge::close_lower(),
@@ -135,5 +145,9 @@ impl SampleSource for Adc {
         });
         self.apply(drive);
         true
+    }
+
+    fn block_cycles(&self) -> u32 {
+        self.block_cycles
     }
 }

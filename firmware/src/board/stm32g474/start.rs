@@ -29,9 +29,8 @@ use super::led::Led;
 use super::nonvolatile::LookupPages;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
-use crate::board::load::{self, Load};
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
-use crate::board::{crash, link};
+use crate::board::{crash, cycles, link};
 
 bind_interrupts!(struct Irqs {
     USB_LP => embassy_stm32::usb::InterruptHandler<USB>;
@@ -42,11 +41,8 @@ bind_interrupts!(struct Irqs {
 /// than keeping a lookup takes (`ihd_firmware::health`); what must be faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
-/// Merged with the lib branch: `Fault::OPTION_BYTES`.
-const OPTION_BYTES: Fault = Fault::from_number(16);
-
-/// Blocks between two log lines about the load: 1.2 s at 80 kHz, 2.9 s at 34 kHz.
-const TELL_EVERY: u32 = 32_768;
+/// So many blocks after the start, 1.2 s at 80 kHz and 2.9 s at 34 kHz, it was a good one.
+const RAN_WELL: u32 = 32_768;
 
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
@@ -58,12 +54,7 @@ type UsbDriver = Driver<'static, USB>;
 struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     led: Led,
-    option_bytes_ok: bool,
     heartbeat: Heartbeat,
-    /// When the watchdog was fed last, by the cycle counter.
-    fed_at: u32,
-    /// When the load was logged last, in blocks.
-    told_at: u32,
     pages: LookupPages,
     kept_version: u32,
 }
@@ -76,7 +67,7 @@ fn main() -> ! {
     let p = registers::clocks::start();
     registers::supply::protect_code();
     if let Some(core) = cortex_m::Peripherals::take() {
-        load::start(core);
+        cycles::start(core);
     }
     defmt::info!(
         "reset reason {=u8}, fault before it {=u16}; {=u32} MHz",
@@ -107,18 +98,22 @@ fn hello(flags: reset::Flags, last: Option<reset::CrashRecord>) -> Hello {
     hello
 }
 
+/// Not inlined: its frame of 3 KiB would stay on the stack under everything that runs afterwards.
+#[inline(never)]
 fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
     interrupt_side: sampling::InterruptSide,
-    thread_side: ThreadSide,
+    mut thread_side: ThreadSide,
 ) {
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
-    let option_bytes_ok = check_option_bytes();
+    if !option_bytes_ok() {
+        thread_side.with(|rt| rt.raise_standing(Fault::OPTION_BYTES));
+    }
     let pages = lookup_pages(p.FLASH, housekeeping);
-    let led = Led::new(p.PA5, load::now());
+    let led = Led::new(p.PA5, cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.
     registers::comparators::start();
     defmt::info!("comparators on");
@@ -151,10 +146,7 @@ fn start(
     let board = Board {
         watchdog,
         led,
-        option_bytes_ok,
         heartbeat: Heartbeat::default(),
-        fed_at: load::now(),
-        told_at: 0,
         kept_version: housekeeping.lookup().version,
         pages,
     };
@@ -167,8 +159,8 @@ fn start(
     }
 }
 
-/// FLASH_OPTR; what is wrong is fault 16 as long as the program runs.
-fn check_option_bytes() -> bool {
+/// FLASH_OPTR; what is wrong is a fault as long as the program runs.
+fn option_bytes_ok() -> bool {
     let (banks, parity) = (
         registers::supply::has_two_banks(),
         registers::supply::has_parity(),
@@ -261,16 +253,6 @@ async fn link_task(
     }
 }
 
-fn tell(load: Load) {
-    defmt::info!(
-        "{=u32} blocks: {=u32} cycles each, {=u32} at most; watchdog fed within {=u32} cycles",
-        load.blocks,
-        load.busy_cycles / load.blocks.max(1),
-        load.worst_cycles,
-        load.longest_feed_gap_cycles
-    );
-}
-
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
     fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
@@ -282,22 +264,16 @@ impl Board {
             {
                 rt.raise(fault);
             }
-            if !self.option_bytes_ok && rt.fault() == Fault::NONE {
-                rt.raise(OPTION_BYTES);
-            }
             rt.blocks()
         });
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
-        self.led.show(state, fault, load::now());
+        self.led.show(state, fault, cycles::now());
         if self.heartbeat.beat(blocks) {
             self.watchdog.pet();
-            self.fed_at = load::fed(self.fed_at);
         }
-        if blocks.wrapping_sub(self.told_at) >= TELL_EVERY {
-            self.told_at = blocks;
+        if blocks == RAN_WELL {
             crash::ran_well();
-            tell(load::load());
         }
         let version = housekeeping.lookup().version;
         if version != self.kept_version && housekeeping.control().state() == State::Idle {

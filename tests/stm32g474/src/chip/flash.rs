@@ -148,7 +148,7 @@ impl FlashController {
         }
     }
 
-    /// Reads from the pages. A word with two wrong bits is reported in FLASH_ECCR; `true` asks for an NMI.
+    /// Reads from the pages; whether the word has two wrong bits, which FLASH_ECCR then reports.
     pub fn read_page(&mut self, offset: u32, bytes: usize, file: &mut RegisterFile) -> (u32, bool) {
         let mut word = [0; 4];
         word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
@@ -156,7 +156,7 @@ impl FlashController {
         if damaged {
             let address = PAGES + (offset & !7);
             let eccr = file.word(flash::flash_eccr::ADDRESS);
-            let eccr = flash::flash_eccr::ADDR_ECC.put(eccr, (address - BANK_2) / 8);
+            let eccr = flash::flash_eccr::ADDR_ECC.put(eccr, address - BANK_2);
             let eccr = flash::flash_eccr::BK_ECC.put(eccr, 1);
             file.set_word(flash::flash_eccr::ADDRESS, flash::flash_eccr::ECCD.put(eccr, 1));
         }

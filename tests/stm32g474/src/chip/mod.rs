@@ -10,7 +10,7 @@ pub mod serial;
 pub mod watchdog;
 
 use crate::cpu::nvic::{NMI, Nvic};
-use crate::pins::Pins;
+use crate::pins::{Comparator, Pins};
 use crate::registers::{self as reg, Field};
 use crate::time::{Ticks, us};
 use crate::usb::peripheral::Usb;
@@ -84,6 +84,8 @@ pub struct Chip {
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
+    /// The load that NMI was pended for, and that comes again after it.
+    reported_page_word: Option<u32>,
     /// When something happened last.
     happened_at: Ticks,
     next_usb_poll: Ticks,
@@ -95,7 +97,6 @@ pub struct Chip {
     pub cycles: u64,
     cycle_origin: u64,
     ticks_per_cycle: Ticks,
-    comparator_high_since: [Option<Ticks>; 2],
     /// What the DMA writes to memory; the machine does it.
     pub transfers: Vec<Transfer>,
 }
@@ -118,13 +119,13 @@ impl Chip {
             conversions: Vec::new(),
             next_trigger: None,
             happened_at: 0,
+            reported_page_word: None,
             next_usb_poll: 0,
             reset: None,
             system: std::collections::HashMap::new(),
             cycles: 0,
             cycle_origin: 0,
             ticks_per_cycle: 85,
-            comparator_high_since: [None; 2],
             transfers: Vec::new(),
         };
         chip.after_reset(Reset::Power);
@@ -166,7 +167,6 @@ impl Chip {
         self.conversions.clear();
         self.system.clear();
         self.reset = None;
-        self.comparator_high_since = [None; 2];
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
         self.drive_pins();
     }
@@ -254,8 +254,9 @@ impl Chip {
     fn trigger(&mut self) {
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.drive_pins();
-        let sample = self.pins.sample();
-        self.compare();
+        self.set_comparators();
+        let (sample, tripped) = self.pins.sample();
+        self.trip(tripped);
         let [adc1, adc2, adc3] = &mut self.adcs;
         if adc1.takes_trigger(&self.file) && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6 {
             let voltage = adc1.trigger(hclk_hz, &self.file, &mut self.log);
@@ -277,20 +278,29 @@ impl Chip {
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
     }
 
-    /// The comparators against their thresholds: HRTIM's fault inputs.
-    fn compare(&mut self) {
-        use reg::comp::comp_c1csr::{EN, INMSEL, POL};
-        let dac = reg::dac1::dac_cr::ADDRESS;
-        let on = [reg::dac1::dac_cr::EN1, reg::dac1::dac_cr::EN2].map(|enable| enable.of(self.file.word(dac)) == 1);
-        let thresholds = [reg::dac1::dac_dhr12r1::ADDRESS, reg::dac1::dac_dhr12r2::ADDRESS];
+    /// What the comparators compare with, for the pins.
+    fn set_comparators(&mut self) {
+        use reg::comp::comp_c1csr::{EN, INMSEL};
+        use reg::dac1::{dac_cr, dac_dhr12r1, dac_dhr12r2};
+        let on = [self.file.is(dac_cr::EN1), self.file.is(dac_cr::EN2)];
+        let thresholds = [self.file.get(dac_dhr12r1::DACC1DHR), self.file.get(dac_dhr12r2::DACC2DHR)];
         for (comparator, input) in COMPARATOR_INPUTS {
             let csr = self.file.word(reg::comp::BASE + 4 * comparator as u32);
             // INMSEL 5 is DAC1_CH1 on COMP1 and DAC1_CH2 on COMP2 (RM0440, table 196).
             let compares = EN.of(csr) == 1 && INMSEL.of(csr) == 5 && on[comparator];
-            let threshold = self.file.word(thresholds[comparator]) & 0xFFF;
-            let high = compares && self.pins.highest_code(comparator) > f64::from(threshold);
-            if high != (POL.of(csr) == 1) && compares {
-                self.hrtim.fault_input(input, &mut self.file, self.log.now);
+            self.pins.comparators[comparator] = compares.then(|| Comparator {
+                threshold_code: f64::from(thresholds[comparator]),
+                filter_s: self.hrtim.fault_filter_s(input, &self.file),
+            });
+        }
+    }
+
+    /// Comparators that have tripped: HRTIM's fault inputs, at their moment.
+    fn trip(&mut self, tripped: [Option<f64>; 2]) {
+        for (comparator, input) in COMPARATOR_INPUTS {
+            if let Some(after_s) = tripped[comparator] {
+                let at = self.log.now + (after_s * crate::time::TICKS_PER_S as f64) as Ticks;
+                self.hrtim.fault_input(input, &mut self.file, at);
             }
         }
         self.drive_pins();
@@ -416,14 +426,18 @@ impl Chip {
         }
     }
 
-    /// Reads from the pages that the program may write; a double error pends NMI (RM0440, 3.3.2).
-    pub fn read_page(&mut self, offset: u32, bytes: usize) -> u32 {
+    /// Reads from the pages that the program may write. A double error pends NMI (RM0440, 3.3.2): then there is nothing
+    /// to be had until the handler has run and the load is tried again.
+    pub fn read_page(&mut self, offset: u32, bytes: usize) -> Option<u32> {
         let (word, damaged) = self.flash.read_page(offset, bytes, &mut self.file);
-        if damaged {
+        let reported = std::mem::take(&mut self.reported_page_word);
+        if damaged && reported != Some(offset) {
+            self.reported_page_word = Some(offset);
             self.nvic.pend(NMI);
             self.system_fault(reg::syscfg::cfgr2::ECCL);
+            return None;
         }
-        word
+        Some(word)
     }
 
     /// Writes to those pages.

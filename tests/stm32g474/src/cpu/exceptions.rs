@@ -97,9 +97,9 @@ pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
     let control = register(cpu, RegisterARM::CONTROL);
     set(cpu, RegisterARM::CONTROL, control & !(FPCA as u32));
     let state = cpu.get_data_mut();
-    state.chip.nvic.enter(exception);
+    let began = state.chip.cycles;
+    state.chip.nvic.enter(exception, began);
     state.event = true;
-    state.timing.in_handler = super::Cost::default();
     state.pass(ENTRY_CYCLES);
     Ok(())
 }
@@ -119,9 +119,12 @@ fn set(cpu: &mut Cpu, which: RegisterARM, value: u32) {
 /// [`LockUp`] where the frame cannot be read.
 pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
     let state = cpu.get_data_mut();
-    state.chip.nvic.leave();
+    if let Some((exception, began)) = state.chip.nvic.leave() {
+        let time = state.timing.handlers.entry(exception).or_default();
+        let cycles = state.chip.cycles - began + RETURN_CYCLES;
+        (time.runs, time.cycles, time.worst) = (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
+    }
     state.event = true;
-    // Another exception waits: the frame stays, and is only counted as tail-chained.
     let sp = register(cpu, RegisterARM::SP);
     let floats = exc_return & NO_FLOATS == 0;
     let read = |k: u32| word(cpu, sp + 4 * k).map_err(|_| LockUp);

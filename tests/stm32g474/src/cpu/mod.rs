@@ -46,8 +46,19 @@ pub struct Timing {
     last_end: u32,
     /// Everything since power-on.
     pub total: Cost,
-    /// The running handler's cost since its entry; the thread's is not kept.
-    pub in_handler: Cost,
+    /// What each exception's handler has taken, by its number.
+    pub handlers: HashMap<usize, HandlerTime>,
+}
+
+/// The time of an exception's handler, from the request to the return, in cycles.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HandlerTime {
+    /// Runs.
+    pub runs: u64,
+    /// Cycles of all of them.
+    pub cycles: u64,
+    /// Cycles of the longest.
+    pub worst: u64,
 }
 
 impl Default for Timing {
@@ -58,7 +69,7 @@ impl Default for Timing {
             blocks: HashMap::new(),
             last_end: 0,
             total: Cost::default(),
-            in_handler: Cost::default(),
+            handlers: HashMap::new(),
         }
     }
 }
@@ -110,8 +121,6 @@ impl Timing {
         }
         self.total.instructions += u64::from(block.instructions);
         self.total.cycles += u64::from(cycles);
-        self.in_handler.instructions += u64::from(block.instructions);
-        self.in_handler.cycles += u64::from(cycles);
         cycles
     }
 }

@@ -21,8 +21,8 @@ pub struct Nvic {
     /// Levels of the peripherals' lines.
     level: [bool; EXCEPTIONS],
     any_pending: bool,
-    /// Nested exceptions, the running one last.
-    active: Vec<usize>,
+    /// Nested exceptions with the cycle at which each began, the running one last.
+    active: Vec<(usize, u64)>,
     /// Entries of each exception since reset.
     pub entries: Vec<u64>,
 }
@@ -78,7 +78,7 @@ impl Nvic {
 
     /// Priority of what runs.
     pub fn running_priority(&self) -> i32 {
-        let active = self.active.iter().map(|&exception| self.priority_of(exception));
+        let active = self.active.iter().map(|&(exception, _)| self.priority_of(exception));
         active.min().unwrap_or(THREAD)
     }
 
@@ -110,18 +110,18 @@ impl Nvic {
         self.next(false, 0).is_some()
     }
 
-    /// The handler of an exception begins.
-    pub fn enter(&mut self, exception: usize) {
+    /// The handler of an exception begins, at a cycle.
+    pub fn enter(&mut self, exception: usize, cycle: u64) {
         self.pending[exception] = false;
-        self.active.push(exception);
+        self.active.push((exception, cycle));
         self.entries[exception] += 1;
     }
 
-    /// The running handler ends; returns which it was.
-    pub fn leave(&mut self) -> Option<usize> {
+    /// The running handler ends; returns which it was and when it began.
+    pub fn leave(&mut self) -> Option<(usize, u64)> {
         let ended = self.active.pop()?;
-        if self.level[ended] {
-            self.pend(ended);
+        if self.level[ended.0] {
+            self.pend(ended.0);
         }
         Some(ended)
     }
@@ -204,10 +204,10 @@ mod tests {
         assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + DMA));
         assert_eq!(nvic.next(true, 0), None, "PRIMASK holds both");
         assert_eq!(nvic.next(false, 0x10), None, "BASEPRI 1 holds priorities 1 and below");
-        nvic.enter(FIRST_INTERRUPT + DMA);
+        nvic.enter(FIRST_INTERRUPT + DMA, 0);
         assert_eq!(nvic.next(false, 0), None);
         nvic.set_line(DMA, false);
-        assert_eq!(nvic.leave(), Some(FIRST_INTERRUPT + DMA));
+        assert_eq!(nvic.leave(), Some((FIRST_INTERRUPT + DMA, 0)));
         assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + USB));
     }
 
@@ -216,10 +216,10 @@ mod tests {
         let mut nvic = Nvic::default();
         enabled(&mut nvic, DMA, 1);
         nvic.set_line(DMA, true);
-        nvic.enter(FIRST_INTERRUPT + DMA);
+        nvic.enter(FIRST_INTERRUPT + DMA, 0);
         nvic.leave();
         assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + DMA), "still high");
-        nvic.enter(FIRST_INTERRUPT + DMA);
+        nvic.enter(FIRST_INTERRUPT + DMA, 0);
         nvic.set_line(DMA, false);
         nvic.write(0xF00, 4, DMA as u32);
         nvic.leave();

@@ -10,7 +10,11 @@ use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
-use ihd_stm32g474::bench::Bench;
+pub use ihd_stm32g474::bench::Bench;
+use ihd_stm32g474::cpu::nvic::FIRST_INTERRUPT;
+
+/// Exception of DMA1's first channel: the sampling path.
+pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
 
 /// The image under test.
 pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {

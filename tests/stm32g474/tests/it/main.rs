@@ -2,3 +2,7 @@
 
 mod board;
 mod heating;
+mod lookup;
+mod protection;
+mod start;
+mod timing;

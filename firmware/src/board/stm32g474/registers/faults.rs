@@ -3,7 +3,7 @@
 use embassy_stm32::pac;
 use ihd_shared::fault::Fault;
 
-use super::BRIDGE;
+use super::{BRIDGE, supply};
 
 /// HRTIM's fault inputs that a comparator reaches: COMP2 on 1, COMP1 on 4 (HRTIM, table "HRTIM fault
 /// inputs").
@@ -31,9 +31,10 @@ pub fn start() {
     start_supply_detector();
     // SYSCFG_CFGR2: lock-up, RAM parity, ECC and supply reach HRTIM's system fault. PVDL also locks
     // PVDE and PVDLS, so the detector is on by now.
+    let parity = supply::has_parity();
     pac::SYSCFG.cfgr2().modify(|w| {
         w.set_cll(true);
-        w.set_spl(true);
+        w.set_spl(parity);
         w.set_pvdl(true);
         w.set_eccl(true);
     });

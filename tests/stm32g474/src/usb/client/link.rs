@@ -1,5 +1,6 @@
 //! The link's [`Transport`] over a board's bulk endpoints.
 
+use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
@@ -24,31 +25,37 @@ pub struct BulkLink {
     arrived: Receiver<Outcome>,
     /// Received and not yet asked for.
     left: Vec<u8>,
+    /// Transfers that wait for the board's bytes, the oldest first.
+    waiting: VecDeque<u64>,
 }
 
 impl BulkLink {
     /// The link of an enumerated board; `serial` is for messages.
     pub(super) fn new(cable: Cable, serial: &str) -> Self {
         let (sender, arrived) = mpsc::channel();
-        let link = Self {
+        let (serial, left, waiting) = (serial.to_owned(), Vec::new(), VecDeque::new());
+        let mut link = Self {
             cable,
-            serial: serial.to_owned(),
+            serial,
             sender,
             arrived,
-            left: Vec::new(),
+            left,
+            waiting,
         };
         (0..IN_FLIGHT).for_each(|_| link.ask_for_more());
         link
     }
 
-    fn ask_for_more(&self) {
+    fn ask_for_more(&mut self) {
         let sender = self.sender.clone();
         let request = Request::In {
             endpoint: 1,
             length: PACKET,
         };
-        self.cable
+        let id = self
+            .cable
             .submit(request, move |outcome| drop(sender.send(outcome)));
+        self.waiting.push_back(id);
     }
 
     fn failed(&self, doing: &'static str, status: Status) -> LinkError {
@@ -84,6 +91,13 @@ impl BulkLink {
     }
 }
 
+impl Drop for BulkLink {
+    /// What comes from now on is for whoever opens the link next.
+    fn drop(&mut self) {
+        self.waiting.iter().for_each(|id| self.cable.cancel(*id));
+    }
+}
+
 impl Transport for BulkLink {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         let (sender, receiver) = mpsc::channel();
@@ -116,6 +130,8 @@ impl Transport for BulkLink {
             let Some(outcome) = waited.map_err(|status| self.failed("receive", status))? else {
                 return Ok(0);
             };
+            // They end in the order in which they were asked for.
+            self.waiting.pop_front();
             self.ask_for_more();
             self.left = outcome.data;
         }

@@ -59,6 +59,18 @@ fn a_board_is_enumerated_and_carries_bytes() {
 }
 
 #[test]
+fn a_link_that_is_dropped_leaves_what_comes_to_the_next() {
+    let machine = Machine::start();
+    let board = Board::enumerate(&machine.cable, 5).unwrap();
+    drop(board.link());
+    let mut link = board.link();
+    link.send(b"for the second").unwrap();
+    let mut buf = [0; 64];
+    let length = link.receive(&mut buf, Duration::from_secs(1)).unwrap();
+    assert_eq!(buf[..length], *b"for the second");
+}
+
+#[test]
 fn a_pulled_cable_and_a_machine_that_ends_close_the_link() {
     let machine = Machine::start();
     let mut link = Board::enumerate(&machine.cable, 5).unwrap().link();
