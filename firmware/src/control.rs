@@ -298,6 +298,47 @@ mod tests {
         assert_eq!(run(&mut c, POT, 3), Action::Keep);
     }
 
+    /// Switched off or faulted in the middle of a search, no drive comes out of it.
+    #[test]
+    fn a_search_under_way_ends_with_the_heating() {
+        for switched_off in [true, false] {
+            let mut c = probing();
+            run(&mut c, POT, 2);
+            let probed = Summary {
+                f_sw_hz: c.requested_hz,
+                power_mw: 1_300_000,
+                ..summary(POT.0, POT.1, POT.2)
+            };
+            c.on_half_cycle(&probed, &prior());
+            assert_eq!(c.advance(&prior()), Action::Keep);
+            if switched_off {
+                assert_eq!(c.set_power(0), Action::Drive(Drive::OFF));
+            } else {
+                c.faulted();
+            }
+            for _ in 0..10 {
+                assert_eq!(c.advance(&prior()), Action::Keep);
+            }
+        }
+    }
+
+    /// A thread that is away for half-cycles does not begin its search anew each time.
+    #[test]
+    fn a_search_that_lasts_longer_than_a_half_cycle_still_ends() {
+        let mut c = probing();
+        run(&mut c, POT, 2);
+        let seen = Summary {
+            f_sw_hz: c.requested_hz,
+            power_mw: 1_300_000,
+            ..summary(POT.0, POT.1, POT.2)
+        };
+        let found = (0..10).any(|_| {
+            c.on_half_cycle(&seen, &prior());
+            matches!(c.advance(&prior()), Action::Drive(_))
+        });
+        assert!(found);
+    }
+
     #[test]
     fn a_fault_stays_until_cleared() {
         let mut c = probing();

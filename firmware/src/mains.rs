@@ -1,10 +1,18 @@
-//! Mains zero crossings from one sample of the mains voltage per block.
+//! Mains zero crossings and bus voltage from one sample of each per block.
 
 use ihd_shared::sampling::ADC_LOCK_P;
 
 /// The voltage must have been this far from zero, in codes, before a change of its sign counts: a
 /// twelfth of the crest of 230 V on a range of ±400 V.
 const ARMED_AT: i32 = 140;
+
+/// Decivolt at the end of the bus converter's range: 500 V over 12 bit.
+pub const BUS_DV_FULL_SCALE: u32 = 5_000;
+
+/// Bus voltage of a code, in decivolt.
+pub fn bus_dv(code: u16) -> u16 {
+    (u32::from(code) * BUS_DV_FULL_SCALE / 4_096) as u16
+}
 
 /// Finds the zero crossings.
 #[derive(Clone, Copy, Debug, Default)]

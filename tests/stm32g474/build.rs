@@ -20,18 +20,31 @@ fn main() {
                 }
                 let base = hexadecimal(base);
                 let module = name.to_lowercase();
-                writeln!(code, "pub mod {module} {{ use super::Field; pub const BASE: u32 = {base:#x};").unwrap();
+                writeln!(
+                    code,
+                    "pub mod {module} {{ use super::Field; pub const BASE: u32 = {base:#x};"
+                )
+                .unwrap();
                 peripheral = Some((name.to_owned(), base));
             }
             ["R", name, offset, reset] => {
                 close(&mut register, &peripheral, &mut code, &mut table);
                 let (offset, reset) = (hexadecimal(offset), hexadecimal(reset));
-                register = Some(Register { name: name.to_owned(), offset, reset, fields: Vec::new() });
+                register = Some(Register {
+                    name: name.to_owned(),
+                    offset,
+                    reset,
+                    fields: Vec::new(),
+                });
             }
             ["F", name, bit, width, access] => {
                 let (bit, width) = (bit.parse().unwrap(), width.parse().unwrap());
                 let writable = access != "read-only";
-                register.as_mut().unwrap().fields.push((name.to_owned(), bit, width, writable));
+                register
+                    .as_mut()
+                    .unwrap()
+                    .fields
+                    .push((name.to_owned(), bit, width, writable));
             }
             _ => panic!("svd/registers.txt: {line}"),
         }
@@ -60,17 +73,36 @@ fn close(
     code: &mut String,
     table: &mut String,
 ) {
-    let (Some(Register { name, offset, reset, fields }), Some((of, base))) = (register.take(), peripheral) else {
+    let (
+        Some(Register {
+            name,
+            offset,
+            reset,
+            fields,
+        }),
+        Some((of, base)),
+    ) = (register.take(), peripheral)
+    else {
         return;
     };
     let address = base + offset;
-    writeln!(code, "pub mod {} {{ use super::Field; pub const ADDRESS: u32 = {address:#x};", name.to_lowercase()).unwrap();
+    writeln!(
+        code,
+        "pub mod {} {{ use super::Field; pub const ADDRESS: u32 = {address:#x};",
+        name.to_lowercase()
+    )
+    .unwrap();
     let (mut bits, mut writable) = (0u32, 0u32);
     for (field, bit, width, writes) in fields {
         let ones = (((1u64 << width) - 1) << bit) as u32;
         bits |= ones;
         writable |= if writes { ones } else { 0 };
-        writeln!(code, "pub const {}: Field = Field::new({address:#x}, {bit}, {width});", field.to_uppercase()).unwrap();
+        writeln!(
+            code,
+            "pub const {}: Field = Field::new({address:#x}, {bit}, {width});",
+            field.to_uppercase()
+        )
+        .unwrap();
     }
     code.push_str("}\n");
     writeln!(

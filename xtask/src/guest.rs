@@ -9,9 +9,9 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail, ensure};
 
-use crate::emulator;
 use crate::setup::{install, say};
 use crate::workspace::{Workspace, first_line, run};
+use crate::{board, emulator};
 
 /// Metapackages of the kernel: Debian's, Ubuntu's.
 const KERNELS: [&str; 2] = ["linux-image-amd64", "linux-image-generic"];
@@ -34,13 +34,14 @@ const COMPRESSIONS: [(&[u8], &str); 2] = [(b"\xFD7zXZ\0", "xz"), (b"\x28\xB5\x2F
 pub fn test(workspace: &Workspace, image: &Path) -> anyhow::Result<()> {
     let qemu = emulator::find(workspace, emulator::X86)?;
     let guest = find(workspace)?;
+    board::tools(workspace)?;
     // What the tests of the workspace built; built again only where they did not run.
     let built = "test --workspace --lib --bins --tests --no-run";
     run(&mut workspace.cargo(built.split(' ')))?;
-    let line =
-        "test --manifest-path tests/stm32g474/Cargo.toml --test usb_linux -- --ignored --nocapture";
-    let mut test = workspace.cargo(line.split(' '));
-    test.env("CARGO_TARGET_DIR", workspace.target.join("stm32g474"));
+    let mut test = board::cargo(workspace, "test");
+    test.args(["--test", "usb_linux", "--", "--ignored", "--nocapture"]);
+    // One after the other: each keeps two cores busy, the guest's and the chip's.
+    test.args(["--test-threads", "1"]);
     test.env("IHD_QEMU_X86", qemu).env("IHD_GUEST", guest);
     test.env("IHD_STM32G474_IMAGE", image)
         .env("IHD_PROGRAM", workspace.target.join("debug/ihd"));

@@ -1,5 +1,6 @@
 //! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
 
+mod board;
 mod budget;
 mod call_graph;
 mod cycles;
@@ -13,6 +14,7 @@ mod steps;
 mod toolchain;
 mod workspace;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -82,6 +84,24 @@ enum Chore {
     /// The Linux is a guest of QEMU, made of Debian's or Ubuntu's packages, which are downloaded once into target/.
     #[command(after_help = "Example:\n  cargo xtask usb")]
     Usb,
+    /// Test the board's image as it is flashed, on an emulated STM32G474.
+    #[command(after_help = "Example:\n  cargo xtask board")]
+    Board,
+    /// Run the board's image on an emulated STM32G474 with the simulated power stage, its link on TCP.
+    ///
+    /// Every `ihd` command then works against the very bytes that are flashed: `--device tcp:ADDRESS`. It is slower than
+    /// real time and says by how much. What stands behind `--` goes to it: `-- --help` lists its options.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask hob\n  \
+        cargo xtask hob --image old.elf -- --listen 127.0.0.1:4712 --pot aluminium")]
+    Hob {
+        /// The image; built without it
+        #[arg(long, value_name = "ELF")]
+        image: Option<PathBuf>,
+        /// Options of the emulated hob
+        #[arg(last = true, value_name = "OPTIONS")]
+        options: Vec<String>,
+    },
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
     /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
@@ -120,6 +140,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Firmware => session.images(),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
+        Chore::Board => session.board(),
+        Chore::Hob { image, options } => session.hob(image, &options),
         Chore::Usb => session.usb(),
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {

@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{budget, cycles, emulator, fuzz, guest, licences};
+use crate::{board, budget, cycles, emulator, fuzz, guest, licences};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
@@ -43,6 +43,8 @@ pub enum Step {
     Cycles,
     /// The image on an emulated Cortex-M4F, talked to by the host's own client
     Emulator,
+    /// The board's image as it is flashed, on an emulated STM32G474
+    Board,
     /// The board's image on USB, driven by a Linux with the host program in it
     Usb,
     /// Each fuzz target for some seconds
@@ -77,6 +79,7 @@ impl Session {
             Step::Budget => self.budget(),
             Step::Cycles => self.cycles(false),
             Step::Emulator => self.emulator(),
+            Step::Board => self.board(),
             Step::Usb => self.usb(),
             Step::Fuzz => fuzz::fuzz(&self.workspace, None, None),
         }
@@ -95,7 +98,8 @@ impl Session {
         // A missing tool must not keep the firmware's compiler from being looked for.
         let firmware = setup::firmware_toolchain(self.wanted)?;
         say(&format!("firmware: {}", firmware.describe()));
-        tools.and(qemu.map(drop)).and(guest.map(drop))
+        let board = board::tools(&self.workspace);
+        tools.and(qemu.map(drop)).and(guest.map(drop)).and(board)
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
@@ -144,6 +148,21 @@ impl Session {
     /// Has a Linux drive the board's image over USB.
     pub fn usb(&self) -> anyhow::Result<()> {
         guest::test(&self.workspace, &self.image(STM32G474)?)
+    }
+
+    /// The image as it is flashed on the emulated board.
+    pub fn board(&self) -> anyhow::Result<()> {
+        board::test(&self.workspace, &self.image(STM32G474)?)
+    }
+
+    /// The emulated board as a process; `image` or the one of this checkout.
+    pub fn hob(&self, image: Option<PathBuf>, options: &[String]) -> anyhow::Result<()> {
+        let image = match image {
+            // xtask's cargo starts in the workspace's root.
+            Some(image) => std::path::absolute(image)?,
+            None => self.image(STM32G474)?,
+        };
+        board::hob(&self.workspace, &image, options)
     }
 
     fn emulator(&self) -> anyhow::Result<()> {

@@ -1,10 +1,5 @@
 //! The processor's cycle counter (Armv7-M, C1.8.8: DWT_CYCCNT). QEMU's stands still.
 
-#![cfg_attr(
-    feature = "instruction-counts",
-    expect(dead_code, reason = "counts instructions")
-)]
-
 use cortex_m::peripheral::DWT;
 
 /// Starts it.

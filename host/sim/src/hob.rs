@@ -1,11 +1,13 @@
 //! The simulated hob: the plant with the firmware lib as its controller, stepped block by block.
 //!
 //! Nothing here decides anything: it hands blocks to [`RealTime`], bytes to [`Housekeeping`], and
-//! the drive back to the plant, as the board's interrupt and tasks do.
+//! the drive back to the plant, as the board's interrupt and tasks do. Zero crossings and bus voltage come
+//! from the firmware's detector on noisy codes; truth is counted by the mains itself.
 
 use std::collections::VecDeque;
 
 use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::realtime::{Block, RealTime};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -18,9 +20,14 @@ use super::behavioural::PotKind;
 use super::mains::Mains;
 use super::plant::{LoadPoint, Plant};
 use super::recording::settings::LoadKind;
+use super::slow_adc::SlowAdc;
 
 /// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
 const TRUTHS_KEPT: usize = 256;
+
+/// By then a drive that begins with the half-cycle is in force: the detector may see a crossing a block
+/// early or late.
+const SETTLED_AFTER_S: f64 = 0.5e-3;
 
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
@@ -71,6 +78,8 @@ impl Default for HobConfig {
 /// The hob.
 pub struct SimHob {
     plant: Plant,
+    slow_adc: SlowAdc,
+    zero_crossing: ZeroCrossing,
     realtime: Box<RealTime>,
     housekeeping: Housekeeping,
     inbound: VecDeque<u8>,
@@ -97,6 +106,8 @@ impl SimHob {
         }
         Self {
             plant,
+            slow_adc: SlowAdc::new(config.seed),
+            zero_crossing: ZeroCrossing::default(),
             realtime: Box::new(RealTime::new(r, l)),
             housekeeping: Housekeeping::new(hello),
             inbound: VecDeque::new(),
@@ -112,14 +123,11 @@ impl SimHob {
     pub fn step(&mut self) {
         let start_s = self.plant.t_s();
         let half_s = self.plant.mains().half_cycle_s();
-        let bus_dv = (self.plant.mains().bus_v(start_s) * 10.0) as u16;
-        let mut zero_crossing = None;
         let (truth, truths) = (&mut self.truth, &mut self.truths);
         let mut k = 0u8;
         let pairs = self.plant.block(|point: &LoadPoint| {
             let half_cycle = (point.t_s / half_s) as u32;
             if half_cycle != truth.half_cycle {
-                zero_crossing = Some(k);
                 let next = Truth {
                     half_cycle,
                     ..Truth::default()
@@ -137,15 +145,18 @@ impl SimHob {
             }
             k += 1;
         });
+        let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
+        let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
         let block = Block {
             pairs: &pairs,
-            zero_crossing,
-            bus_dv,
+            zero_crossing: self.zero_crossing.on_block(mains_code),
+            bus_dv: bus_dv(self.slow_adc.bus(mains.bus_v(end_s))),
             lost: 0,
         };
         let drive = self.realtime.on_block(&block);
         self.plant.set_drive(drive);
-        if drive.is_switching() && self.truth.f_sw_hz == 0.0 {
+        let since_s = end_s - f64::from(self.truth.half_cycle) * half_s;
+        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
             self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
         }
         self.run_link(self.plant.t_s() - start_s);

@@ -20,6 +20,7 @@ pub mod plant;
 pub mod pot;
 pub mod recording;
 pub mod server;
+pub mod slow_adc;
 pub mod surrogate;
 pub mod thermal_model;
 pub mod transport;

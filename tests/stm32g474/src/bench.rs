@@ -29,7 +29,10 @@ impl Bench {
     ///
     /// # Errors
     /// The image cannot be read.
-    pub fn power_up(image: &Path, plant: impl FnOnce() -> Plant + Send + 'static) -> Result<Self, MachineError> {
+    pub fn power_up(
+        image: &Path,
+        plant: impl FnOnce() -> Plant + Send + 'static,
+    ) -> Result<Self, MachineError> {
         let (jobs, inbox) = mpsc::channel::<Job>();
         let (started, result) = mpsc::channel();
         let image = image.to_owned();
@@ -42,7 +45,9 @@ impl Bench {
                 let _ = started.send(Err(error));
             }
         });
-        result.recv().unwrap_or_else(|_| unreachable!("the thread answers before it ends"))?;
+        result
+            .recv()
+            .unwrap_or_else(|_| unreachable!("the thread answers before it ends"))?;
         Ok(Self { jobs })
     }
 
@@ -50,7 +55,10 @@ impl Bench {
     ///
     /// # Panics
     /// Where the machine's thread has ended, which is a defect of the emulator.
-    pub fn with<R: Send + 'static>(&self, job: impl FnOnce(&mut Machine) -> R + Send + 'static) -> R {
+    pub fn with<R: Send + 'static>(
+        &self,
+        job: impl FnOnce(&mut Machine) -> R + Send + 'static,
+    ) -> R {
         let (answer, result) = mpsc::channel();
         let job: Job = Box::new(move |machine, _| {
             let _ = answer.send(job(machine));
@@ -110,7 +118,8 @@ pub struct SerialCable(Bench);
 impl Transport for SerialCable {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         let bytes = bytes.to_vec();
-        self.0.with(move |machine| machine.chip().serial.inbound.extend(bytes));
+        self.0
+            .with(move |machine| machine.chip().serial.inbound.extend(bytes));
         Ok(())
     }
 

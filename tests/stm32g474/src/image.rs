@@ -45,6 +45,9 @@ pub const PROGRAM_BYTES: usize = 508 * 1024;
 pub struct Image {
     /// The program's part of the flash; 0xFF where nothing was written.
     pub flash: Vec<u8>,
+    /// Whether some of them are copied to CCM SRAM: then the RAM's last 32 KiB, which are the same memory, are not
+    /// there for the program.
+    pub uses_ccm: bool,
     symbols: HashMap<String, u32>,
 }
 
@@ -55,23 +58,46 @@ impl Image {
     /// The file cannot be read, is no ELF file, or does not fit the flash.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let name = path.display().to_string();
-        let bytes = std::fs::read(path).map_err(|source| ImageError::Read { path: name.clone(), source })?;
-        let elf = |source| ImageError::Elf { path: name.clone(), source };
-        let file = object::read::elf::ElfFile32::<object::Endianness>::parse(&*bytes).map_err(elf)?;
+        let bytes = std::fs::read(path).map_err(|source| ImageError::Read {
+            path: name.clone(),
+            source,
+        })?;
+        let elf = |source| ImageError::Elf {
+            path: name.clone(),
+            source,
+        };
+        let file =
+            object::read::elf::ElfFile32::<object::Endianness>::parse(&*bytes).map_err(elf)?;
         let mut flash = vec![0xFF; PROGRAM_BYTES];
+        let mut uses_ccm = false;
         for segment in file.segments() {
             let data = segment.data().map_err(elf)?;
             if data.is_empty() {
                 continue;
             }
-            let address = u64::from(segment.elf_program_header().p_paddr.get(object::Endianness::Little));
+            uses_ccm |= (0x1000_0000..0x1000_8000).contains(&segment.address());
+            let address = u64::from(
+                segment
+                    .elf_program_header()
+                    .p_paddr
+                    .get(object::Endianness::Little),
+            );
             let at = address.checked_sub(FLASH).map(|at| at as usize);
             let place = at.and_then(|at| flash.get_mut(at..at + data.len()));
-            let place = place.ok_or(ImageError::Outside { address, bytes: data.len() })?;
+            let place = place.ok_or(ImageError::Outside {
+                address,
+                bytes: data.len(),
+            })?;
             place.copy_from_slice(data);
         }
-        let symbols = file.symbols().filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)));
-        Ok(Self { flash, symbols: symbols.collect() })
+        let symbols = file
+            .symbols()
+            .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)));
+        Ok(Self {
+            flash,
+            uses_ccm,
+            symbols: symbols.collect(),
+        })
     }
 
     /// Address of a symbol by its name in the linker's table.
@@ -81,6 +107,9 @@ impl Image {
 
     /// Address of the first symbol whose name contains a text.
     pub fn symbol_like(&self, part: &str) -> Option<u32> {
-        self.symbols.iter().find(|(name, _)| name.contains(part)).map(|(_, &address)| address)
+        self.symbols
+            .iter()
+            .find(|(name, _)| name.contains(part))
+            .map(|(_, &address)| address)
     }
 }

@@ -7,6 +7,7 @@ pub mod image;
 pub mod machine;
 pub mod pins;
 pub mod registers;
+pub mod server;
 pub mod time;
 pub mod usb;
 pub mod violation;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ihd_sim::plant::Plant;
-use unicorn_engine::{Arch, HookType, MemType, Mode, Prot, RegisterARM, Unicorn, uc_error};
+use unicorn_engine::{Arch, HookType, Mode, Prot, RegisterARM, Unicorn, uc_error};
 
 use crate::chip::flash::{PAGES, PAGES_BYTES, Pages};
 use crate::chip::{Chip, Reset};
@@ -16,15 +16,14 @@ use crate::time::Ticks;
 use crate::usb::{Cable, HostController};
 use crate::violation::Violation;
 
-/// First address of the RAM, and its bytes: SRAM1, SRAM2 and the alias of CCM.
+/// First address of the RAM, and its bytes with the alias of CCM SRAM.
 pub const RAM: u64 = 0x2000_0000;
 /// See [`RAM`].
 pub const RAM_BYTES: usize = 128 * 1024;
 
-/// CCM SRAM where code executes without wait states, and where the same memory is seen behind SRAM2.
+/// CCM SRAM, where code executes without wait states.
 pub const CCM: u64 = 0x1000_0000;
 const CCM_BYTES: usize = 32 * 1024;
-const CCM_ALIAS: u64 = 0x2001_8000;
 
 /// Device number, flash size and calibration values of the factory.
 const FACTORY: u64 = 0x1FFF_7000;
@@ -69,7 +68,13 @@ impl Machine {
         let image = Image::read(image)?;
         let (cable, host) = Cable::new();
         let cpu = processor(&image, plant, host)?;
-        let mut machine = Self { cpu, image, cable, locked_up: false, resets: Vec::new() };
+        let mut machine = Self {
+            cpu,
+            image,
+            cable,
+            locked_up: false,
+            resets: Vec::new(),
+        };
         machine.start()?;
         Ok(machine)
     }
@@ -102,13 +107,19 @@ impl Machine {
     /// What the program did that the manual forbids, the USB peripheral's included.
     pub fn violations(&self) -> Vec<Violation> {
         let chip = &self.cpu.get_data().chip;
-        let of_usb = chip.usb.violations.iter().map(|rule| Violation { at: chip.log.now, pc: 0, rule: rule.clone() });
+        let of_usb = chip.usb.violations.iter().map(|rule| Violation {
+            at: chip.log.now,
+            pc: 0,
+            rule: rule.clone(),
+        });
         chip.log.violations.iter().cloned().chain(of_usb).collect()
     }
 
     /// Reads memory.
     pub fn memory(&self, address: u32, bytes: usize) -> Vec<u8> {
-        self.cpu.mem_read_as_vec(u64::from(address), bytes).unwrap_or_default()
+        self.cpu
+            .mem_read_as_vec(u64::from(address), bytes)
+            .unwrap_or_default()
     }
 
     /// Writes memory: a test's interference.
@@ -143,7 +154,59 @@ impl Machine {
 
     /// Entries of an exception since the last reset.
     pub fn entries(&self, exception: usize) -> u64 {
-        self.cpu.get_data().chip.nvic.entries.get(exception).copied().unwrap_or(0)
+        self.cpu
+            .get_data()
+            .chip
+            .nvic
+            .entries
+            .get(exception)
+            .copied()
+            .unwrap_or(0)
+    }
+
+    /// From now on notes what of the RAM is read before it was written; slow.
+    ///
+    /// # Errors
+    /// Of the emulator.
+    pub fn watch_ram(&mut self) -> Result<(), MachineError> {
+        let length = ram_bytes(&self.image);
+        let end = RAM + length as u64 - 1;
+        self.cpu.get_data_mut().written = vec![false; length];
+        self.cpu.add_mem_hook(
+            HookType::MEM_WRITE,
+            RAM,
+            end,
+            |cpu, _, address, bytes, _| {
+                let at = (address - RAM) as usize;
+                cpu.get_data_mut().written[at..][..bytes].fill(true);
+                true
+            },
+        )?;
+        self.cpu
+            .add_mem_hook(HookType::MEM_READ, RAM, end, |cpu, _, address, bytes, _| {
+                let at = (address - RAM) as usize;
+                let state = cpu.get_data_mut();
+                // Frames of exceptions and the DMA's pairs are written by the emulator itself.
+                if state.written[at..][..bytes].iter().all(|&written| !written)
+                    && state.read_unwritten.len() < 100
+                {
+                    state
+                        .read_unwritten
+                        .push((address as u32, state.chip.log.pc));
+                }
+                true
+            })?;
+        Ok(())
+    }
+
+    /// Which bytes of the RAM have been written since [`Machine::watch_ram`].
+    pub fn written(&self) -> Vec<bool> {
+        self.cpu.get_data().written.clone()
+    }
+
+    /// Addresses that were read before they were written, with the block of code that did it.
+    pub fn read_unwritten(&self) -> Vec<(u32, u32)> {
+        self.cpu.get_data().read_unwritten.clone()
     }
 
     /// Whether the processor has locked up.
@@ -154,8 +217,19 @@ impl Machine {
     /// Reset of the processor: stack pointer and program counter from the vector table.
     fn start(&mut self) -> Result<(), MachineError> {
         let vectors = self.memory(FLASH as u32, 8);
-        let word = |at: usize| u32::from_le_bytes([vectors[at], vectors[at + 1], vectors[at + 2], vectors[at + 3]]);
-        for which in [RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL] {
+        let word = |at: usize| {
+            u32::from_le_bytes([
+                vectors[at],
+                vectors[at + 1],
+                vectors[at + 2],
+                vectors[at + 3],
+            ])
+        };
+        for which in [
+            RegisterARM::PRIMASK,
+            RegisterARM::BASEPRI,
+            RegisterARM::CONTROL,
+        ] {
             self.cpu.reg_write(which, 0)?;
         }
         self.cpu.reg_write(RegisterARM::LR, 0xFFFF_FFFF)?;
@@ -180,8 +254,10 @@ impl Machine {
 
     fn fill_ram(&mut self) -> Result<(), MachineError> {
         // RAM comes up with anything in it.
-        let noise: Vec<u8> = (0..RAM_BYTES as u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        self.cpu.mem_write(RAM, &noise)?;
+        let noise: Vec<u8> = (0..RAM_BYTES as u32)
+            .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
+        self.cpu.mem_write(RAM, &noise[..ram_bytes(&self.image)])?;
         self.cpu.mem_write(CCM, &noise[..CCM_BYTES])?;
         Ok(())
     }
@@ -236,7 +312,10 @@ impl Machine {
             (state.sleeping, state.event) = (false, false);
         }
         if state.sleeping || self.locked_up {
-            let next = state.chip.next_event().clamp(state.chip.log.now + 1, until.max(state.chip.log.now + 1));
+            let next = state
+                .chip
+                .next_event()
+                .clamp(state.chip.log.now + 1, until.max(state.chip.log.now + 1));
             let ticks_per_cycle = state.chip.ticks_per_cycle();
             let cycles = (next - state.chip.log.now).div_ceil(ticks_per_cycle);
             state.pass(cycles);
@@ -264,7 +343,10 @@ impl Machine {
                 Err(lock_up) => self.or_lock_up(Err(lock_up)),
             };
         }
-        self.cpu.get_data_mut().run_until = until;
+        let state = self.cpu.get_data_mut();
+        state.run_until = until;
+        // Stopped behind that block, or gone elsewhere since.
+        state.stopped_at = state.stopped_at.filter(|&at| at == pc);
         let ended = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 0);
         let Err(error) = ended else { return Ok(()) };
         let pc = self.pc();
@@ -312,7 +394,10 @@ fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
     }
     let transfers = std::mem::take(&mut cpu.get_data_mut().chip.transfers);
     for transfer in &transfers {
-        cpu.mem_write(u64::from(transfer.address), &transfer.value.to_le_bytes()[..transfer.bytes])?;
+        cpu.mem_write(
+            u64::from(transfer.address),
+            &transfer.value.to_le_bytes()[..transfer.bytes],
+        )?;
     }
     let mut transfers = transfers;
     transfers.clear();
@@ -321,25 +406,39 @@ fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
 }
 
 /// Processor and memory map.
-fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicorn<'static, State>, uc_error> {
+fn processor(
+    image: &Image,
+    plant: Plant,
+    host: HostController,
+) -> Result<Unicorn<'static, State>, uc_error> {
     let state = State {
         chip: Chip::new(Pins::new(plant, host), Pages::default()),
         timing: Timing::default(),
         event: false,
         sleeping: false,
         run_until: 0,
+        stopped_at: None,
+        written: Vec::new(),
+        read_unwritten: Vec::new(),
     };
     let mut cpu = Unicorn::new_with_data(Arch::ARM, Mode::THUMB, state)?;
     // UC_CPU_ARM_CORTEX_M4.
     cpu.ctl_set_cpu_model(CORTEX_M4)?;
     cpu.mem_map(FLASH, PROGRAM_BYTES as u64, Prot::READ | Prot::EXEC)?;
     cpu.mem_write(FLASH, &image.flash)?;
-    cpu.mem_map(RAM, RAM_BYTES as u64, Prot::ALL)?;
+    cpu.mem_map(RAM, ram_bytes(image) as u64, Prot::ALL)?;
     cpu.mem_map(CCM, CCM_BYTES as u64, Prot::ALL)?;
     cpu.mem_map(FACTORY, 0x1000, Prot::READ)?;
-    cpu.mem_write(FACTORY + 0x590, b"\x12\x34\x56\x78\x9a\xbc\xde\xf0\x11\x22\x33\x44")?;
+    cpu.mem_write(
+        FACTORY + 0x590,
+        b"\x12\x34\x56\x78\x9a\xbc\xde\xf0\x11\x22\x33\x44",
+    )?;
     cpu.mem_write(FACTORY + 0x5E0, &512u16.to_le_bytes())?;
-    for (base, bytes) in [(0x4000_0000, 0x2_8000), (0x4800_0000, 0x2000), (0x5000_0000, 0x2000)] {
+    for (base, bytes) in [
+        (0x4000_0000, 0x2_8000),
+        (0x4800_0000, 0x2000),
+        (0x5000_0000, 0x2000),
+    ] {
         map_registers(&mut cpu, base, bytes)?;
     }
     cpu.mmio_map(
@@ -353,10 +452,14 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
                 0
             }))
         }),
-        Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-            cpu.get_data_mut().chip.write_page(offset as u32, bytes, value as u32);
-            stop_if_reset(cpu);
-        }),
+        Some(
+            |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
+                cpu.get_data_mut()
+                    .chip
+                    .write_page(offset as u32, bytes, value as u32);
+                stop_if_reset(cpu);
+            },
+        ),
     )?;
     cpu.mmio_map(
         0xE000_0000,
@@ -364,13 +467,16 @@ fn processor(image: &Image, plant: Plant, host: HostController) -> Result<Unicor
         Some(|cpu: &mut Unicorn<'_, State>, offset: u64, _: usize| {
             u64::from(cpu.get_data_mut().chip.read_system(offset as u32))
         }),
-        Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-            cpu.get_data_mut().chip.write_system(offset as u32, bytes, value as u32);
-            stop_if_reset(cpu);
-        }),
+        Some(
+            |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
+                cpu.get_data_mut()
+                    .chip
+                    .write_system(offset as u32, bytes, value as u32);
+                stop_if_reset(cpu);
+            },
+        ),
     )?;
     cpu.add_block_hook(1, 0, on_block)?;
-    watch_ccm(&mut cpu)?;
     Ok(cpu)
 }
 
@@ -381,15 +487,19 @@ fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Re
     cpu.mmio_map(
         u64::from(base),
         u64::from(bytes),
-        Some(move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
-            u64::from(cpu.get_data_mut().chip.read(base + offset as u32, bytes))
-        }),
-        Some(move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
-            let state = cpu.get_data_mut();
-            state.chip.write(base + offset as u32, bytes, value as u32);
-            state.timing.set_access(&state.chip.file);
-            stop_if_reset(cpu);
-        }),
+        Some(
+            move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
+                u64::from(cpu.get_data_mut().chip.read(base + offset as u32, bytes))
+            },
+        ),
+        Some(
+            move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
+                let state = cpu.get_data_mut();
+                state.chip.write(base + offset as u32, bytes, value as u32);
+                state.timing.set_access(&state.chip.file);
+                stop_if_reset(cpu);
+            },
+        ),
     )
 }
 
@@ -401,21 +511,30 @@ fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
     }
 }
 
-/// CCM is one memory seen at two addresses; this emulator maps two, so a program that uses both views is reported.
-fn watch_ccm(cpu: &mut Unicorn<'static, State>) -> Result<(), uc_error> {
-    let _ = (HookType::MEM_WRITE, MemType::WRITE, CCM_ALIAS);
-    let _ = cpu;
-    Ok(())
+/// CCM SRAM is one memory seen at two addresses, and this emulator has two memories: an image with code there does
+/// without the RAM's last 32 KiB, the alias.
+fn ram_bytes(image: &Image) -> usize {
+    if image.uses_ccm {
+        RAM_BYTES - CCM_BYTES
+    } else {
+        RAM_BYTES
+    }
 }
 
 /// Before each block of code: its time passes, and what is due meanwhile happens.
 fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let address = address as u32;
+    // A block that was stopped before it began has had its time already.
+    if cpu.get_data_mut().stopped_at.take() == Some(address) {
+        return;
+    }
     let known = cpu.get_data().timing.known(address, bytes);
     let block = match known {
         Some(block) => block,
         None => {
-            let code = cpu.mem_read_as_vec(u64::from(address), bytes as usize).unwrap_or_default();
+            let code = cpu
+                .mem_read_as_vec(u64::from(address), bytes as usize)
+                .unwrap_or_default();
             cpu.get_data_mut().timing.learn(address, &code)
         }
     };
@@ -424,7 +543,10 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     state.chip.log.pc = address;
     state.event |= block.sends_event;
     state.pass(u64::from(cycles));
-    if state.chip.log.now < state.chip.next_event() && !state.chip.nvic.any_pending() && state.chip.log.now < state.run_until {
+    if state.chip.log.now < state.chip.next_event()
+        && !state.chip.nvic.any_pending()
+        && state.chip.log.now < state.run_until
+    {
         return;
     }
     if state.chip.log.now >= state.chip.next_event() {
@@ -435,9 +557,14 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let pending = cpu.get_data().chip.nvic.any_pending() && {
         let primask = cpu.reg_read(RegisterARM::PRIMASK).unwrap_or(0) & 1 == 1;
         let basepri = cpu.reg_read(RegisterARM::BASEPRI).unwrap_or(0) as u8;
-        cpu.get_data_mut().chip.nvic.next(primask, basepri).is_some()
+        cpu.get_data_mut()
+            .chip
+            .nvic
+            .next(primask, basepri)
+            .is_some()
     };
     if ends || pending {
+        cpu.get_data_mut().stopped_at = Some(address);
         let _ = cpu.emu_stop();
     }
 }

@@ -87,7 +87,10 @@ impl Pins {
             Bridge::LowerClosed => drive::Bridge::LowerOn,
             Bridge::Switching { .. } => drive::Bridge::Switching,
         };
-        self.plant.set_drive(drive::Drive { f_sw_hz: f_sw_hz.round() as u32, bridge: state });
+        self.plant.set_drive(drive::Drive {
+            f_sw_hz: f_sw_hz.round() as u32,
+            bridge: state,
+        });
     }
 
     /// What the bridge does.
@@ -99,7 +102,10 @@ impl Pins {
     /// comparators tripped, and how long after the beginning, in seconds.
     pub fn sample(&mut self) -> (Sample, [Option<f64>; 2]) {
         let t_s = self.plant.t_s();
-        let (bus_v, mains_v) = (self.plant.mains().bus_v(t_s), self.plant.mains().mains_v(t_s));
+        let (bus_v, mains_v) = (
+            self.plant.mains().bus_v(t_s),
+            self.plant.mains().mains_v(t_s),
+        );
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let mut tripped = [None; 2];
         let mut step = 0;
@@ -107,22 +113,36 @@ impl Pins {
         let pair = self.plant.sample(|i_a| {
             step += 1;
             for (k, sign) in [(0, 1.0), (1, -1.0)] {
-                let Some(comparator) = comparators[k] else { continue };
+                let Some(comparator) = comparators[k] else {
+                    continue;
+                };
                 let code = MIDDLE + sign * (i_a + surge_a) / AMPERE_PER_CODE;
-                above_s[k] = if code > comparator.threshold_code { above_s[k] + dt_s } else { 0.0 };
+                above_s[k] = if code > comparator.threshold_code {
+                    above_s[k] + dt_s
+                } else {
+                    0.0
+                };
                 if above_s[k] > comparator.filter_s {
                     tripped[k].get_or_insert(f64::from(step) * dt_s);
                 }
             }
         });
         let sampling_s = self.plant.t_s() - t_s;
-        self.wattmeter.0 += f64::from(pair.v) * VOLT_PER_CODE * f64::from(pair.i) * AMPERE_PER_CODE * sampling_s;
+        self.wattmeter.0 +=
+            f64::from(pair.v) * VOLT_PER_CODE * f64::from(pair.i) * AMPERE_PER_CODE * sampling_s;
         self.wattmeter.1 += sampling_s;
         let pair = self.fed.pop_front().unwrap_or(pair);
         if let Some(taken) = &mut self.taken {
             taken.push(pair);
         }
-        (Sample { pair, bus_v, mains_v }, tripped)
+        (
+            Sample {
+                pair,
+                bus_v,
+                mains_v,
+            },
+            tripped,
+        )
     }
 }
 

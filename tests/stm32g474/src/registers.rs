@@ -12,7 +12,11 @@ pub struct Field {
 impl Field {
     /// `width` bits from `bit` of the register at `address`.
     pub const fn new(address: u32, bit: u32, width: u32) -> Self {
-        Self { address, bit, width }
+        Self {
+            address,
+            bit,
+            width,
+        }
     }
 
     /// The same bits of another register.
@@ -53,7 +57,12 @@ pub struct Register {
     pub writable: u32,
 }
 
-#[allow(missing_docs, clippy::all, unused_imports, reason = "generated from the SVD")]
+#[allow(
+    missing_docs,
+    clippy::all,
+    unused_imports,
+    reason = "generated from the SVD"
+)]
 mod generated {
     use super::{Field, Register};
     include!(concat!(env!("OUT_DIR"), "/registers.rs"));

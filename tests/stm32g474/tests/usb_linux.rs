@@ -136,9 +136,10 @@ fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() 
     desk.plug(0).unwrap();
     let report = desk.record("again.mcap", "--duration 5", MINUTES).unwrap();
     assert!(number(&report, "telemetry") > 0.0, "{report}");
-    // The pull cut one frame in two, and its second half comes now.
-    assert!(number(&report, "frames_bad") <= 1.0, "{report}");
-    assert_eq!(number(&report, "windows_rejected"), 0.0, "{report}");
+    // The pull cut one frame in two, and the window that it belonged to; the second halves come now.
+    for cut in ["frames_bad", "windows_rejected"] {
+        assert!(number(&report, cut) <= 1.0, "{cut}: {report}");
+    }
     desk.end();
 }
 

@@ -47,7 +47,7 @@ fn DMA1_CHANNEL1() {
 
 /// A block is three switching periods, a cycle eight ticks.
 fn block_cycles(periods: Periods) -> u32 {
-    ADC_LOCK_Q as u32 * u32::from(periods.switching) / 8
+    ADC_LOCK_Q * u32::from(periods.switching) / 8
 }
 
 /// The ADCs, and the bridge they are locked to.

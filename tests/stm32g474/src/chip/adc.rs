@@ -105,16 +105,28 @@ impl Converter {
     }
 
     /// Takes a write that is about to be stored; what is to be stored.
-    pub fn write(&mut self, address: u32, value: u32, hclk_hz: u64, file: &RegisterFile, log: &mut Log) -> u32 {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        hclk_hz: u64,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         let before = file.word(address);
         match address - self.base {
             // ISR: cleared by writing 1.
             0x00 => before & !value,
             0x08 => self.control(before, value, hclk_hz, file, log),
             // CFGR, SMPR, SQR, OFR: "only when ADSTART = 0".
-            0x0C | 0x10 | 0x14 | 0x18 | 0x30..=0x3C | 0x60..=0x6C if self.get(adc1::cr::ADSTART, file) == 1 => {
+            0x0C | 0x10 | 0x14 | 0x18 | 0x30..=0x3C | 0x60..=0x6C
+                if self.get(adc1::cr::ADSTART, file) == 1 =>
+            {
                 if value != before {
-                    log.broken(format!("{} configured while ADSTART is 1 (RM0440 21.4.10)", self.name));
+                    log.broken(format!(
+                        "{} configured while ADSTART is 1 (RM0440 21.4.10)",
+                        self.name
+                    ));
                 }
                 before
             }
@@ -122,14 +134,23 @@ impl Converter {
         }
     }
 
-    fn control(&mut self, before: u32, value: u32, hclk_hz: u64, file: &RegisterFile, log: &mut Log) -> u32 {
+    fn control(
+        &mut self,
+        before: u32,
+        value: u32,
+        hclk_hz: u64,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         use adc1::cr::{ADCAL, ADEN, ADSTART, ADVREGEN, DEEPPWD};
         let name = self.name;
         let rises = |field: Field| field.of(value) == 1 && field.of(before) == 0;
         let now = log.now;
         if rises(ADVREGEN) {
             if DEEPPWD.of(before) == 1 && DEEPPWD.of(value) == 1 {
-                log.broken(format!("{name}: ADVREGEN set in deep-power-down (RM0440 21.4.6)"));
+                log.broken(format!(
+                    "{name}: ADVREGEN set in deep-power-down (RM0440 21.4.6)"
+                ));
             }
             if DEEPPWD.of(before) == 1 && DEEPPWD.of(value) == 0 {
                 log.broken(format!(
@@ -145,10 +166,17 @@ impl Converter {
         if rises(ADCAL) {
             let clock = self.clock_hz(hclk_hz, file);
             if clock > F_ADC_MAX_HZ {
-                log.broken(format!("{name} calibrated at {clock} Hz, above 60 MHz (DS12288; CKMODE before ADCAL)"));
+                log.broken(format!(
+                    "{name} calibrated at {clock} Hz, above 60 MHz (DS12288; CKMODE before ADCAL)"
+                ));
             }
-            if self.regulator_at.is_none_or(|at| now < at + REGULATOR_START) {
-                log.broken(format!("{name} calibrated before its regulator is up, 20 µs (RM0440 21.4.6)"));
+            if self
+                .regulator_at
+                .is_none_or(|at| now < at + REGULATOR_START)
+            {
+                log.broken(format!(
+                    "{name} calibrated before its regulator is up, 20 µs (RM0440 21.4.6)"
+                ));
             }
             if ADEN.of(before) == 1 {
                 log.broken(format!("{name} calibrated while enabled (RM0440 21.4.8)"));
@@ -156,14 +184,20 @@ impl Converter {
             self.calibrating_until = now + self.ticks(CALIBRATION_CYCLES as f64, hclk_hz, file);
             self.calibrated_at = Some(self.calibrating_until);
         } else if now < self.calibrating_until && value != before {
-            log.broken(format!("{name} CR written during the calibration (RM0440 21.4.8)"));
+            log.broken(format!(
+                "{name} CR written during the calibration (RM0440 21.4.8)"
+            ));
         }
         if rises(ADEN) {
             let wait = self.ticks(AFTER_CALIBRATION_CYCLES as f64, hclk_hz, file);
             match self.calibrated_at {
-                None => log.broken(format!("{name} enabled without calibration (RM0440 21.4.8)")),
+                None => log.broken(format!(
+                    "{name} enabled without calibration (RM0440 21.4.8)"
+                )),
                 Some(at) if now < at + wait => {
-                    log.broken(format!("{name} enabled within 4 clocks of its calibration (RM0440 21.4.9)"));
+                    log.broken(format!(
+                        "{name} enabled within 4 clocks of its calibration (RM0440 21.4.9)"
+                    ));
                 }
                 Some(_) => {}
             }
@@ -187,9 +221,17 @@ impl Converter {
     }
 
     /// Takes a trigger: the channel that it converts, and when that ends. None where it is busy.
-    pub fn trigger(&mut self, hclk_hz: u64, file: &RegisterFile, log: &mut Log) -> Option<(u32, Ticks)> {
+    pub fn trigger(
+        &mut self,
+        hclk_hz: u64,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> Option<(u32, Ticks)> {
         if log.now < self.busy_until {
-            log.broken(format!("{}: a trigger came before the last conversion had ended (RM0440 21.4.19)", self.name));
+            log.broken(format!(
+                "{}: a trigger came before the last conversion had ended (RM0440 21.4.19)",
+                self.name
+            ));
             return None;
         }
         let length = self.get(adc1::sqr1::L, file) + 1;
@@ -200,16 +242,24 @@ impl Converter {
             _ => self.get(adc1::sqr1::SQ4, file),
         };
         if length > 1 && self.get(adc1::cfgr::DISCEN, file) == 0 {
-            log.broken(format!("{}: this emulator converts one channel a trigger", self.name));
+            log.broken(format!(
+                "{}: this emulator converts one channel a trigger",
+                self.name
+            ));
         }
         self.rank = (self.rank + 1) % length;
-        let cycles = TRIGGER_LATENCY_CYCLES + self.sampling_cycles(channel, file) + CONVERSION_CYCLES;
+        let cycles =
+            TRIGGER_LATENCY_CYCLES + self.sampling_cycles(channel, file) + CONVERSION_CYCLES;
         self.busy_until = log.now + self.ticks(cycles, hclk_hz, file);
         Some((channel, self.busy_until))
     }
 
     fn sampling_cycles(&self, channel: u32, file: &RegisterFile) -> f64 {
-        let (register, place) = if channel < 10 { (0x14, channel) } else { (0x18, channel - 10) };
+        let (register, place) = if channel < 10 {
+            (0x14, channel)
+        } else {
+            (0x18, channel - 10)
+        };
         let smp = file.word(self.base + register) >> (3 * place) & 7;
         SAMPLING_CYCLES[smp as usize]
     }
@@ -235,7 +285,8 @@ mod tests {
     const HCLK_HZ: u64 = 170_000_000;
 
     fn start(ckmode_first: bool, one_write: bool) -> Vec<String> {
-        let (mut file, mut log, mut adc) = (RegisterFile::default(), Log::default(), Converter::new(0));
+        let (mut file, mut log, mut adc) =
+            (RegisterFile::default(), Log::default(), Converter::new(0));
         if ckmode_first {
             file.set(adc12_common::ccr::CKMODE, 3);
         }
@@ -253,7 +304,10 @@ mod tests {
         write(regulator, &mut log, &mut file);
         write(regulator | adc1::cr::ADCAL.mask(), &mut log, &mut file);
         write(regulator | 1, &mut log, &mut file);
-        log.violations.into_iter().map(|violation| violation.rule).collect()
+        log.violations
+            .into_iter()
+            .map(|violation| violation.rule)
+            .collect()
     }
 
     #[test]

@@ -65,12 +65,16 @@ fn check_speed(file: &RegisterFile, log: &mut Log) {
         _ => 26_000_000,
     };
     if hz > limit {
-        log.broken(format!("SYSCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"));
+        log.broken(format!(
+            "SYSCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"
+        ));
     }
     let hz = hclk_hz(file);
     let least = least_wait_states(file, hz);
     if u64::from(file.get(flash::flash_acr::LATENCY)) < least {
-        log.broken(format!("HCLK {hz} Hz needs {least} wait states (RM0440 3.3.3)"));
+        log.broken(format!(
+            "HCLK {hz} Hz needs {least} wait states (RM0440 3.3.3)"
+        ));
     }
 }
 
@@ -120,10 +124,14 @@ pub fn after_rcc_write(address: u32, before: u32, file: &mut RegisterFile, log: 
 /// Peripherals whose reset bit is set take their values after reset.
 fn reset_peripherals(address: u32, file: &mut RegisterFile) {
     let word = file.word(address);
-    let mut names: Vec<_> = REGISTERS.iter().map(|register| register.peripheral).collect();
+    let mut names: Vec<_> = REGISTERS
+        .iter()
+        .map(|register| register.peripheral)
+        .collect();
     names.dedup();
     for name in names {
-        let in_reset = clock_of(name).is_some_and(|clock| reset_of(clock) == address && clock.of(word) != 0);
+        let in_reset =
+            clock_of(name).is_some_and(|clock| reset_of(clock) == address && clock.of(word) != 0);
         // These are reset by nothing but the whole chip, or share the bit of another.
         if in_reset && !matches!(name, "FLASH") {
             file.reset(name);
@@ -135,7 +143,11 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
     use rcc::rcc_cfgr::{HPRE, SW, SWS};
     let wanted = file.get(SW);
     let old_hz = divided(
-        if SWS.of(before) == 3 { pll_hz(file) } else { HSI_HZ },
+        if SWS.of(before) == 3 {
+            pll_hz(file)
+        } else {
+            HSI_HZ
+        },
         HPRE.of(before),
     );
     if wanted == 3 && !file.is(rcc::rcc_cr::PLLRDY) {
@@ -184,7 +196,10 @@ mod tests {
         write(rcc_cfgr::SW, 3);
         write(rcc_cfgr::HPRE, 0);
         assert_eq!(hclk_hz(&file), 170_000_000);
-        log.violations.into_iter().map(|violation| violation.rule).collect()
+        log.violations
+            .into_iter()
+            .map(|violation| violation.rule)
+            .collect()
     }
 
     #[test]

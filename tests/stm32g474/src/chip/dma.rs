@@ -36,7 +36,13 @@ fn channel_register(first: u32, channel: u32) -> u32 {
 
 impl Dma {
     /// A peripheral requests: `request` is its DMAMUX input.
-    pub fn request(&mut self, request: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> Option<Transfer> {
+    pub fn request(
+        &mut self,
+        request: u32,
+        value: u32,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) -> Option<Transfer> {
         let channel = (0..CHANNELS).find(|k| {
             let id = file.word(dmamux::BASE + 4 * k) & 0x7F;
             let on = file.word(channel_register(dma1::ccr1::ADDRESS, *k)) & 1 == 1;
@@ -54,7 +60,11 @@ impl Dma {
         }
         let length = self.length[channel as usize];
         let done = length - left;
-        let step = if dma1::ccr1::MINC.of(ccr) == 1 { done * bytes } else { 0 };
+        let step = if dma1::ccr1::MINC.of(ccr) == 1 {
+            done * bytes
+        } else {
+            0
+        };
         let address = file.word(channel_register(dma1::cmar1::ADDRESS, channel)) + step;
         let mut flags = 0;
         let left = left - 1;
@@ -69,12 +79,25 @@ impl Dma {
             }
         }
         file.set_word(left_at, next);
-        file.set_word(dma1::isr::ADDRESS, file.word(dma1::isr::ADDRESS) | flags << (4 * channel));
-        Some(Transfer { address, value, bytes: bytes as usize })
+        file.set_word(
+            dma1::isr::ADDRESS,
+            file.word(dma1::isr::ADDRESS) | flags << (4 * channel),
+        );
+        Some(Transfer {
+            address,
+            value,
+            bytes: bytes as usize,
+        })
     }
 
     /// Takes a write that is about to be stored; what is to be stored.
-    pub fn write(&mut self, address: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         if address == dma1::ifcr::ADDRESS {
             let mut cleared = value;
             for channel in 0..CHANNELS {
@@ -93,9 +116,19 @@ impl Dma {
         }
         for channel in 0..CHANNELS {
             let enabled = file.word(channel_register(dma1::ccr1::ADDRESS, channel)) & 1 == 1;
-            let locked = [dma1::cndtr1::ADDRESS, dma1::cpar1::ADDRESS, dma1::cmar1::ADDRESS];
-            if locked.iter().any(|first| channel_register(*first, channel) == address) && enabled {
-                log.broken("DMA: CNDTR, CPAR or CMAR written while the channel is enabled (RM0440 12.6.4)");
+            let locked = [
+                dma1::cndtr1::ADDRESS,
+                dma1::cpar1::ADDRESS,
+                dma1::cmar1::ADDRESS,
+            ];
+            if locked
+                .iter()
+                .any(|first| channel_register(*first, channel) == address)
+                && enabled
+            {
+                log.broken(
+                    "DMA: CNDTR, CPAR or CMAR written while the channel is enabled (RM0440 12.6.4)",
+                );
                 return file.word(address);
             }
             if channel_register(dma1::cndtr1::ADDRESS, channel) == address {

@@ -43,7 +43,11 @@ pub struct Pages {
 
 impl Default for Pages {
     fn default() -> Self {
-        Self { bytes: vec![0xFF; PAGES_BYTES], damaged: BTreeSet::new(), programmed: BTreeSet::new() }
+        Self {
+            bytes: vec![0xFF; PAGES_BYTES],
+            damaged: BTreeSet::new(),
+            programmed: BTreeSet::new(),
+        }
     }
 }
 
@@ -78,7 +82,10 @@ pub struct FlashController {
 impl FlashController {
     /// A controller of pages with this content.
     pub fn with(pages: Pages) -> Self {
-        Self { pages, ..Self::default() }
+        Self {
+            pages,
+            ..Self::default()
+        }
     }
 
     /// When the operation under way ends.
@@ -158,14 +165,28 @@ impl FlashController {
             let eccr = file.word(flash::flash_eccr::ADDRESS);
             let eccr = flash::flash_eccr::ADDR_ECC.put(eccr, address - BANK_2);
             let eccr = flash::flash_eccr::BK_ECC.put(eccr, 1);
-            file.set_word(flash::flash_eccr::ADDRESS, flash::flash_eccr::ECCD.put(eccr, 1));
+            file.set_word(
+                flash::flash_eccr::ADDRESS,
+                flash::flash_eccr::ECCD.put(eccr, 1),
+            );
         }
         (u32::from_le_bytes(word), damaged)
     }
 
     /// Writes to the pages: the two halves of a double word, in order, with PG set.
-    pub fn write_page(&mut self, offset: u32, value: u32, bytes: usize, file: &mut RegisterFile, log: &mut Log) {
-        if !file.is(flash::flash_cr::PG) || file.is(flash::flash_cr::LOCK) || bytes != 4 || self.busy.is_some() {
+    pub fn write_page(
+        &mut self,
+        offset: u32,
+        value: u32,
+        bytes: usize,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) {
+        if !file.is(flash::flash_cr::PG)
+            || file.is(flash::flash_cr::LOCK)
+            || bytes != 4
+            || self.busy.is_some()
+        {
             log.broken("flash written without PG, locked, busy, or not by words (RM0440 3.3.7)");
             file.set(flash::flash_sr::PGSERR, 1);
             return;
@@ -179,7 +200,14 @@ impl FlashController {
                     file.set(flash::flash_sr::PROGERR, 1);
                     return;
                 }
-                self.begin(Operation::Program { offset: first, value }, PROGRAM, log.now);
+                self.begin(
+                    Operation::Program {
+                        offset: first,
+                        value,
+                    },
+                    PROGRAM,
+                    log.now,
+                );
             }
             _ => {
                 log.broken("flash: the halves of a double word out of order (RM0440 3.3.7)");
@@ -192,18 +220,30 @@ impl FlashController {
     pub fn read(&self, address: u32, file: &RegisterFile) -> u32 {
         let word = file.word(address);
         match address {
-            flash::flash_sr::ADDRESS => flash::flash_sr::BSY.put(word, u32::from(self.busy.is_some())),
+            flash::flash_sr::ADDRESS => {
+                flash::flash_sr::BSY.put(word, u32::from(self.busy.is_some()))
+            }
             flash::flash_cr::ADDRESS => flash::flash_cr::START.put(word, 0),
             _ => word,
         }
     }
 
     /// Takes a write that is about to be stored; what is to be stored.
-    pub fn write(&mut self, address: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         let before = file.word(address);
         match address {
             flash::flash_keyr::ADDRESS => {
-                self.keys = if KEYS.get(self.keys) == Some(&value) { self.keys + 1 } else { 0 };
+                self.keys = if KEYS.get(self.keys) == Some(&value) {
+                    self.keys + 1
+                } else {
+                    0
+                };
                 if self.keys == KEYS.len() {
                     self.keys = 0;
                     file.set(flash::flash_cr::LOCK, 0);
@@ -238,11 +278,23 @@ impl FlashController {
             return before;
         }
         if START.of(value) == 1 && PER.of(value) == 1 {
-            let address = if BKER.of(value) == 1 { BANK_2 } else { 0x0800_0000 } + PNB.of(value) * PAGE_BYTES;
-            if (PAGES..PAGES + PAGES_BYTES as u32).contains(&address) {
-                self.begin(Operation::Erase { offset: address - PAGES }, ERASE, log.now);
+            let address = if BKER.of(value) == 1 {
+                BANK_2
             } else {
-                log.broken(format!("erasure of the page at {address:#010x}, which holds the program"));
+                0x0800_0000
+            } + PNB.of(value) * PAGE_BYTES;
+            if (PAGES..PAGES + PAGES_BYTES as u32).contains(&address) {
+                self.begin(
+                    Operation::Erase {
+                        offset: address - PAGES,
+                    },
+                    ERASE,
+                    log.now,
+                );
+            } else {
+                log.broken(format!(
+                    "erasure of the page at {address:#010x}, which holds the program"
+                ));
             }
         }
         START.put(value, 0)

@@ -99,7 +99,9 @@ impl Hrtim {
 
     /// The next repetition event of a timer that is updated by it (RM0440, 27.3.4, "Repetition counter").
     pub fn next_repetition(&self, file: &RegisterFile) -> Option<Ticks> {
-        (0..2).filter_map(|timer| self.repetition(timer, file)).min()
+        (0..2)
+            .filter_map(|timer| self.repetition(timer, file))
+            .min()
     }
 
     fn repetition(&self, timer: usize, file: &RegisterFile) -> Option<Ticks> {
@@ -132,7 +134,10 @@ impl Hrtim {
 
     /// Everything preloaded of a timer comes into force.
     fn update(&mut self, timer: usize, file: &RegisterFile) {
-        self.active[timer] = PRELOADED[timer].iter().map(|&address| (address, file.word(address))).collect();
+        self.active[timer] = PRELOADED[timer]
+            .iter()
+            .map(|&address| (address, file.word(address)))
+            .collect();
         self.counter(timer).period = self.in_force(timer, PRELOADED[timer][0]);
     }
 
@@ -148,7 +153,9 @@ impl Hrtim {
         let reset = hrtim_tima::rsta1r::CMP1.of(self.in_force(0, hrtim_tima::rsta1r::ADDRESS)) == 1;
         let pwm = set && reset && self.a.running;
         match self.enabled {
-            [true, true] if pwm => Bridge::Switching { period: self.a.period },
+            [true, true] if pwm => Bridge::Switching {
+                period: self.a.period,
+            },
             // With dead time output 2 is the complement of output 1, which no event sets, or which is not on the pin.
             [_, true] if file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,
             _ => Bridge::Open,
@@ -221,7 +228,9 @@ impl Hrtim {
                 let ready = self.dll_ready_at.is_some_and(|at| now >= at);
                 hrtim_common::isr::DLLRDY.put(word, u32::from(ready))
             }
-            hrtim_common::oenr::ADDRESS => u32::from(self.enabled[0]) | u32::from(self.enabled[1]) << 1,
+            hrtim_common::oenr::ADDRESS => {
+                u32::from(self.enabled[0]) | u32::from(self.enabled[1]) << 1
+            }
             hrtim_tima::cntar::ADDRESS => self.a.count(now),
             hrtim_timb::cntr::ADDRESS => self.b.count(now),
             _ => word,
@@ -229,12 +238,20 @@ impl Hrtim {
     }
 
     /// Takes a write that is about to be stored; what is to be stored.
-    pub fn write(&mut self, address: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         let now = log.now;
         let before = file.word(address);
         match address {
             hrtim_common::dllcr::ADDRESS => {
-                if value & (hrtim_common::dllcr::CAL.mask() | hrtim_common::dllcr::CALEN.mask()) != 0 {
+                if value & (hrtim_common::dllcr::CAL.mask() | hrtim_common::dllcr::CALEN.mask())
+                    != 0
+                {
                     self.dll_ready_at.get_or_insert(now + DLL_CALIBRATION);
                 }
                 value
@@ -265,10 +282,14 @@ impl Hrtim {
                 self.start_counters(value, log);
                 value
             }
-            hrtim_tima::perar::ADDRESS | hrtim_tima::cmp1ar::ADDRESS | hrtim_timb::perbr::ADDRESS => {
+            hrtim_tima::perar::ADDRESS
+            | hrtim_tima::cmp1ar::ADDRESS
+            | hrtim_timb::perbr::ADDRESS => {
                 // RM0440, 27.3.4, table "Timer period and compare min and max values": prescaler 2.
                 if !(0x60..=0xFFDF).contains(&value) {
-                    log.broken(format!("HRTIM period or compare {value:#x} outside 0x60 to 0xFFDF (RM0440 27.3.4)"));
+                    log.broken(format!(
+                        "HRTIM period or compare {value:#x} outside 0x60 to 0xFFDF (RM0440 27.3.4)"
+                    ));
                 }
                 value
             }
@@ -307,7 +328,13 @@ impl Hrtim {
         kept
     }
 
-    fn dead_time_written(&mut self, before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
+    fn dead_time_written(
+        &mut self,
+        before: u32,
+        value: u32,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
         use hrtim_tima::dtar::{DTFLKX, DTFSLKX, DTFX, DTPRSC, DTRLKX, DTRSLKX, DTRX};
         if self.dead_time_locked {
             let locked = DTRX.mask() | DTFX.mask() | DTPRSC.mask() | DTRLKX.mask() | DTFLKX.mask();
@@ -323,7 +350,10 @@ impl Hrtim {
                 log.broken("HRTIM: a dead time of 0 locked (RM0440 27.5.20)");
             }
         }
-        if file.is(hrtim_tima::outar::DTEN) && self.a.running && (value ^ before) & DTPRSC.mask() != 0 {
+        if file.is(hrtim_tima::outar::DTEN)
+            && self.a.running
+            && (value ^ before) & DTPRSC.mask() != 0
+        {
             log.broken("HRTIM DTPRSC changed while the timer runs (RM0440 27.5.20)");
         }
         value
@@ -331,7 +361,10 @@ impl Hrtim {
 
     /// A register has been stored: without preload it is in force at once.
     pub fn after_write(&mut self, address: u32, file: &RegisterFile) {
-        for (timer, preload) in [(0, hrtim_tima::timacr::PREEN), (1, hrtim_timb::timbcr::PREEN)] {
+        for (timer, preload) in [
+            (0, hrtim_tima::timacr::PREEN),
+            (1, hrtim_timb::timbcr::PREEN),
+        ] {
             if PRELOADED[timer].contains(&address) && !file.is(preload) {
                 self.update(timer, file);
             }
@@ -343,7 +376,11 @@ impl Hrtim {
         use hrtim_common::cr2::{TARST, TASWU, TBRST, TBSWU};
         let now = log.now;
         let lower_closed = self.a.count(now) > self.in_force(0, hrtim_tima::cmp1ar::ADDRESS);
-        if TARST.of(value) == 1 && self.a.running && lower_closed && matches!(self.bridge(file), Bridge::Switching { .. }) {
+        if TARST.of(value) == 1
+            && self.a.running
+            && lower_closed
+            && matches!(self.bridge(file), Bridge::Switching { .. })
+        {
             log.broken(
                 "HRTIM counter reset in mid-period: output 1 is set by the period event, which a reset is not, so the \
                  lower switch stays closed for up to 1.5 periods (RM0440 27.3.6)",
@@ -387,7 +424,10 @@ impl Hrtim {
         for input in [0, 3] {
             let [enable, ..] = INPUTS[input];
             if armed & 1 << input == 0 || !file.is(enable) {
-                log.broken(format!("outputs enabled before fault input {} is armed (RM0440 27.3.17)", input + 1));
+                log.broken(format!(
+                    "outputs enabled before fault input {} is armed (RM0440 27.3.17)",
+                    input + 1
+                ));
             }
         }
         if !file.is(hrtim_tima::outar::DTEN) || file.get(hrtim_tima::dtar::DTRX) == 0 {

@@ -147,13 +147,21 @@ impl Chip {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
             // The two boards as delivered, with RAM parity on: DBANK = 1, SRAM_PE = 0 (RM0440, 3.4.1).
-            Reset::Power => (reg::rcc::rcc_csr::BORRSTF, if options == 0 { 0xEEEF_F8AA } else { options }),
+            Reset::Power => (
+                reg::rcc::rcc_csr::BORRSTF,
+                if options == 0 { 0xEEEF_F8AA } else { options },
+            ),
         };
         let kept = if why == Reset::Power { 0 } else { flags };
         let pin = reg::rcc::rcc_csr::PINRSTF.mask();
-        self.file.set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
+        self.file
+            .set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
         self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
-        let off_at = if was_on { Some(self.log.now) } else { self.hrtim.off_at };
+        let off_at = if was_on {
+            Some(self.log.now)
+        } else {
+            self.hrtim.off_at
+        };
         self.hrtim = Hrtim::default();
         self.hrtim.off_at = off_at;
         let sent = std::mem::take(&mut self.serial.sent);
@@ -181,7 +189,10 @@ impl Chip {
         [
             self.next_trigger,
             self.hrtim.next_repetition(&self.file),
-            self.conversions.iter().map(|conversion| conversion.at).min(),
+            self.conversions
+                .iter()
+                .map(|conversion| conversion.at)
+                .min(),
             self.serial.next(&self.file),
             self.flash.next(),
             self.watchdog.bites_at,
@@ -218,12 +229,22 @@ impl Chip {
             self.reset = Some(Reset::Watchdog);
             return;
         }
-        while let Some(k) = self.conversions.iter().position(|conversion| now >= conversion.at) {
+        while let Some(k) = self
+            .conversions
+            .iter()
+            .position(|conversion| now >= conversion.at)
+        {
             let done = self.conversions.swap_remove(k);
-            let moved = self.dma.request(done.request, done.value, &mut self.file, &mut self.log);
+            let moved = self
+                .dma
+                .request(done.request, done.value, &mut self.file, &mut self.log);
             self.transfers.extend(moved);
         }
-        if self.hrtim.next_repetition(&self.file).is_some_and(|at| now >= at) {
+        if self
+            .hrtim
+            .next_repetition(&self.file)
+            .is_some_and(|at| now >= at)
+        {
             self.hrtim.repeat(&self.file, now);
             self.drive_pins();
         }
@@ -244,9 +265,11 @@ impl Chip {
     fn update_lines(&mut self) {
         for channel in 0..2 {
             let high = self.dma.line(channel, &self.file);
-            self.nvic.set_line(dma::FIRST_INTERRUPT + channel as usize, high);
+            self.nvic
+                .set_line(dma::FIRST_INTERRUPT + channel as usize, high);
         }
-        self.nvic.set_line(serial::INTERRUPT, self.serial.line(&self.file));
+        self.nvic
+            .set_line(serial::INTERRUPT, self.serial.line(&self.file));
         self.nvic.set_line(USB_LP, self.usb.interrupt());
     }
 
@@ -258,13 +281,19 @@ impl Chip {
         let (sample, tripped) = self.pins.sample();
         self.trip(tripped);
         let [adc1, adc2, adc3] = &mut self.adcs;
-        if adc1.takes_trigger(&self.file) && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6 {
+        if adc1.takes_trigger(&self.file)
+            && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6
+        {
             let voltage = adc1.trigger(hclk_hz, &self.file, &mut self.log);
             let current = adc2.trigger(hclk_hz, &self.file, &mut self.log);
             if let (Some((v_channel, at)), Some((i_channel, _))) = (voltage, current) {
                 let low = adc1.data(v_channel, sample.code(1, v_channel), &self.file);
                 let high = adc2.data(i_channel, sample.code(2, i_channel), &self.file);
-                self.conversions.push(Conversion { at, request: REQUEST_ADC1, value: high << 16 | low });
+                self.conversions.push(Conversion {
+                    at,
+                    request: REQUEST_ADC1,
+                    value: high << 16 | low,
+                });
             }
         }
         if adc3.takes_trigger(&self.file)
@@ -272,7 +301,11 @@ impl Chip {
         {
             let value = adc3.data(channel, sample.code(3, channel), &self.file);
             if self.file.is(reg::adc3::cfgr::DMAEN) {
-                self.conversions.push(Conversion { at, request: REQUEST_ADC3, value });
+                self.conversions.push(Conversion {
+                    at,
+                    request: REQUEST_ADC3,
+                    value,
+                });
             }
         }
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
@@ -283,7 +316,10 @@ impl Chip {
         use reg::comp::comp_c1csr::{EN, INMSEL};
         use reg::dac1::{dac_cr, dac_dhr12r1, dac_dhr12r2};
         let on = [self.file.is(dac_cr::EN1), self.file.is(dac_cr::EN2)];
-        let thresholds = [self.file.get(dac_dhr12r1::DACC1DHR), self.file.get(dac_dhr12r2::DACC2DHR)];
+        let thresholds = [
+            self.file.get(dac_dhr12r1::DACC1DHR),
+            self.file.get(dac_dhr12r2::DACC2DHR),
+        ];
         for (comparator, input) in COMPARATOR_INPUTS {
             let csr = self.file.word(reg::comp::BASE + 4 * comparator as u32);
             // INMSEL 5 is DAC1_CH1 on COMP1 and DAC1_CH2 on COMP2 (RM0440, table 196).
@@ -320,7 +356,11 @@ impl Chip {
         let moder = self.file.word(reg::gpioa::moder::ADDRESS);
         let afrh = self.file.word(reg::gpioa::afrh::ADDRESS);
         let wired = moder >> 16 & 0xF == 0b1010 && afrh & 0xFF == 0xDD;
-        let bridge = if wired { self.hrtim.bridge(&self.file) } else { Bridge::Open };
+        let bridge = if wired {
+            self.hrtim.bridge(&self.file)
+        } else {
+            Bridge::Open
+        };
         self.pins.drive(bridge, self.hrtim.f_sw_hz());
     }
 
@@ -369,7 +409,11 @@ impl Chip {
         }
         let before = self.file.word(aligned);
         let shift = 8 * (address & 3);
-        let mask = if bytes >= 4 { u32::MAX } else { ((1 << (8 * bytes)) - 1) << shift };
+        let mask = if bytes >= 4 {
+            u32::MAX
+        } else {
+            ((1 << (8 * bytes)) - 1) << shift
+        };
         let value = (before & !mask) | (value << shift & mask);
         if !self.file.check_access(aligned, Some(value), &mut self.log) {
             return;
@@ -380,7 +424,9 @@ impl Chip {
 
     fn check_usb_clock(&mut self) {
         if !self.file.is(reg::rcc::rcc_apb1enr1::USBEN) {
-            self.log.broken("USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)");
+            self.log.broken(
+                "USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)",
+            );
         }
     }
 
@@ -388,7 +434,9 @@ impl Chip {
         let (file, log) = (&mut self.file, &mut self.log);
         let hclk_hz = clocks::hclk_hz(file);
         let stored = match address {
-            a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.write(a, value, file, log),
+            a if in_block(a, reg::hrtim_master::BASE, 0x400) => {
+                self.hrtim.write(a, value, file, log)
+            }
             a if in_block(a, reg::dma1::BASE, 0x400) => self.dma.write(a, value, file, log),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.write(a, value, file, log),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => {
@@ -413,13 +461,17 @@ impl Chip {
     fn after_write(&mut self, address: u32, before: u32) {
         let (file, log) = (&mut self.file, &mut self.log);
         match address {
-            a if in_block(a, reg::rcc::BASE, 0x400) => clocks::after_rcc_write(a, before, file, log),
+            a if in_block(a, reg::rcc::BASE, 0x400) => {
+                clocks::after_rcc_write(a, before, file, log)
+            }
             a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
         }
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
-        if in_block(address, reg::hrtim_master::BASE, 0x400) || in_block(address, reg::gpioa::BASE, 0x400) {
+        if in_block(address, reg::hrtim_master::BASE, 0x400)
+            || in_block(address, reg::gpioa::BASE, 0x400)
+        {
             self.hrtim.after_write(address, &self.file);
             self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
             self.drive_pins();
@@ -442,7 +494,8 @@ impl Chip {
 
     /// Writes to those pages.
     pub fn write_page(&mut self, offset: u32, bytes: usize, value: u32) {
-        self.flash.write_page(offset, value, bytes, &mut self.file, &mut self.log);
+        self.flash
+            .write_page(offset, value, bytes, &mut self.file, &mut self.log);
     }
 
     /// Reads a register of the processor at an offset from 0xE000_0000.
@@ -452,7 +505,9 @@ impl Chip {
             CYCCNT => (self.cycles - self.cycle_origin) as u32,
             0xE000..0xF000 => {
                 let inside = offset - 0xE000;
-                self.nvic.read(inside).unwrap_or_else(|| self.system.get(&offset).copied().unwrap_or(0))
+                self.nvic
+                    .read(inside)
+                    .unwrap_or_else(|| self.system.get(&offset).copied().unwrap_or(0))
             }
             _ => self.system.get(&offset).copied().unwrap_or(0),
         }
@@ -479,14 +534,28 @@ fn in_block(address: u32, base: u32, bytes: u32) -> bool {
 }
 
 fn converter(address: u32) -> Option<usize> {
-    [reg::adc1::BASE, reg::adc2::BASE, reg::adc3::BASE].iter().position(|&base| in_block(address, base, 0x100))
+    [reg::adc1::BASE, reg::adc2::BASE, reg::adc3::BASE]
+        .iter()
+        .position(|&base| in_block(address, base, 0x100))
 }
 
 /// Registers without a life of their own, but for locks and bits that are written to act.
-fn plain_write(address: u32, before: u32, value: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+fn plain_write(
+    address: u32,
+    before: u32,
+    value: u32,
+    file: &mut RegisterFile,
+    log: &mut Log,
+) -> u32 {
     match address {
         // GPIOx_BSRR acts on ODR.
-        a if [reg::gpioa::bsrr::ADDRESS, reg::gpiob::bsrr::ADDRESS, reg::gpioc::bsrr::ADDRESS].contains(&a) => {
+        a if [
+            reg::gpioa::bsrr::ADDRESS,
+            reg::gpiob::bsrr::ADDRESS,
+            reg::gpioc::bsrr::ADDRESS,
+        ]
+        .contains(&a) =>
+        {
             let odr = a - reg::gpioa::bsrr::ADDRESS + reg::gpioa::odr::ADDRESS;
             file.set_word(odr, file.word(odr) & !(value >> 16) | value & 0xFFFF);
             0

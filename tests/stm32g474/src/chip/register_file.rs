@@ -37,7 +37,10 @@ pub fn clock_of(peripheral: &str) -> Option<Field> {
 
 impl Default for RegisterFile {
     fn default() -> Self {
-        let index = REGISTERS.iter().enumerate().map(|(k, register)| (register.address, k));
+        let index = REGISTERS
+            .iter()
+            .enumerate()
+            .map(|(k, register)| (register.address, k));
         Self {
             index: index.collect(),
             values: REGISTERS.iter().map(|register| register.reset).collect(),
@@ -85,7 +88,9 @@ impl RegisterFile {
     /// Whether an access is one that the chip takes; notes it where it is not.
     pub fn check_access(&self, address: u32, written: Option<u32>, log: &mut Log) -> bool {
         let Some(&k) = self.index.get(&address) else {
-            log.broken(format!("{address:#010x} is no register of what the image uses (SVD)"));
+            log.broken(format!(
+                "{address:#010x} is no register of what the image uses (SVD)"
+            ));
             return false;
         };
         let register = &REGISTERS[k];
@@ -93,7 +98,9 @@ impl RegisterFile {
         let of = register.peripheral;
         if clock_of(of).is_some_and(|clock| !self.is(clock)) {
             let kind = if written.is_some() { "written" } else { "read" };
-            log.broken(format!("{of} {name} {kind} while the peripheral's clock is off (RM0440 7.2.16)"));
+            log.broken(format!(
+                "{of} {name} {kind} while the peripheral's clock is off (RM0440 7.2.16)"
+            ));
             return false;
         }
         if let Some(value) = written {
@@ -101,7 +108,9 @@ impl RegisterFile {
             let clears_flags = matches!((of, name), ("LPUART1", "ICR"));
             let reserved = if clears_flags { 0 } else { !register.bits };
             if (value ^ self.values[k]) & reserved != 0 && value & reserved != 0 {
-                log.broken(format!("{of} {name}: reserved bits written, {value:#010x} (RM0440 1.2)"));
+                log.broken(format!(
+                    "{of} {name}: reserved bits written, {value:#010x} (RM0440 1.2)"
+                ));
             }
         }
         true

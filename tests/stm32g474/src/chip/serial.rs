@@ -54,7 +54,11 @@ impl Serial {
     /// Duration of a byte.
     fn byte_ticks(file: &RegisterFile, hclk_hz: u64) -> Ticks {
         // RCC_CCIPR (RM0440, 7.4.27): 0 is PCLK, 2 is HSI16; the image has no LSE, and SYSCLK is PCLK.
-        let hz = if file.get(rcc::rcc_ccipr::LPUART1SEL) == 2 { 16_000_000 } else { hclk_hz };
+        let hz = if file.get(rcc::rcc_ccipr::LPUART1SEL) == 2 {
+            16_000_000
+        } else {
+            hclk_hz
+        };
         // BRR = 256 · clock / baud (RM0440, 38.4.7); PRESC is not used here.
         let brr = u64::from(file.get(lpuart1::brr::BRR)).max(0x300);
         FRAME_BITS * brr * TICKS_PER_S / (256 * hz.max(1))
@@ -72,9 +76,14 @@ impl Serial {
     /// When this has something to do next.
     pub fn next(&self, file: &RegisterFile) -> Option<Ticks> {
         let sending = self.shifting.map(|(_, until)| until);
-        let receiving = (Self::is_on(file) && file.is(lpuart1::cr1::RE) && !self.inbound.is_empty())
-            .then_some(self.next_receive);
-        sending.into_iter().chain(receiving).chain(self.idle_at).min()
+        let receiving =
+            (Self::is_on(file) && file.is(lpuart1::cr1::RE) && !self.inbound.is_empty())
+                .then_some(self.next_receive);
+        sending
+            .into_iter()
+            .chain(receiving)
+            .chain(self.idle_at)
+            .min()
     }
 
     /// Does what is due.
@@ -144,13 +153,22 @@ impl Serial {
     }
 
     /// Takes a write.
-    pub fn write(&mut self, address: u32, value: u32, hclk_hz: u64, file: &RegisterFile, log: &mut Log) {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        hclk_hz: u64,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) {
         match address {
             lpuart1::tdr::ADDRESS => {
                 if !Self::is_on(file) || !file.is(lpuart1::cr1::TE) {
                     log.broken("LPUART1 TDR written while the transmitter is off (RM0440 38.4.5)");
                 } else if self.holding.len() >= Self::depth(file) {
-                    log.broken("LPUART1 TDR written while TXE is 0: a byte is lost (RM0440 38.4.5)");
+                    log.broken(
+                        "LPUART1 TDR written while TXE is 0: a byte is lost (RM0440 38.4.5)",
+                    );
                 }
                 let byte = value as u8;
                 if self.shifting.is_none() {

@@ -43,6 +43,10 @@ fn word(cpu: &Cpu, address: u32) -> Result<u32, uc_error> {
     Ok(u32::from_le_bytes(bytes))
 }
 
+/// ICI/IT bits and the number of the exception in xPSR (Armv7-M, B1.4.2); this module keeps that number itself.
+const IT_STATE: u32 = 0x0600_FC00;
+const EXCEPTION: u32 = 0x3FF;
+
 /// Whether a program counter is one of EXC_RETURN's.
 pub fn is_return(pc: u32) -> bool {
     pc >= RETURN_MIN
@@ -82,15 +86,26 @@ pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
         words.push(register(cpu, RegisterARM::FPSCR));
         words.push(0);
     }
-    for (k, value) in words.iter().enumerate() {
-        // "the fault handler executes even though the stack push for the handler failed"
-        let _ = cpu.mem_write(u64::from(frame) + 4 * k as u64, &value.to_le_bytes());
+    let bytes: Vec<u8> = words.iter().flat_map(|value| value.to_le_bytes()).collect();
+    if cpu.mem_write(u64::from(frame), &bytes).is_err() && exception > HARD_FAULT {
+        // A fault in stacking comes before the interrupt (B1.5.6, derived exceptions), which waits. The fault's handler
+        // executes though its own push fails.
+        return enter(cpu, HARD_FAULT, pc);
     }
-    let vectors = cpu.get_data().chip.system.get(&0xED08).copied().unwrap_or(0);
+    let vectors = cpu
+        .get_data()
+        .chip
+        .system
+        .get(&0xED08)
+        .copied()
+        .unwrap_or(0);
     let vectors = if vectors == 0 { 0x0800_0000 } else { vectors };
     let handler = word(cpu, vectors + 4 * exception as u32).map_err(|_| LockUp)?;
     let back = if was_handler { TO_HANDLER } else { TO_THREAD };
     let back = if floats { back & !NO_FLOATS } else { back };
+    // The handler begins outside an IT block (Armv7-M, B1.5.6); Unicorn ends a block of code at a page of 1 KiB,
+    // which may be inside one.
+    set(cpu, RegisterARM::XPSR, flags & !IT_STATE);
     set(cpu, RegisterARM::SP, frame);
     set(cpu, RegisterARM::LR, back);
     set(cpu, RegisterARM::PC, handler);
@@ -122,7 +137,8 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
     if let Some((exception, began)) = state.chip.nvic.leave() {
         let time = state.timing.handlers.entry(exception).or_default();
         let cycles = state.chip.cycles - began + RETURN_CYCLES;
-        (time.runs, time.cycles, time.worst) = (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
+        (time.runs, time.cycles, time.worst) =
+            (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
     }
     state.event = true;
     let sp = register(cpu, RegisterARM::SP);
@@ -142,7 +158,9 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
         set(cpu, which, value);
     }
     let xpsr = frame[7];
-    set(cpu, RegisterARM::XPSR_NZCVQG, xpsr);
+    // With the state of an IT block that was interrupted.
+    let now = register(cpu, RegisterARM::XPSR);
+    set(cpu, RegisterARM::XPSR, xpsr & !EXCEPTION | now & EXCEPTION);
     let control = register(cpu, RegisterARM::CONTROL) & !(FPCA as u32);
     if floats {
         for (k, value) in singles[..16].iter().enumerate() {
@@ -157,7 +175,8 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
     let sp = sp + popped + if xpsr & 1 << 9 != 0 { 4 } else { 0 };
     set(cpu, RegisterARM::SP, sp);
     let waiting = next(cpu).is_some();
-    cpu.get_data_mut().pass(if waiting { TAIL_CYCLES } else { RETURN_CYCLES });
+    cpu.get_data_mut()
+        .pass(if waiting { TAIL_CYCLES } else { RETURN_CYCLES });
     Ok(frame[6])
 }
 

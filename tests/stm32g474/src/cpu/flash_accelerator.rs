@@ -19,7 +19,10 @@ struct Cache {
 
 impl Cache {
     fn new(capacity: usize) -> Self {
-        Self { lines: VecDeque::with_capacity(capacity), capacity }
+        Self {
+            lines: VecDeque::with_capacity(capacity),
+            capacity,
+        }
     }
 
     /// Looks a read up, and keeps it.
@@ -73,7 +76,12 @@ pub struct FlashAccelerator {
 impl Default for FlashAccelerator {
     fn default() -> Self {
         // FLASH_ACR after reset is 0x0004_0601.
-        let access = Access { wait_states: 1, prefetch: false, instruction_cache: true, data_cache: true };
+        let access = Access {
+            wait_states: 1,
+            prefetch: false,
+            instruction_cache: true,
+            data_cache: true,
+        };
         Self {
             access,
             instructions: Cache::new(INSTRUCTION_LINES),
@@ -94,7 +102,11 @@ impl FlashAccelerator {
         for read in (0..reads).map(|k| first + k * READ_BYTES) {
             let hit = self.instructions.hit(read) && self.access.instruction_cache;
             if !hit {
-                let hidden = if self.access.prefetch && read == self.prefetched { overlap } else { 0 };
+                let hidden = if self.access.prefetch && read == self.prefetched {
+                    overlap
+                } else {
+                    0
+                };
                 lost += self.access.wait_states.saturating_sub(hidden);
             }
             self.prefetched = read + READ_BYTES;
@@ -115,14 +127,21 @@ mod tests {
 
     fn at_170_mhz(prefetch: bool) -> FlashAccelerator {
         let mut flash = FlashAccelerator::default();
-        flash.access = Access { wait_states: 4, prefetch, ..flash.access };
+        flash.access = Access {
+            wait_states: 4,
+            prefetch,
+            ..flash.access
+        };
         flash
     }
 
     #[test]
     fn straight_code_waits_for_each_read_and_prefetch_hides_what_executes() {
         assert_eq!(at_170_mhz(false).fetch(0x0800_0000, 0x0800_0040, 32), 8 * 4);
-        assert_eq!(at_170_mhz(true).fetch(0x0800_0000, 0x0800_0040, 16), 4 + 7 * 2);
+        assert_eq!(
+            at_170_mhz(true).fetch(0x0800_0000, 0x0800_0040, 16),
+            4 + 7 * 2
+        );
     }
 
     #[test]

@@ -26,8 +26,15 @@ const DIVIDE: u32 = 12;
 
 /// Decodes the code of a block.
 pub fn decode(start: u32, code: &[u8]) -> Block {
-    let mut block = Block { start, end: start + code.len() as u32, ..Block::default() };
-    let half = |at: usize| code.get(at..at + 2).map(|b| u16::from_le_bytes([b[0], b[1]]));
+    let mut block = Block {
+        start,
+        end: start + code.len() as u32,
+        ..Block::default()
+    };
+    let half = |at: usize| {
+        code.get(at..at + 2)
+            .map(|b| u16::from_le_bytes([b[0], b[1]]))
+    };
     let (mut at, mut after_transfer) = (0, false);
     while let Some(first) = half(at) {
         let address = start + at as u32;
@@ -42,7 +49,11 @@ pub fn decode(start: u32, code: &[u8]) -> Block {
             narrow_cycles(first)
         };
         // Neighbouring single loads and stores overlap (TRM 3.3.2).
-        block.cycles += if transfer && after_transfer { cycles - 1 } else { cycles };
+        block.cycles += if transfer && after_transfer {
+            cycles - 1
+        } else {
+            cycles
+        };
         after_transfer = transfer;
         block.instructions += 1;
         at += if wide { 4 } else { 2 };
@@ -52,7 +63,9 @@ pub fn decode(start: u32, code: &[u8]) -> Block {
 
 fn literal_narrow(block: &mut Block, address: u32, op: u16) {
     if op >> 11 == 0b01001 {
-        block.literals.push(((address + 4) & !3) + u32::from(op & 0xFF) * 4);
+        block
+            .literals
+            .push(((address + 4) & !3) + u32::from(op & 0xFF) * 4);
     }
 }
 
@@ -64,7 +77,9 @@ fn literal_wide(block: &mut Block, address: u32, first: u16, second: u16) {
         (_, 0xED1F) => (u32::from(second & 0xFF) * 4, first & 0x80 != 0),
         _ => return,
     };
-    block.literals.push(if up { base + offset } else { base - offset });
+    block
+        .literals
+        .push(if up { base + offset } else { base - offset });
 }
 
 /// Cycles of a 16-bit instruction, and whether it is a single load or store.
@@ -94,11 +109,15 @@ fn wide_cycles(first: u16, second: u16) -> (u32, bool) {
         // LDR, STR and their kin (1111 100x), multiply and divide (1111 1011).
         0b111100 => (2, true),
         // SDIV and UDIV end in 1111; MLA and MLS take two cycles, the long ones and MUL one.
-        0b111101 if matches!(first & 0xFFF0, 0xFB90 | 0xFBB0) && second & 0xF0 == 0xF0 => (DIVIDE, false),
+        0b111101 if matches!(first & 0xFFF0, 0xFB90 | 0xFBB0) && second & 0xF0 == 0xF0 => {
+            (DIVIDE, false)
+        }
         0b111101 if first & 0xFFF0 == 0xFB00 && second >> 12 != 0xF => (2, false),
         // MSR, MRS, DSB, DMB, ISB
         0b111001 if second >> 12 == 0b1000 && first & 0xFFF0 == 0xF3B0 => (4, false),
-        0b111001 if matches!(first & 0xFFE0, 0xF380 | 0xF3E0) && second & 0xD000 == 0x8000 => (2, false),
+        0b111001 if matches!(first & 0xFFE0, 0xF380 | 0xF3E0) && second & 0xD000 == 0x8000 => {
+            (2, false)
+        }
         _ => (1, false),
     }
 }
@@ -140,9 +159,17 @@ mod tests {
     fn the_manuals_table() {
         assert_eq!(cycles(&[0x1888]), 1, "adds r0, r1, r2");
         assert_eq!(cycles(&[0x6808]), 2, "ldr r0, [r1]");
-        assert_eq!(cycles(&[0x6808, 0x6849, 0x600A]), 4, "neighbours overlap: 2 + 1 + 1");
+        assert_eq!(
+            cycles(&[0x6808, 0x6849, 0x600A]),
+            4,
+            "neighbours overlap: 2 + 1 + 1"
+        );
         assert_eq!(cycles(&[0xB5F0]), 6, "push {{r4-r7, lr}}: 1 + 5");
-        assert_eq!(cycles(&[0xE92D, 0x4FF0]), 10, "push.w {{r4-r11, lr}}: 1 + 9");
+        assert_eq!(
+            cycles(&[0xE92D, 0x4FF0]),
+            10,
+            "push.w {{r4-r11, lr}}: 1 + 9"
+        );
         assert_eq!(cycles(&[0xFBC1, 0x0102]), 1, "smlal");
         assert_eq!(cycles(&[0xFB81, 0x0102]), 1, "smull");
         assert_eq!(cycles(&[0xFB91, 0xF0F2]), 12, "sdiv");
@@ -155,7 +182,12 @@ mod tests {
 
     #[test]
     fn literals_are_where_the_code_loads_them() {
-        let code = [0x4801u16, 0xBF00, 0xF8DF, 0x0004].map(u16::to_le_bytes).concat();
-        assert_eq!(decode(0x0800_0002, &code).literals, [0x0800_0008, 0x0800_000C]);
+        let code = [0x4801u16, 0xBF00, 0xF8DF, 0x0004]
+            .map(u16::to_le_bytes)
+            .concat();
+        assert_eq!(
+            decode(0x0800_0002, &code).literals,
+            [0x0800_0008, 0x0800_000C]
+        );
     }
 }

@@ -77,7 +77,10 @@ impl Default for Timing {
 impl Timing {
     /// A block that was seen before.
     pub fn known(&self, address: u32, bytes: u32) -> Option<Rc<Block>> {
-        self.blocks.get(&address).filter(|block| block.end - block.start == bytes).cloned()
+        self.blocks
+            .get(&address)
+            .filter(|block| block.end - block.start == bytes)
+            .cloned()
     }
 
     /// Decodes a block that is seen for the first time.
@@ -109,7 +112,8 @@ impl Timing {
             cycles += REFILL;
         }
         self.last_end = block.end;
-        let in_flash = |address: u32| (FLASH as u32..FLASH as u32 + PROGRAM_BYTES as u32).contains(&address);
+        let in_flash =
+            |address: u32| (FLASH as u32..FLASH as u32 + PROGRAM_BYTES as u32).contains(&address);
         if in_flash(block.start) {
             cycles += self.flash.fetch(block.start, block.end, block.cycles);
         }
@@ -137,6 +141,12 @@ pub struct State {
     pub sleeping: bool,
     /// When the run is to end.
     pub run_until: Ticks,
+    /// The block before which Unicorn was stopped.
+    pub stopped_at: Option<u32>,
+    /// Which bytes of the RAM were written, if that is watched.
+    pub written: Vec<bool>,
+    /// What was read before that, and by which block of code.
+    pub read_unwritten: Vec<(u32, u32)>,
 }
 
 impl State {

@@ -78,7 +78,10 @@ impl Nvic {
 
     /// Priority of what runs.
     pub fn running_priority(&self) -> i32 {
-        let active = self.active.iter().map(|&(exception, _)| self.priority_of(exception));
+        let active = self
+            .active
+            .iter()
+            .map(|&(exception, _)| self.priority_of(exception));
         active.min().unwrap_or(THREAD)
     }
 
@@ -135,7 +138,10 @@ impl Nvic {
     pub fn read(&self, offset: u32) -> Option<u32> {
         let bits = |source: &[bool], first: usize| {
             (0..32).fold(0, |word, k| {
-                let set = source.get(FIRST_INTERRUPT + first + k).copied().unwrap_or(false);
+                let set = source
+                    .get(FIRST_INTERRUPT + first + k)
+                    .copied()
+                    .unwrap_or(false);
                 word | (u32::from(set) << k)
             })
         };
@@ -156,20 +162,33 @@ impl Nvic {
     /// Writes a register at an offset from 0xE000E000; whether it is the controller's.
     pub fn write(&mut self, offset: u32, size: usize, value: u32) -> bool {
         let each = |first: usize| {
-            (0..32).filter(move |k| value >> k & 1 == 1).map(move |k| FIRST_INTERRUPT + first + k)
+            (0..32)
+                .filter(move |k| value >> k & 1 == 1)
+                .map(move |k| FIRST_INTERRUPT + first + k)
         };
         let exists = |n: &usize| *n < EXCEPTIONS;
         match offset {
             0x100..0x120 => {
-                each((offset as usize - 0x100) * 8).filter(exists).for_each(|n| self.enabled[n] = true);
+                each((offset as usize - 0x100) * 8)
+                    .filter(exists)
+                    .for_each(|n| self.enabled[n] = true);
                 self.any_pending = true;
             }
-            0x180..0x1A0 => each((offset as usize - 0x180) * 8).filter(exists).for_each(|n| self.enabled[n] = false),
-            0x200..0x220 => each((offset as usize - 0x200) * 8).filter(exists).for_each(|n| self.pend(n)),
-            0x280..0x2A0 => each((offset as usize - 0x280) * 8).filter(exists).for_each(|n| self.pending[n] = false),
+            0x180..0x1A0 => each((offset as usize - 0x180) * 8)
+                .filter(exists)
+                .for_each(|n| self.enabled[n] = false),
+            0x200..0x220 => each((offset as usize - 0x200) * 8)
+                .filter(exists)
+                .for_each(|n| self.pend(n)),
+            0x280..0x2A0 => each((offset as usize - 0x280) * 8)
+                .filter(exists)
+                .for_each(|n| self.pending[n] = false),
             0x400..0x4F0 => {
                 for k in 0..size {
-                    if let Some(priority) = self.priority.get_mut(FIRST_INTERRUPT + offset as usize - 0x400 + k) {
+                    if let Some(priority) = self
+                        .priority
+                        .get_mut(FIRST_INTERRUPT + offset as usize - 0x400 + k)
+                    {
                         *priority = (value >> (8 * k)) as u8 & 0xF0;
                     }
                 }
@@ -190,7 +209,11 @@ mod tests {
     const USB: usize = 20;
 
     fn enabled(nvic: &mut Nvic, interrupt: usize, priority: u32) {
-        nvic.write(0x100 + 4 * (interrupt as u32 / 32), 4, 1 << (interrupt % 32));
+        nvic.write(
+            0x100 + 4 * (interrupt as u32 / 32),
+            4,
+            1 << (interrupt % 32),
+        );
         nvic.write(0x400 + interrupt as u32, 1, priority << 4);
     }
 
@@ -203,7 +226,11 @@ mod tests {
         nvic.set_line(DMA, true);
         assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + DMA));
         assert_eq!(nvic.next(true, 0), None, "PRIMASK holds both");
-        assert_eq!(nvic.next(false, 0x10), None, "BASEPRI 1 holds priorities 1 and below");
+        assert_eq!(
+            nvic.next(false, 0x10),
+            None,
+            "BASEPRI 1 holds priorities 1 and below"
+        );
         nvic.enter(FIRST_INTERRUPT + DMA, 0);
         assert_eq!(nvic.next(false, 0), None);
         nvic.set_line(DMA, false);
@@ -218,11 +245,19 @@ mod tests {
         nvic.set_line(DMA, true);
         nvic.enter(FIRST_INTERRUPT + DMA, 0);
         nvic.leave();
-        assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + DMA), "still high");
+        assert_eq!(
+            nvic.next(false, 0),
+            Some(FIRST_INTERRUPT + DMA),
+            "still high"
+        );
         nvic.enter(FIRST_INTERRUPT + DMA, 0);
         nvic.set_line(DMA, false);
         nvic.write(0xF00, 4, DMA as u32);
         nvic.leave();
-        assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + DMA), "the livelock of 78153fe");
+        assert_eq!(
+            nvic.next(false, 0),
+            Some(FIRST_INTERRUPT + DMA),
+            "the livelock of 78153fe"
+        );
     }
 }

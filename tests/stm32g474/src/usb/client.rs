@@ -4,7 +4,7 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
-use super::host::Cable;
+use super::cable::Cable;
 use super::transfer::{Outcome, Request, Status};
 
 mod link;

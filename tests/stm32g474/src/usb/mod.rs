@@ -1,12 +1,13 @@
 //! USB: the chip's peripheral, and what is at the other end of the cable.
 //!
 //! ```text
-//!  firmware ── registers, packet memory ──► peripheral::Usb ◄── packets ── host::HostController ◄── host::Cable
+//!  firmware ── registers, packet memory ──► peripheral::Usb ◄── packets ── host::HostController ◄── cable::Cable
 //!                                        (or any bus::Device)           polled by the machine's   held by other threads:
 //!                                                                       thread, emulated time     client, usbip
 //! ```
 
 pub mod bus;
+pub mod cable;
 pub mod client;
 mod endpoint;
 pub mod host;
@@ -17,8 +18,9 @@ pub mod transfer;
 pub mod usbip;
 
 pub use bus::{Answer, Device, Handshake, Toggle};
+pub use cable::Cable;
 pub use client::Board;
-pub use host::{Cable, HostController};
+pub use host::HostController;
 pub use peripheral::Usb;
 pub use stand_in::StandIn;
 pub use transfer::{Outcome, Request, Status};

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use super::host::Cable;
+use super::cable::Cable;
 use super::transfer::{Outcome, Request, Status};
 
 #[cfg(test)]

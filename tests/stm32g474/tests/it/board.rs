@@ -18,13 +18,17 @@ pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
 
 /// The image under test.
 pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
-    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask board` names the image");
+    let path =
+        std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask board` names the image");
     PathBuf::from(path)
 });
 
 /// What `ihd hob` has at its converters: half an LSB of noise behind 500 kHz.
 fn adc() -> Adc {
-    let noise = Noise { v_v: 0.1, i_a: 0.02 };
+    let noise = Noise {
+        v_v: 0.1,
+        i_a: 0.02,
+    };
     Adc::new(noise, 1).with_filter(500e3)
 }
 

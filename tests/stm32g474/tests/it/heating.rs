@@ -23,7 +23,11 @@ fn it_heats_a_pot_with_the_power_asked_for() {
     bench.run_s(0.4);
     let watt = watt_over(&bench, 0.1);
     let status = client.status().unwrap();
-    assert_eq!((status.state, status.pot), (State::Heating, Pot::Ferromagnetic), "{status:?}");
+    assert_eq!(
+        (status.state, status.pot),
+        (State::Heating, Pot::Ferromagnetic),
+        "{status:?}"
+    );
     assert!((watt / 1_200.0 - 1.0).abs() < 0.05, "{watt} W, {status:?}");
     assert_no_violations(&bench);
     client.set_power(0).unwrap();

@@ -2,7 +2,9 @@
 
 mod board;
 mod heating;
+mod link;
 mod lookup;
+mod memory;
 mod protection;
 mod start;
 mod timing;

@@ -24,7 +24,11 @@ fn heating() -> Bench {
 }
 
 /// Does something to the machine; microseconds until the outputs are off, at most `within_ms` later.
-fn time_to_off(bench: &Bench, within_ms: u64, what: impl FnOnce(&mut Machine) + Send + 'static) -> f64 {
+fn time_to_off(
+    bench: &Bench,
+    within_ms: u64,
+    what: impl FnOnce(&mut Machine) + Send + 'static,
+) -> f64 {
     bench.with(move |machine| {
         machine.chip().hrtim.off_at = None;
         let began = machine.now();
@@ -38,12 +42,15 @@ fn time_to_off(bench: &Bench, within_ms: u64, what: impl FnOnce(&mut Machine) + 
 /// What the board says about its last end, after it has started again.
 fn after_reset(bench: &Bench) -> (u8, u16) {
     let client = connect(bench);
-    (client.hello().reset_reason, client.hello().fault_before_reset)
+    (
+        client.hello().reset_reason,
+        client.hello().fault_before_reset,
+    )
 }
 
-/// A place in the thread: no handler runs.
+/// A place in the thread: it waits for an event, and no handler runs.
 fn reach_thread(machine: &mut Machine) {
-    while machine.chip().nvic.is_handler() {
+    while machine.chip().nvic.is_handler() || !machine.sleeping() {
         machine.run_for(500).unwrap();
     }
 }
@@ -52,7 +59,9 @@ fn reach_thread(machine: &mut Machine) {
 fn a_surge_of_current_trips_the_comparator_without_software() {
     for surge_a in [120.0, -120.0] {
         let bench = heating();
-        let off_us = time_to_off(&bench, 1, move |machine| machine.chip().pins.surge_a = surge_a);
+        let off_us = time_to_off(&bench, 1, move |machine| {
+            machine.chip().pins.surge_a = surge_a
+        });
         println!("comparator, {surge_a} A: off after {off_us:.2} µs");
         // A sampling period of 0.82 µs at 60 kHz until the surge is there, the filter's 0.33 µs.
         assert!(off_us < 2.0, "{off_us} µs");
@@ -79,11 +88,19 @@ fn a_spike_shorter_than_the_filter_does_not_trip() {
 fn system_faults_open_the_bridge_and_are_told_apart() {
     type Cause = fn(&mut Machine);
     let causes: [(&str, Field, Fault, Cause); 2] = [
-        ("supply", syscfg::cfgr2::PVDL, Fault::SUPPLY_LOW, |machine| {
-            machine.chip().file.set(pwr::pwr_sr2::PVDO, 1);
-            let pending = machine.chip().file.word(exti::pr1::ADDRESS);
-            machine.chip().file.set_word(exti::pr1::ADDRESS, pending | 1 << 16);
-        }),
+        (
+            "supply",
+            syscfg::cfgr2::PVDL,
+            Fault::SUPPLY_LOW,
+            |machine| {
+                machine.chip().file.set(pwr::pwr_sr2::PVDO, 1);
+                let pending = machine.chip().file.word(exti::pr1::ADDRESS);
+                machine
+                    .chip()
+                    .file
+                    .set_word(exti::pr1::ADDRESS, pending | 1 << 16);
+            },
+        ),
         ("lock-up", syscfg::cfgr2::CLL, Fault::CORE_LOCKUP, |_| ()),
     ];
     for (name, connected_by, fault, cause) in causes {
@@ -133,7 +150,13 @@ fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     });
     println!("thread stands still: off after {:.1} ms", off_us / 1e3);
     assert!(off_us < 66_000.0, "{off_us}");
-    let resets = bench.with(|machine| machine.resets.iter().map(|reset| reset.1).collect::<Vec<_>>());
+    let resets = bench.with(|machine| {
+        machine
+            .resets
+            .iter()
+            .map(|reset| reset.1)
+            .collect::<Vec<_>>()
+    });
     assert_eq!(resets, [Reset::Watchdog]);
     assert_eq!(after_reset(&bench).0, 1);
 }
@@ -156,12 +179,16 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
     type Cause = fn(&mut Machine);
     let causes: [(&str, u8, Cause); 3] = [
         ("panic", 2, |machine| {
-            let panic = machine.image().symbol_like("panicking9panic_fmt").expect("a panic in the image");
+            let panic = machine
+                .image()
+                .symbol_like("panicking9panic_fmt")
+                .expect("a panic in the image");
             machine.set_pc(panic);
         }),
         // Nothing is there to be executed.
         ("processor fault", 2, |machine| machine.set_pc(0x0900_0000)),
-        ("stack overflow", 6, |machine| machine.set_sp(0x1FFF_FFF0)),
+        // The next interrupt's frame no longer fits below this.
+        ("stack overflow", 6, |machine| machine.set_sp(0x2000_0010)),
     ];
     for (name, reason, cause) in causes {
         let bench = heating();
@@ -179,7 +206,9 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
 #[test]
 fn blocks_that_are_lost_open_the_bridge() {
     let bench = heating();
-    let off_us = time_to_off(&bench, 100, |machine| machine.set_cycle_model(CycleModel::PerInstruction(6)));
+    let off_us = time_to_off(&bench, 100, |machine| {
+        machine.set_cycle_model(CycleModel::PerInstruction(6))
+    });
     println!("blocks lost: off after {:.2} ms", off_us / 1e3);
     assert!(off_us < 25_000.0, "{off_us}");
 }

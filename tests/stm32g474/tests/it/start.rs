@@ -24,10 +24,15 @@ fn it_boots_and_says_what_it_is() {
 fn the_sampling_interrupt_comes_once_a_block() {
     let bench = with_pot(PotKind::Ferromagnetic);
     drop(connect(&bench));
-    let entries = |bench: &crate::board::Bench| bench.with(|machine| machine.chip().nvic.entries[crate::board::SAMPLING]);
+    let entries = |bench: &crate::board::Bench| {
+        bench.with(|machine| machine.chip().nvic.entries[crate::board::SAMPLING])
+    };
     let before = entries(&bench);
     bench.run_s(0.1);
     let blocks = 0.1 * 79_911.0 / 3.0;
     let taken = (entries(&bench) - before) as f64;
-    assert!((taken / blocks - 1.0).abs() < 1e-3, "{taken} entries for {blocks} blocks");
+    assert!(
+        (taken / blocks - 1.0).abs() < 1e-3,
+        "{taken} entries for {blocks} blocks"
+    );
 }

@@ -7,16 +7,22 @@ use ihd_stm32g474::time::seconds;
 
 use crate::board::{Bench, SAMPLING, assert_no_violations, connect, with_pot};
 
-/// Mean and worst share of a block that the sampling interrupt takes, and the block's cycles.
-fn load(bench: &Bench, duration_s: f64) -> (f64, f64, f64) {
-    bench.with(|machine| machine.timing().handlers.insert(SAMPLING, HandlerTime::default()));
-    bench.run_s(duration_s);
-    let (time, f_sw_hz) = bench.with(|machine| {
-        let time = machine.timing().handlers[&SAMPLING];
-        (time, machine.chip().hrtim.f_sw_hz())
+/// Cycles of the processor in a block at a switching frequency.
+fn block_cycles(f_sw_hz: f64) -> f64 {
+    3.0 / f_sw_hz * 170e6
+}
+
+/// Mean and worst cycles that the sampling interrupt takes a block.
+fn cycles(bench: &Bench, duration_s: f64) -> (f64, f64) {
+    bench.with(|machine| {
+        machine
+            .timing()
+            .handlers
+            .insert(SAMPLING, HandlerTime::default())
     });
-    let block = 3.0 / f_sw_hz * 170e6;
-    (time.cycles as f64 / time.runs as f64 / block, time.worst as f64 / block, block)
+    bench.run_s(duration_s);
+    let time = bench.with(|machine| machine.timing().handlers[&SAMPLING]);
+    (time.cycles as f64 / time.runs as f64, time.worst as f64)
 }
 
 #[test]
@@ -26,17 +32,31 @@ fn a_block_is_done_within_its_budget() {
     client.stream(1, 10).unwrap();
     client.set_power(500).unwrap();
     bench.run_s(0.1);
-    let (mean, worst, block) = load(&bench, 0.1);
-    println!("79.9 kHz: mean {:.1} %, worst {:.1} % of {block:.0} cycles", mean * 100.0, worst * 100.0);
+    let (mean, worst) = cycles(&bench, 0.1);
+    let (share, worst_share) = (mean / block_cycles(80e3), worst / block_cycles(80e3));
+    println!(
+        "80 kHz: mean {mean:.0} cycles, {:.1} %; worst {:.1} %",
+        share * 100.0,
+        worst_share * 100.0
+    );
     client.set_power(1_400).unwrap();
     bench.run_s(0.5);
-    let (mean_50, worst_50, block_50) = load(&bench, 0.1);
     let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
-    println!("{f_sw_hz:.0} Hz: mean {:.1} %, worst {:.1} % of {block_50:.0} cycles", mean_50 * 100.0, worst_50 * 100.0);
-    assert!(mean <= 0.60, "{mean}");
-    assert!(worst <= 1.0, "{worst}");
     assert!((47e3..53e3).contains(&f_sw_hz), "{f_sw_hz}");
-    assert!(mean_50 <= 0.45, "{mean_50}");
+    let (mean, worst_50) = cycles(&bench, 0.1);
+    let share_50 = mean / block_cycles(50e3);
+    let worst_50 = worst_50 / block_cycles(f_sw_hz);
+    println!(
+        "at {f_sw_hz:.0} Hz, of a block at 50 kHz: mean {:.1} %; worst {:.1} %",
+        share_50 * 100.0,
+        worst_50 * 100.0
+    );
+    assert!(share <= 0.60, "{share}");
+    assert!(share_50 <= 0.45, "{share_50}");
+    assert!(
+        worst_share <= 1.0 && worst_50 <= 1.0,
+        "{worst_share} {worst_50}"
+    );
     assert_no_violations(&bench);
 }
 
@@ -49,9 +69,42 @@ fn the_watchdog_is_fed_in_time_at_two_cycles_an_instruction() {
     client.stream(1, 10).unwrap();
     client.set_power(1_200).unwrap();
     bench.run_s(0.5);
-    let (gap, resets) = bench.with(|machine| (machine.chip().watchdog.longest_gap, machine.resets.clone()));
+    let (gap, resets) =
+        bench.with(|machine| (machine.chip().watchdog.longest_gap, machine.resets.clone()));
     let gap_ms = seconds(gap) * 1e3;
     println!("longest time between two feeds: {gap_ms:.2} ms");
     assert!(resets.is_empty(), "{resets:?}");
     assert!(gap > 0 && gap_ms <= 20.0, "{gap_ms} ms");
+}
+
+/// The board measures itself with the cycle counter of DWT; the emulator, which moves that counter, measures from
+/// outside. The board's figure begins when the task is polled: it lacks the entry and the return of the interrupt and the
+/// executor's way to the task, some 240 cycles.
+#[test]
+fn the_load_that_it_reports_is_the_load_that_it_has() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(500).unwrap();
+    bench.run_s(0.1);
+    client.utilisation().unwrap();
+    let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
+    let (mean, worst) = cycles(&bench, 0.1);
+    let (mean, worst) = (mean / block_cycles(f_sw_hz), worst / block_cycles(f_sw_hz));
+    let told = client.utilisation().unwrap().expect("protocol 1.3");
+    println!(
+        "{told:?}; from outside {:.1} % and {:.1} %",
+        mean * 100.0,
+        worst * 100.0
+    );
+    assert!(told.blocks > 2_000, "{told:?}");
+    let told_mean = f64::from(told.mean_permille) / 1_000.0;
+    assert!(
+        (0.0..0.05).contains(&(mean - told_mean)),
+        "{mean} against {told:?}"
+    );
+    assert!(
+        f64::from(told.worst_permille) / 1_000.0 <= worst + 0.02,
+        "{worst} against {told:?}"
+    );
+    assert!((1..20_000).contains(&told.longest_gap_us), "{told:?}");
 }

@@ -9,7 +9,7 @@ use std::{env, fs, thread};
 
 use anyhow::{Context, bail, ensure};
 
-use crate::initramfs::Archive;
+use crate::initramfs::{Archive, scratch};
 
 /// Until its shell answers: three seconds on an idle machine.
 const BOOT: Duration = Duration::from_secs(120);
@@ -85,7 +85,7 @@ impl Guest {
     /// Boots one.
     pub fn boot() -> anyhow::Result<Self> {
         let files = variable("IHD_GUEST")?;
-        let image = env::temp_dir().join(format!("ihd-guest-{}.cpio", std::process::id()));
+        let image = scratch();
         fs::write(&image, initramfs(&files)?)?;
         let mut command = Command::new(variable("IHD_QEMU_X86")?);
         command.args([

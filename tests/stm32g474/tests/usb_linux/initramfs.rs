@@ -1,13 +1,21 @@
 //! The guest's file system in memory: a cpio archive of the kind "newc" (Linux: buffer-format.rst).
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{self, Command};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::{env, fs};
 
 use anyhow::{Context, ensure};
 
 const FOLDER: u32 = 0o040_755;
 const PROGRAM: u32 = 0o100_755;
+
+/// A file of the test's own in the system's folder for such.
+pub fn scratch() -> PathBuf {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let number = NEXT.fetch_add(1, Ordering::Relaxed);
+    env::temp_dir().join(format!("ihd-guest-{}-{number}", process::id()))
+}
 
 /// An archive.
 #[derive(Default)]
@@ -75,7 +83,7 @@ impl Archive {
 
     /// A program without its debug information, and the libraries that it is linked to.
     pub fn program(&mut self, path: &str, program: &Path) -> anyhow::Result<()> {
-        let stripped = env::temp_dir().join(format!("ihd-guest-{}", std::process::id()));
+        let stripped = scratch();
         let strip = Command::new("strip")
             .arg("-o")
             .args([stripped.as_path(), program])

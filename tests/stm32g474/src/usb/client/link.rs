@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ihd_link::{LinkError, Transport};
 
-use super::super::host::Cable;
+use super::super::cable::Cable;
 use super::super::transfer::{Outcome, PACKET, Request, Status};
 
 /// Emulated time after which the board must have taken what is sent, as in the host's own transport.

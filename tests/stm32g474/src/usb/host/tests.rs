@@ -1,7 +1,9 @@
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc;
 
 use super::super::Usb;
+use super::super::cable::Cable;
 use super::super::stand_in::{Echo, StandIn};
+use super::super::transfer::Outcome;
 use super::*;
 
 /// A controller, a cable and a device; time goes by as it is asked for.
@@ -190,12 +192,18 @@ fn time_waits_for_a_reader_that_is_behind() {
 #[test]
 fn nineteen_packets_fit_into_a_frame() {
     let mut bench = Bench::configured();
-    let sent = bench.out(vec![0; 1_000_000]);
+    let (sender, sent) = mpsc::channel();
+    let request = Request::Out {
+        endpoint: 1,
+        data: vec![0; 1_000_000],
+        ends_short: false,
+    };
+    let id = bench
+        .cable
+        .submit(request, move |outcome| drop(sender.send(outcome)));
     bench.pass(100);
     assert!(sent.try_recv().is_err());
-    bench
-        .cable
-        .cancel(bench.cable.shared.next_id.load(Ordering::Relaxed) - 1);
+    bench.cable.cancel(id);
     bench.pass(1);
     let packets = sent.try_recv().unwrap().length / 64;
     assert!((1850..=1920).contains(&packets), "{packets}");

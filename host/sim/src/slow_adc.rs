@@ -1,0 +1,90 @@
+//! The slow ADC: bus and mains voltage, once a block, as the board's third converter reads them.
+
+use ihd_firmware::mains::BUS_DV_FULL_SCALE;
+use ihd_shared::sampling::{CODE_MAX, CODE_MIN, VOLT_PER_CODE};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// White noise behind the dividers' filters, standard deviation in codes.
+const NOISE_CODES: f64 = 1.0;
+
+/// Codes of the bus: 12 bit without a sign.
+const BUS_CODES: f64 = 4_096.0;
+
+/// The converter: deterministic for a seed.
+#[derive(Clone, Debug)]
+pub struct SlowAdc {
+    rng: ChaCha8Rng,
+}
+
+impl SlowAdc {
+    /// With a seed. Its noise is another than that of [`crate::adc::Adc`] of the same seed.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            rng: ChaCha8Rng::seed_from_u64(!seed),
+        }
+    }
+
+    /// Code of the bus voltage.
+    pub fn bus(&mut self, bus_v: f64) -> u16 {
+        let full_scale_v = f64::from(BUS_DV_FULL_SCALE) * 0.1;
+        let code = bus_v / full_scale_v * BUS_CODES + self.noise();
+        code.round().clamp(0.0, BUS_CODES - 1.0) as u16
+    }
+
+    /// Code of the mains voltage, on the range of the coil's voltage.
+    pub fn mains(&mut self, mains_v: f64) -> i32 {
+        let code = (mains_v / VOLT_PER_CODE + self.noise()).round();
+        code.clamp(f64::from(CODE_MIN), f64::from(CODE_MAX)) as i32
+    }
+
+    fn noise(&mut self) -> f64 {
+        let normal: f64 = StandardNormal.sample(&mut self.rng);
+        NOISE_CODES * normal
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_firmware::mains::{ZeroCrossing, bus_dv};
+    use ihd_shared::sampling::{ADC_LOCK_P, block_ns};
+
+    use super::*;
+    use crate::mains::Mains;
+
+    /// Whatever the noise, each half-cycle has one crossing, within the noise over the slope of its
+    /// time.
+    #[test]
+    fn the_detector_finds_each_crossing_once_and_in_its_place() {
+        for (mains_hz, f_sw_hz) in [(50.0, 34_038), (60.0, 79_911), (50.0, 79_911)] {
+            let (mains, mut adc) = (Mains::new(mains_hz), SlowAdc::new(7));
+            let mut detector = ZeroCrossing::default();
+            let block_s = f64::from(block_ns(f_sw_hz)) * 1e-9;
+            let mut found = 0;
+            for block in 0..(1.0 / block_s) as u32 {
+                let end_s = f64::from(block + 1) * block_s;
+                let Some(at) = detector.on_block(adc.mains(mains.mains_v(end_s))) else {
+                    continue;
+                };
+                found += 1;
+                let at_s = (f64::from(block) + f64::from(at) / ADC_LOCK_P as f64) * block_s;
+                let truth_s = f64::from(found) * mains.half_cycle_s();
+                // 102 V/ms at 50 Hz are 0.52 codes/µs: four sigma of the noise are 8 µs.
+                let error_s = (at_s - truth_s).abs();
+                assert!(error_s < 10e-6, "{mains_hz} {found}: {error_s}");
+            }
+            assert!((f64::from(found) - 2.0 * mains_hz).abs() <= 1.0, "{found}");
+        }
+    }
+
+    #[test]
+    fn the_bus_reads_in_decivolt() {
+        let mut adc = SlowAdc::new(1);
+        for bus_v in [0.0, 100.0, 325.3, 420.0] {
+            let read = f64::from(bus_dv(adc.bus(bus_v)));
+            assert!((read * 0.1 - bus_v).abs() < 0.6, "{bus_v}: {read}");
+        }
+        assert_eq!(adc.bus(600.0), 4_095);
+    }
+}

@@ -1,0 +1,78 @@
+//! The emulated board as a process: `cargo xtask hob`.
+
+use std::net::TcpListener;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::{Parser, ValueEnum};
+use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::mains::Mains;
+use ihd_sim::plant::Plant;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_stm32g474::machine::Machine;
+use ihd_stm32g474::server;
+
+/// Runs the controller's flash image on an emulated STM32G474 with the simulated power stage on its pins, its serial
+/// port behind a TCP port.
+#[derive(Parser)]
+#[command(after_help = "Example:\n  \
+    cargo xtask hob\n  \
+    ihd record --device tcp:127.0.0.1:4711 --power 1200 --windows 3 out.mcap")]
+struct Arguments {
+    /// The image, as it is flashed
+    #[arg(long, value_name = "ELF")]
+    image: PathBuf,
+    /// Where to listen for a host
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:4711")]
+    listen: String,
+    /// What stands on the coil
+    #[arg(long, value_enum, default_value_t = Pot::Ferromagnetic)]
+    pot: Pot,
+    /// Mains frequency in hertz
+    #[arg(long, default_value_t = 50.0)]
+    mains_hz: f64,
+    /// How the load is modelled: by the field, which is slower and truer, or by its behaviour
+    #[arg(long)]
+    field: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Pot {
+    Ferromagnetic,
+    Aluminium,
+    None,
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments = Arguments::parse();
+    let pot = match arguments.pot {
+        Pot::Ferromagnetic => PotKind::Ferromagnetic,
+        Pot::Aluminium => PotKind::Aluminium,
+        Pot::None => PotKind::None,
+    };
+    let load = if arguments.field {
+        LoadKind::Field
+    } else {
+        LoadKind::Behavioural
+    };
+    // Half an LSB of noise behind 500 kHz, as `ihd hob` has.
+    let adc = Adc::new(
+        Noise {
+            v_v: 0.1,
+            i_a: 0.02,
+        },
+        1,
+    )
+    .with_filter(500e3);
+    let plant = Plant::with_load(Mains::new(arguments.mains_hz), pot, load, adc);
+    let machine = Machine::new(&arguments.image, plant)?;
+    let listener = TcpListener::bind(&arguments.listen)
+        .with_context(|| format!("cannot listen on {}", arguments.listen))?;
+    println!(
+        "{} on an emulated STM32G474, link on tcp:{}; stop with ^C",
+        arguments.image.display(),
+        listener.local_addr()?
+    );
+    Ok(server::serve(machine, &listener)?)
+}

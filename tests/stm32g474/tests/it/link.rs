@@ -1,0 +1,109 @@
+//! What comes over the link is what was there: windows over USB, replays bit for bit, the load it reports.
+
+use std::time::Duration;
+
+use ihd_firmware::realtime::{Block, RealTime};
+use ihd_link::{Client, Event, Window};
+use ihd_shared::sampling::{ADC_LOCK_P, CODE_HALF_RANGE, Pair};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::usb::PRODUCT;
+use ihd_shared::window::TrajectoryEntry;
+use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::usb::Board as UsbHost;
+
+use crate::board::{Bench, assert_no_violations, connect, over, with_pot};
+
+/// A client at the USB socket, as a host without an operating system reaches it. Time passes by itself from now on.
+fn over_usb(bench: &Bench) -> (UsbHost, Client) {
+    let cable = bench.with(|machine| machine.cable.clone());
+    bench.run_s(0.03);
+    bench.run_freely(true);
+    let host = UsbHost::enumerate(&cable, 5).expect("the board enumerates");
+    let client = over(host.link());
+    (host, client)
+}
+
+fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
+    let mut found = Vec::new();
+    while found.len() < wanted {
+        let event = client
+            .next_event(Duration::from_secs(2))
+            .expect("the link holds");
+        if let Event::Window(window) = event.expect("windows come") {
+            found.push(*window);
+        }
+    }
+    found
+}
+
+#[test]
+fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let (host, mut client) = over_usb(&bench);
+    assert_eq!(host.description.strings[1], PRODUCT);
+    bench.with(|machine| machine.chip().pins.taken = Some(Vec::new()));
+    client.set_power(1_200).unwrap();
+    client.stream(0, 10).unwrap();
+    for window in windows(&mut client, 3) {
+        let taken = bench.with(|machine| machine.chip().pins.taken.clone().expect("they are kept"));
+        let length = window.pairs.len();
+        assert!(length > 9_000, "{length} pairs at {} Hz", window.f_sw_hz);
+        let same = taken
+            .windows(length)
+            .position(|stretch| stretch == window.pairs);
+        assert!(
+            same.is_some(),
+            "window {} of {length} pairs is not what was sampled",
+            window.seq
+        );
+    }
+    assert_no_violations(&bench);
+}
+
+/// A half-cycle at 50 kHz whose current lags, with nothing in it that a compiler could have got wrong twice.
+fn blocks() -> Vec<[Pair; ADC_LOCK_P]> {
+    let sample = |n: usize| {
+        let phase = std::f64::consts::TAU * 3.0 * n as f64 / ADC_LOCK_P as f64;
+        let envelope = (std::f64::consts::PI * n as f64 / (166.0 * ADC_LOCK_P as f64)).sin();
+        let code = |share: f64| (share * f64::from(CODE_HALF_RANGE)) as i16;
+        Pair {
+            v: code(0.5 * envelope * phase.sin()),
+            i: code(0.4 * envelope * (phase - 1.1).sin()),
+        }
+    };
+    (0..166)
+        .map(|block| std::array::from_fn(|k| sample(block * ADC_LOCK_P + k)))
+        .collect()
+}
+
+const F_SW_HZ: u32 = 50_000;
+const BUS_DV: u16 = 3_000;
+const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+
+#[test]
+fn a_replay_gives_the_bits_that_the_library_gives_here() {
+    let mut here = Box::new(RealTime::new(START.0, START.1));
+    here.set_replay(true, F_SW_HZ, START.0, START.1);
+    let expected: Vec<Option<TrajectoryEntry>> = blocks()
+        .iter()
+        .enumerate()
+        .map(|(k, pairs)| {
+            let zero_crossing = (k == 0).then_some(0);
+            here.replay_block(&Block {
+                pairs,
+                zero_crossing,
+                bus_dv: BUS_DV,
+                lost: 0,
+            })
+        })
+        .collect();
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    let pairs = blocks().concat();
+    let mut replay = client.start_replay(F_SW_HZ, START.0, START.1).unwrap();
+    let there = replay.blocks(&pairs, Some(0), BUS_DV).unwrap();
+    assert_eq!(there.len(), 166);
+    assert_eq!(there, expected);
+    assert!(there.iter().flatten().count() > 150, "it estimated");
+    assert_no_violations(&bench);
+}
