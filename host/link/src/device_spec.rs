@@ -15,15 +15,17 @@ pub enum DeviceSpec {
     Sim,
     /// A hob behind a TCP port, as `HOST:PORT`.
     Tcp(String),
-    /// A board on USB.
-    Usb,
+    /// A board on USB: the one that is plugged in, or the one with this serial number.
+    Usb(Option<String>),
     /// A board behind a serial port, for instance the ST-LINK's, by its path.
     Serial(String),
 }
 
 /// Why text does not name a device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no device: {why}; there are: sim, tcp:HOST:PORT, usb, serial:PATH")]
+#[error(
+    "{text:?} is no device: {why}; there are: sim, tcp:HOST:PORT, usb, usb:SERIAL, serial:PATH"
+)]
 pub struct UnknownDevice {
     text: String,
     why: &'static str,
@@ -39,7 +41,9 @@ impl FromStr for DeviceSpec {
         };
         match text.split_once(':') {
             None if text == "sim" => Ok(Self::Sim),
-            None if text == "usb" => Ok(Self::Usb),
+            None if text == "usb" => Ok(Self::Usb(None)),
+            Some(("usb", "")) => Err(unknown("the serial number is missing")),
+            Some(("usb", serial)) => Ok(Self::Usb(Some(serial.to_owned()))),
             Some(("tcp", address)) => match address.rsplit_once(':') {
                 Some(("", _)) => Err(unknown("the host is missing")),
                 Some((_, port)) if !port.parse::<u16>().is_ok_and(|p| p > 0) => {
@@ -60,7 +64,8 @@ impl fmt::Display for DeviceSpec {
         match self {
             Self::Sim => write!(f, "sim"),
             Self::Tcp(address) => write!(f, "tcp:{address}"),
-            Self::Usb => write!(f, "usb"),
+            Self::Usb(None) => write!(f, "usb"),
+            Self::Usb(Some(serial)) => write!(f, "usb:{serial}"),
             Self::Serial(path) => write!(f, "serial:{path}"),
         }
     }
@@ -79,7 +84,7 @@ impl DeviceSpec {
         match self {
             Self::Sim => Ok(sim()),
             Self::Tcp(address) => Ok(Box::new(TcpTransport::connect(address)?)),
-            Self::Usb => Ok(Box::new(UsbTransport::open()?)),
+            Self::Usb(serial) => Ok(Box::new(UsbTransport::open(serial.as_deref())?)),
             Self::Serial(path) => Ok(Box::new(SerialTransport::open(path)?)),
         }
     }
@@ -94,6 +99,7 @@ mod tests {
         for text in [
             "sim",
             "usb",
+            "usb:123456789ABCDEF011223344",
             "tcp:[::1]:4711",
             "tcp:hob.lan:1",
             "serial:/dev/ttyACM0",
@@ -116,7 +122,7 @@ mod tests {
             "tcp:h:0",
             "tcp:h:65536",
             "serial:",
-            "usb:1",
+            "usb:",
             "SIM",
         ] {
             let error = text.parse::<DeviceSpec>().unwrap_err().to_string();

@@ -33,29 +33,54 @@ fn failed(hint: &str, source: io::Error) -> LinkError {
     }
 }
 
-impl UsbTransport {
-    /// Opens the one controller that is plugged in.
-    ///
-    /// # Errors
-    /// [`LinkError::Connect`] when there is none, more than one, or it may not be opened.
-    pub fn open() -> Result<Self, LinkError> {
-        let devices = nusb::list_devices().wait();
-        let devices = devices.map_err(|e| failed("; is USB available here?", e.into()))?;
-        let ours = |d: &nusb::DeviceInfo| {
-            (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID)
-                && d.product_string().is_none_or(|p| p.starts_with(PRODUCT))
-        };
-        let mut found: Vec<_> = devices.filter(ours).collect();
-        let Some(info) = found.pop() else {
+/// The controllers that are plugged in.
+fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
+    let devices = nusb::list_devices().wait();
+    let devices = devices.map_err(|e| failed("; is USB available here?", e.into()))?;
+    let ours = |d: &nusb::DeviceInfo| {
+        (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID)
+            && d.product_string().is_none_or(|p| p.starts_with(PRODUCT))
+    };
+    Ok(devices.filter(ours).collect())
+}
+
+/// The one of `found` that is meant: the only one, or that with the serial number.
+fn choose<T>(
+    mut found: Vec<T>,
+    wanted: Option<&str>,
+    serial: impl Fn(&T) -> &str,
+) -> Result<T, LinkError> {
+    let list: Vec<_> = found.iter().map(|d| format!("usb:{}", serial(d))).collect();
+    let list = list.join(", ");
+    found.retain(|device| wanted.is_none_or(|wanted| wanted.eq_ignore_ascii_case(serial(device))));
+    let Some(device) = found.pop() else {
+        if list.is_empty() {
             let none = io::Error::new(ErrorKind::NotFound, "no ihd controller is plugged in");
             let hint = "; a NUCLEO without a USB socket of its own is reached by serial:PATH";
             return Err(failed(hint, none));
-        };
-        if !found.is_empty() {
-            let many = io::Error::other("more than one ihd controller is plugged in");
-            return Err(failed("; unplug all but one", many));
         }
-        let serial = info.serial_number().unwrap_or("?");
+        let none = io::Error::new(ErrorKind::NotFound, "none has this serial number");
+        return Err(failed(&format!("; plugged in: {list}"), none));
+    };
+    if !found.is_empty() {
+        let many = io::Error::other("more than one ihd controller is plugged in");
+        return Err(failed(&format!("; name one of them: {list}"), many));
+    }
+    Ok(device)
+}
+
+impl UsbTransport {
+    /// Opens the controller with this serial number, or the only one that is plugged in.
+    ///
+    /// # Errors
+    /// [`LinkError::Connect`] when there is none, when it is not clear which, or when it may not be opened.
+    pub fn open(serial: Option<&str>) -> Result<Self, LinkError> {
+        let known = |device: &nusb::DeviceInfo| device.serial_number().unwrap_or("?").to_owned();
+        let found = controllers()?
+            .into_iter()
+            .map(|device| (known(&device), device))
+            .collect();
+        let (serial, info) = choose(found, serial, |(serial, _)| serial)?;
         let device = format!("usb ({serial})");
         let hint = "; on Linux, does the udev rule of docs/99-ihd.rules apply?";
         let opened = info.open().wait();
@@ -88,7 +113,10 @@ impl UsbTransport {
     fn failed(&self, doing: &'static str, source: io::Error) -> LinkError {
         let device = self.device.clone();
         match source.kind() {
-            ErrorKind::NotConnected | ErrorKind::BrokenPipe => LinkError::Closed { device },
+            // What nusb makes of a device that was unplugged, beside what systems say themselves.
+            ErrorKind::ConnectionAborted | ErrorKind::NotConnected | ErrorKind::BrokenPipe => {
+                LinkError::Closed { device }
+            }
             _ => LinkError::Io {
                 device,
                 doing,
@@ -117,5 +145,31 @@ impl Transport for UsbTransport {
 
     fn describe(&self) -> String {
         self.device.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(found: &[&'static str], wanted: Option<&str>) -> Result<&'static str, String> {
+        choose(found.to_vec(), wanted, |serial| serial).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_only_controller_needs_no_serial_number() {
+        assert_eq!(chosen(&["A1"], None), Ok("A1"));
+        assert_eq!(chosen(&["A1", "B2"], Some("B2")), Ok("B2"));
+        assert_eq!(chosen(&["A1", "B2"], Some("b2")), Ok("B2"));
+    }
+
+    #[test]
+    fn where_it_is_not_clear_which_all_are_listed() {
+        let many = chosen(&["A1", "B2"], None).unwrap_err();
+        assert!(many.contains("name one of them: usb:A1, usb:B2"), "{many}");
+        let other = chosen(&["A1", "B2"], Some("C3")).unwrap_err();
+        assert!(other.contains("plugged in: usb:A1, usb:B2"), "{other}");
+        let none = chosen(&[], Some("C3")).unwrap_err();
+        assert!(none.contains("no ihd controller is plugged in"), "{none}");
     }
 }

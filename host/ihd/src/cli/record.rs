@@ -37,7 +37,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
     ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
     Exit codes: 0 recorded (a limit or ^C ended it), 1 failed, 2 wrong usage, 3 device or link")]
 pub struct RecordArgs {
-    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH
+    /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
     device: DeviceSpec,
     /// The capture file; an existing one is never overwritten

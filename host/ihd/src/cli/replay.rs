@@ -28,7 +28,7 @@ use crate::report::table::Table;
 pub struct ReplayArgs {
     #[command(flatten)]
     capture: CaptureArgs,
-    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH
+    /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
     device: DeviceSpec,
     /// How much faster than the capture's own time; without it as fast as the link allows

@@ -35,7 +35,7 @@ const MAX_RUNS: u32 = 9_999;
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 fault on the device,\n\
     5 nothing fit for the lookup")]
 pub struct TrainerArgs {
-    /// The device: sim, tcp:HOST:PORT, usb or serial:PATH.
+    /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH.
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
     device: DeviceSpec,
     /// Powers to heat with, in watt, one operating point each.
