@@ -19,7 +19,7 @@ impl Chip {
         let aligned = address & !3;
         if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
             // Its registers are checked there; the SVD lacks some.
-            self.check_usb_clock();
+            self.before_usb_access();
             let word = self.usb.read(aligned - reg::usb_fs_device::BASE);
             self.update_lines();
             return word >> (8 * (address & 3));
@@ -49,7 +49,7 @@ impl Chip {
         }
         let aligned = address & !3;
         if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
-            self.check_usb_clock();
+            self.before_usb_access();
             self.usb.write(aligned - reg::usb_fs_device::BASE, value);
             self.update_lines();
             return;
@@ -69,7 +69,8 @@ impl Chip {
         self.update_lines();
     }
 
-    fn check_usb_clock(&mut self) {
+    fn before_usb_access(&mut self) {
+        self.usb.set_time(crate::time::seconds(self.log.now) * 1e6);
         if !self.file.is(reg::rcc::rcc_apb1enr1::USBEN) {
             self.log.broken(
                 "USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)",
