@@ -60,15 +60,16 @@ pub struct Adc {
 }
 
 impl Adc {
-    /// Starts the timers with the bridge off, then the conversions they trigger.
+    /// Starts the conversions, then the timers that trigger them, with the bridge off.
     pub fn start() -> Self {
         let periods = Periods::nearest(Drive::OFF.f_sw_hz);
-        bridge::start_timers(periods);
+        bridge::prepare_timers(periods);
         // SAFETY: both are static, and nobody writes them but the DMA.
         unsafe {
             adc::start_slow(BUS, MAINS, SLOW.0.get().cast());
             adc::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
         }
+        bridge::run_timers();
         Self {
             ring: Ring::default(),
             mains: ZeroCrossing::default(),

@@ -3,9 +3,11 @@
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::sampling::ADC_LOCK_P;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::cpu::{CycleModel, HandlerTime};
-use ihd_stm32g474::time::seconds;
+use ihd_stm32g474::registers::dma1::cndtr1;
+use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, SAMPLING, assert_no_violations, connect, with_pot};
 
@@ -118,4 +120,30 @@ fn the_load_that_it_reports_is_the_load_that_it_has() {
         "{worst} against {told:?}"
     );
     assert!((1..20_000).contains(&told.longest_gap_us), "{told:?}");
+}
+
+/// The library takes a block to be of one frequency.
+#[test]
+fn new_periods_begin_with_a_block() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    let left = bench.with(|machine| {
+        let mut f_sw_hz = machine.chip().hrtim.f_sw_hz();
+        let mut left = Vec::new();
+        while left.len() < 4 {
+            machine.run_for(us(1) / 2).unwrap();
+            let now_hz = machine.chip().hrtim.f_sw_hz();
+            if now_hz != f_sw_hz {
+                left.push(machine.chip().file.word(cndtr1::ADDRESS) as usize % ADC_LOCK_P);
+                f_sw_hz = now_hz;
+            }
+        }
+        left
+    });
+    // The last pair is taken at that very tick, and its conversion takes half a microsecond more.
+    assert!(
+        left.iter().all(|&pairs| pairs <= 1),
+        "{left:?} pairs of the block were left"
+    );
 }

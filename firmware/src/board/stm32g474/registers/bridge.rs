@@ -48,8 +48,8 @@ pub fn switch(on: bool) {
 }
 
 /// HRTIM, "HRTIM initialization": DLL, both timers, outputs, faults. HRTIM is clocked and reset
-/// already; the bridge stays off.
-pub fn start_timers(periods: Periods) {
+/// already; the bridge stays off, and the counters stand still until [`run_timers`].
+pub fn prepare_timers(periods: Periods) {
     let hrtim = pac::HRTIM1;
     calibrate();
     for (timer, repetition) in REPETITION {
@@ -97,8 +97,12 @@ pub fn start_timers(periods: Periods) {
     faults::start();
     // HRTIM_ADC1R: trigger 1 on the sampling timer's period.
     hrtim.adc1r(0).write(|w| w.set_adctper(SAMPLING, true));
-    // HRTIM_MCR: both counters in one write.
-    hrtim.mcr().modify(|w| {
+}
+
+/// HRTIM_MCR: both counters in one write, once the ADCs wait for their triggers: then the 61st pair of a
+/// block is taken at the repetition event, and new periods begin with a block.
+pub fn run_timers() {
+    pac::HRTIM1.mcr().modify(|w| {
         w.set_tcen(BRIDGE, true);
         w.set_tcen(SAMPLING, true);
     });
