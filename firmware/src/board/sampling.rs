@@ -120,10 +120,15 @@ impl<S: SampleSource> Future for SamplingTask<S> {
         wake_task_no_pend(task_from_waker(cx.waker()));
         let path = &mut this.path;
         let mut begun = cycles::now();
-        while this.source.next(|block| path.on_block(block)) {
+        loop {
+            // Before the answer: the block in which this runs is still of the old frequency.
+            let block_cycles = this.source.block_cycles();
+            if !this.source.next(|block| path.on_block(block)) {
+                break;
+            }
             BLOCK_DONE.signal(());
             let ended = cycles::now();
-            path.note_busy(ended.wrapping_sub(begun), this.source.block_cycles());
+            path.note_busy(ended.wrapping_sub(begun), block_cycles);
             begun = ended;
         }
         Poll::Pending
