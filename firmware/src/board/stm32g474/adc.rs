@@ -5,7 +5,7 @@ use core::ptr;
 
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
-use ihd_firmware::mains::ZeroCrossing;
+use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::pwm::Periods;
 use ihd_firmware::realtime::{Block, Bridge, Drive};
 use ihd_firmware::ring::Ring;
@@ -19,9 +19,6 @@ const VOLTAGE: u8 = 1;
 const CURRENT: u8 = 2;
 const BUS: u8 = 1;
 const MAINS: u8 = 12;
-
-/// Decivolt of the bus per code: 500 V over 12 bit.
-const BUS_DV_FULL_SCALE: u32 = 5_000;
 
 const WORDS: usize = 2 * ADC_LOCK_P;
 
@@ -97,8 +94,7 @@ impl Adc {
                 ptr::read_volatile(codes.wrapping_add(1)),
             )
         };
-        let bus = u32::from(bus.unsigned_abs()) * BUS_DV_FULL_SCALE / 4_096;
-        (bus as u16, i32::from(mains))
+        (bus_dv(bus.unsigned_abs()), i32::from(mains))
     }
 
     fn apply(&mut self, drive: Drive) {
