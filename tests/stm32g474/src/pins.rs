@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 
 use ihd_firmware::drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use ihd_sim::adc::Adc;
+use ihd_sim::hob::HobConfig;
 use ihd_sim::plant::Plant;
 
 use crate::chip::hrtim::Bridge;
@@ -17,6 +19,12 @@ const MAINS_HALF_RANGE_V: f64 = 400.0;
 
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
+
+/// The analogue front end that `ihd hob` has: half an LSB of noise, with this seed, behind its anti-alias filter.
+pub fn front_end(seed: u64) -> Adc {
+    let hob = HobConfig::default();
+    Adc::new(hob.noise, seed).with_filter(hob.anti_alias_hz)
+}
 
 /// What the converters find at a trigger.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,13 +1,14 @@
 //! The processor with its memory map, and what Unicorn calls back: registers, flash pages, and each block of code.
 
 use ihd_sim::plant::Plant;
-use unicorn_engine::{Arch, Mode, Prot, RegisterARM, Unicorn, uc_error};
+use unicorn_engine::{Arch, Mode, Prot, Unicorn, uc_error};
 
 use crate::chip::Chip;
 use crate::chip::flash::{PAGES, PAGES_BYTES, Pages};
-use crate::cpu::{State, Timing};
+use crate::cpu::{State, Timing, exceptions};
 use crate::image::{FLASH, Image, PROGRAM_BYTES};
 use crate::pins::Pins;
+use crate::registers::flash::flash_acr;
 use crate::usb::HostController;
 
 /// First address of the RAM, and its bytes with the alias of CCM SRAM.
@@ -27,14 +28,14 @@ pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_erro
     if cpu.get_data().chip.transfers.is_empty() {
         return Ok(());
     }
-    let transfers = std::mem::take(&mut cpu.get_data_mut().chip.transfers);
+    let mut transfers = std::mem::take(&mut cpu.get_data_mut().chip.transfers);
     for transfer in &transfers {
         cpu.mem_write(
             u64::from(transfer.address),
             &transfer.value.to_le_bytes()[..transfer.bytes],
         )?;
     }
-    let mut transfers = transfers;
+    // Its room is used again.
     transfers.clear();
     cpu.get_data_mut().chip.transfers = transfers;
     Ok(())
@@ -130,8 +131,11 @@ fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Re
         Some(
             move |cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize, value: u64| {
                 let state = cpu.get_data_mut();
-                state.chip.write(base + offset as u32, bytes, value as u32);
-                state.timing.set_access(&state.chip.file);
+                let address = base + offset as u32;
+                state.chip.write(address, bytes, value as u32);
+                if address & !3 == flash_acr::ADDRESS {
+                    state.timing.set_access(&state.chip.file);
+                }
                 stop_if_reset(cpu);
             },
         ),
@@ -189,16 +193,7 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     }
     let ends = state.chip.log.now >= state.run_until || state.chip.reset.is_some();
     let _ = move_transfers(cpu);
-    let pending = cpu.get_data().chip.nvic.any_pending() && {
-        let primask = cpu.reg_read(RegisterARM::PRIMASK).unwrap_or(0) & 1 == 1;
-        let basepri = cpu.reg_read(RegisterARM::BASEPRI).unwrap_or(0) as u8;
-        cpu.get_data_mut()
-            .chip
-            .nvic
-            .next(primask, basepri)
-            .is_some()
-    };
-    if ends || pending {
+    if ends || exceptions::next(cpu).is_some() {
         cpu.get_data_mut().stopped_at = Some(address);
         let _ = cpu.emu_stop();
     }

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{Parser, ValueEnum};
-use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_stm32g474::machine::Machine;
+use ihd_stm32g474::pins::front_end;
 use ihd_stm32g474::server;
 
 /// Runs the controller's flash image on an emulated STM32G474 with the simulated power stage on its pins, its serial
@@ -56,16 +56,7 @@ fn main() -> anyhow::Result<()> {
     } else {
         LoadKind::Behavioural
     };
-    // Half an LSB of noise behind 500 kHz, as `ihd hob` has.
-    let adc = Adc::new(
-        Noise {
-            v_v: 0.1,
-            i_a: 0.02,
-        },
-        1,
-    )
-    .with_filter(500e3);
-    let plant = Plant::with_load(Mains::new(arguments.mains_hz), pot, load, adc);
+    let plant = Plant::with_load(Mains::new(arguments.mains_hz), pot, load, front_end(1));
     let machine = Machine::new(&arguments.image, plant)?;
     let listener = TcpListener::bind(&arguments.listen)
         .with_context(|| format!("cannot listen on {}", arguments.listen))?;

@@ -31,13 +31,13 @@ const FRAME: [RegisterARM; 7] = [
     RegisterARM::PC,
 ];
 
-type Cpu = Unicorn<'static, State>;
+type Cpu<'a> = Unicorn<'a, State>;
 
-fn register(cpu: &Cpu, which: RegisterARM) -> u32 {
+fn register(cpu: &Cpu<'_>, which: RegisterARM) -> u32 {
     cpu.reg_read(which).unwrap_or(0) as u32
 }
 
-fn word(cpu: &Cpu, address: u32) -> Result<u32, uc_error> {
+fn word(cpu: &Cpu<'_>, address: u32) -> Result<u32, uc_error> {
     let mut bytes = [0; 4];
     cpu.mem_read(u64::from(address), &mut bytes)?;
     Ok(u32::from_le_bytes(bytes))
@@ -53,7 +53,7 @@ pub fn is_return(pc: u32) -> bool {
 }
 
 /// The exception to be taken now.
-pub fn next(cpu: &mut Cpu) -> Option<usize> {
+pub fn next(cpu: &mut Cpu<'_>) -> Option<usize> {
     if !cpu.get_data().chip.nvic.any_pending() {
         return None;
     }
@@ -70,7 +70,7 @@ pub struct LockUp;
 ///
 /// # Errors
 /// [`LockUp`] where the vector cannot be read.
-pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
+pub fn enter(cpu: &mut Cpu<'_>, exception: usize, pc: u32) -> Result<(), LockUp> {
     let floats = register(cpu, RegisterARM::CONTROL) & FPCA as u32 != 0;
     let bytes = if floats { 26 * 4 } else { 8 * 4 };
     let sp = register(cpu, RegisterARM::SP);
@@ -119,11 +119,11 @@ pub fn enter(cpu: &mut Cpu, exception: usize, pc: u32) -> Result<(), LockUp> {
     Ok(())
 }
 
-fn register_s(cpu: &Cpu, k: i32) -> u32 {
+fn register_s(cpu: &Cpu<'_>, k: i32) -> u32 {
     cpu.reg_read(i32::from(RegisterARM::S0) + k).unwrap_or(0) as u32
 }
 
-fn set(cpu: &mut Cpu, which: RegisterARM, value: u32) {
+fn set(cpu: &mut Cpu<'_>, which: RegisterARM, value: u32) {
     // A register of the processor always takes a value.
     let _ = cpu.reg_write(which, u64::from(value));
 }
@@ -132,7 +132,7 @@ fn set(cpu: &mut Cpu, which: RegisterARM, value: u32) {
 ///
 /// # Errors
 /// [`LockUp`] where the frame cannot be read.
-pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
+pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
     let state = cpu.get_data_mut();
     if let Some((exception, began)) = state.chip.nvic.leave() {
         let time = state.timing.handlers.entry(exception).or_default();
@@ -184,7 +184,7 @@ pub fn leave(cpu: &mut Cpu, exc_return: u32) -> Result<u32, LockUp> {
 ///
 /// # Errors
 /// [`LockUp`].
-pub fn fault(cpu: &mut Cpu, pc: u32) -> Result<(), LockUp> {
+pub fn fault(cpu: &mut Cpu<'_>, pc: u32) -> Result<(), LockUp> {
     if cpu.get_data().chip.nvic.running_priority() < 0 {
         return Err(LockUp);
     }

@@ -5,13 +5,14 @@ use std::sync::LazyLock;
 use std::time::Duration;
 
 use ihd_link::{Client, Transport};
-use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 pub use ihd_stm32g474::bench::Bench;
+use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::cpu::nvic::FIRST_INTERRUPT;
+use ihd_stm32g474::pins::front_end;
 
 /// Exception of DMA1's first channel: the sampling path.
 pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
@@ -23,18 +24,10 @@ pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
     PathBuf::from(path)
 });
 
-/// What `ihd hob` has at its converters: half an LSB of noise behind 500 kHz.
-fn adc() -> Adc {
-    let noise = Noise {
-        v_v: 0.1,
-        i_a: 0.02,
-    };
-    Adc::new(noise, 1).with_filter(500e3)
-}
-
 /// A board with a pot, powered up.
 pub fn with_pot(pot: PotKind) -> Bench {
-    let plant = move || Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, adc());
+    let plant =
+        move || Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, front_end(1));
     Bench::power_up(&IMAGE, plant).expect("the image is there")
 }
 
@@ -55,4 +48,9 @@ pub fn assert_no_violations(bench: &Bench) {
     let violations = bench.with(|machine| machine.violations());
     let list: Vec<_> = violations.iter().map(ToString::to_string).collect();
     assert!(list.is_empty(), "{}", list.join("\n"));
+}
+
+/// Why the board has started again, each time.
+pub fn resets(bench: &Bench) -> Vec<Reset> {
+    bench.with(|machine| machine.resets.iter().map(|reset| reset.1).collect())
 }

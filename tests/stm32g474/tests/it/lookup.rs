@@ -9,7 +9,7 @@ use ihd_stm32g474::chip::flash::Pages;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::registers::flash::flash_optr;
 
-use crate::board::{Bench, assert_no_violations, connect, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
 
 fn version(version: u32) -> RlLookup {
     RlLookup { version, ..prior() }
@@ -83,15 +83,8 @@ fn cuts(pages: &Pages, at: impl Iterator<Item = u64>) -> u32 {
         // The power may go before the answer has come.
         let _ = connect(&bench).push_lookup(&version(3));
         bench.run_s(0.035);
-        let resets = bench.with(|machine| {
-            machine
-                .resets
-                .iter()
-                .map(|reset| reset.1)
-                .collect::<Vec<_>>()
-        });
         assert_eq!(
-            resets,
+            resets(&bench),
             [Reset::Power, Reset::Power],
             "cut {cut}: one power-up, one cut, nothing besides"
         );

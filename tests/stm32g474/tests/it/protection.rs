@@ -10,7 +10,7 @@ use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::registers::{Field, exti, flash, pwr, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
-use crate::board::{Bench, connect, with_pot};
+use crate::board::{Bench, connect, resets, with_pot};
 
 /// A board that heats.
 fn heating() -> Bench {
@@ -150,14 +150,7 @@ fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     });
     println!("thread stands still: off after {:.1} ms", off_us / 1e3);
     assert!(off_us < 66_000.0, "{off_us}");
-    let resets = bench.with(|machine| {
-        machine
-            .resets
-            .iter()
-            .map(|reset| reset.1)
-            .collect::<Vec<_>>()
-    });
-    assert_eq!(resets, [Reset::Watchdog]);
+    assert_eq!(resets(&bench), [Reset::Watchdog]);
     assert_eq!(after_reset(&bench).0, 1);
 }
 
