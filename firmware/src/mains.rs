@@ -9,6 +9,9 @@ const ARMED_AT: i32 = 140;
 /// Decivolt at the end of the bus converter's range: 500 V over 12 bit.
 pub const BUS_DV_FULL_SCALE: u32 = 5_000;
 
+/// Half the input range of the mains voltage's channel, in millivolt: its divider is the coil voltage's.
+pub const MAINS_FULL_SCALE_MV: u32 = 400_000;
+
 /// Bus voltage of a code, in decivolt.
 pub fn bus_dv(code: u16) -> u16 {
     (u32::from(code) * BUS_DV_FULL_SCALE / 4_096) as u16
