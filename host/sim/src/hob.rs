@@ -151,6 +151,7 @@ impl SimHob {
             pairs: &pairs,
             zero_crossing: self.zero_crossing.on_block(mains_code),
             bus_dv: bus_dv(self.slow_adc.bus(mains.bus_v(end_s))),
+            dc_link_ma: None,
             lost: 0,
         };
         let drive = self.realtime.on_block(&block);
