@@ -64,6 +64,11 @@ impl Housekeeping {
         &self.active
     }
 
+    /// The last half-cycle's summary.
+    pub fn summary(&self) -> &Summary {
+        &self.last
+    }
+
     /// The state machine.
     pub fn control(&self) -> &Control {
         &self.control
