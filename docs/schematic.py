@@ -28,8 +28,8 @@ def constant(path, name):
 
 
 # What the firmware reads by.
-V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_V")
-I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_A")
+V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_MV") / 1e3
+I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_MA") / 1e3
 BUS_FULL_SCALE_V = constant("firmware/src/mains.rs", "BUS_DV_FULL_SCALE") / 10
 I_TRIP_A = constant("firmware/src/protection.rs", "TRIP_CODE")
 MAINS_ARMED_CODE = constant("firmware/src/mains.rs", "ARMED_AT")
@@ -38,16 +38,17 @@ F_MIN_HZ = constant("shared/src/hob.rs", "F_SW_MIN_HZ")
 F_MAX_HZ = constant("shared/src/hob.rs", "F_SW_MAX_HZ")
 DEAD_TIME_NS = constant("firmware/src/pwm.rs", "DEAD_TIME_NS")
 TICK_HZ = 8 * 170e6
-# The mains has no scale of its own: its threshold is a twelfth of 325 V on a range of ±400 V.
-MAINS_FULL_SCALE_V = 400.0
+MAINS_FULL_SCALE_V = constant("firmware/src/mains.rs", "MAINS_FULL_SCALE_MV") / 1e3
 ANTI_ALIAS_HZ = 500e3
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
 PARTS = {
     "series": 4,
+    # Three and one: no ratio of two E96 values is within 0.6 % of 640 V.
     "coil_top": 64.9e3,
-    "coil_bottom": 1.07e3,
+    "coil_last": 63.4e3,
+    "coil_bottom": 665.0,
     "mains_top": 232e3,
     "mains_bottom": 3.83e3,
     "mains_c": 2.2e-9,
@@ -90,11 +91,15 @@ def farad(c):
     return f"{c * 1e12:.3g} pF"
 
 
+def coil_chain_ohm():
+    return (PARTS["series"] - 1) * PARTS["coil_top"] + PARTS["coil_last"]
+
+
 def full_scales():
     """Coil voltage, mains, bus in volt; coil current in ampere."""
     p, n = PARTS, PARTS["series"]
     return (
-        V_REF_V * n * p["coil_top"] / p["coil_bottom"],
+        V_REF_V * coil_chain_ohm() / p["coil_bottom"],
         V_REF_V * n * p["mains_top"] / p["mains_bottom"],
         V_ADC_V * (n * p["bus_top"] / p["bus_bottom"] + 1),
         V_REF_V / p["burden"] * p["turns"],
@@ -169,9 +174,15 @@ def values():
         for celsius in temperatures:
             ntc = r25 * math.exp(beta * (1 / (celsius + 273.15) - 1 / 298.15))
             row(f"NTC {name} at {celsius} °C", V_ADC_V * ntc / (ntc + up), "V", f"{ntc / 1e3:.3g} kΩ")
-    # ±640 V, issue 14: the nearest E96 resistors.
-    wide = V_REF_V * n * p["coil_top"] / 665
-    row("coil voltage with 665 Ω for 1.07 kΩ", wide, "V", error(wide, 640.0))
+    gain = coil_chain_ohm() / p["coil_bottom"]
+    row("chain of the coil voltage over its bottom", gain, "", "")
+    row("both inputs of U3A with SW at 325 V", (gain * V_REF_V + 325) / (gain + 1), "V", "")
+    row("U3A's slope at an edge of 325 V in 0.2 µs", 325 / 0.2 / gain, "V/µs", "")
+    row("a code of the coil voltage", 1e3 * V_FULL_SCALE_V / HALF_CODES, "mV", "")
+    row("its rounding", 1e3 * V_FULL_SCALE_V / HALF_CODES / math.sqrt(12), "mV", "rms")
+    r_noise = parallel(coil_chain_ohm(), p["coil_bottom"])
+    thermal = math.sqrt(4 * 1.38e-23 * 300 * 2 * r_noise + (5e-9) ** 2) * (gain + 1) * math.sqrt(math.pi / 2 * pole)
+    row("noise of chain and U3A, 5 nV/√Hz, at the coil", 1e3 * thermal, "mV", "rms behind the anti-alias pole")
     return rows
 
 
@@ -518,13 +529,13 @@ def bridge(s, top, low, sw):
 
 
 def difference(s, y, title, name, nets, top, bottom, cap, pin_c, pin):
-    """A difference amplifier around VREF: VREF + (first net − second) · bottom / (4 · top)."""
+    """A difference amplifier around VREF: VREF + (first net − second) · bottom / chain."""
     x = 24
     s.text(x, y - 98, title, "h")
     s.flag(x + 56, y - 20, nets[0], "left"), s.flag(x + 56, y + 20, nets[1], "left")
     for k in (-20, 20):
         s.resistor(x + 56, y + k, 124, "h", 84)
-        s.text(x + 112, y + k + (-12 if k < 0 else 24), f"4 × {top}", "t", "middle")
+        s.text(x + 112, y + k + (-12 if k < 0 else 24), top, "t", "middle")
         s.wire((x + 180, y + k), (x + 264, y + k))
         s.dot(x + 204, y + k)
     # The + input to the reference.
@@ -735,11 +746,12 @@ def main_sheet():
     bridge(s, *power_stage(s))
     p, (coil, mains, _, _) = PARTS, full_scales()
     fast, slow = farad(p["pin_c_fast"]), farad(p["pin_c_slow"])
+    coil_top = f"3 × {p['coil_top'] / 1e3:g} + {ohm(p['coil_last'])}"
     title = f"Coil voltage, ±{coil:.1f} V → PA0, ADC1 IN1"
-    difference(s, 632, title, "U3A", ("SW", "X"), ohm(p["coil_top"]), ohm(p["coil_bottom"]), None, fast, "PA0")
+    difference(s, 632, title, "U3A", ("SW", "X"), coil_top, ohm(p["coil_bottom"]), None, fast, "PA0")
     title = f"Mains, ±{mains:.1f} V → PB0, ADC3 IN12"
     shunt = farad(p["mains_c"])
-    difference(s, 838, title, "U4A", ("L′", "N′"), ohm(p["mains_top"]), ohm(p["mains_bottom"]), shunt, slow, "PB0")
+    difference(s, 838, title, "U4A", ("L′", "N′"), f"4 × {ohm(p['mains_top'])}", ohm(p["mains_bottom"]), shunt, slow, "PB0")
     bus_voltage(s, 1060)
     current(s, 612)
     reference(s, 920)

@@ -79,6 +79,11 @@ impl DeskHob {
         &self.housekeeping
     }
 
+    /// The same, for what a board does at its start.
+    pub fn housekeeping_mut(&mut self) -> &mut Housekeeping {
+        &mut self.housekeeping
+    }
+
     /// The firmware's sampling path.
     pub fn realtime(&mut self) -> &mut RealTime {
         &mut self.realtime

@@ -3,12 +3,12 @@
 //! | state | entered by | left when |
 //! |---|---|---|
 //! | Idle | start, 0 W, `ClearFault` | power is asked for: Probing |
-//! | Probing | power asked for in Idle | third half-cycle: Heating with a pot, else Faulted |
-//! | Heating | Probing that found a pot | two half-cycles in a row without one: Faulted |
-//! | Faulted | any fault: pot, protection, hardware | `ClearFault`: Idle |
+//! | Probing | power asked for in Idle | third half-cycle: Heating with a pot, else LockedOut |
+//! | Heating | Probing that found a pot | two half-cycles in a row without one: LockedOut |
+//! | LockedOut | any fault: pot, protection, hardware | `ClearFault`: Idle |
 //!
 //! Power comes from `SetPower`; 0 W also from a host that is not heard for 10 s and from replay mode.
-//! 0 W leads from Probing and Heating to Idle at once, a fault from any state to Faulted, and
+//! 0 W leads from Probing and Heating to Idle at once, a fault from any state to LockedOut, and
 //! `ClearFault` from any state to Idle, with the power that was asked for forgotten.
 //!
 //! It sees one summary per half-cycle and answers with a drive or a fault. The frequency of a new
@@ -79,7 +79,7 @@ impl Control {
     pub fn set_power(&mut self, power_w: u16) -> Action {
         self.asked_w = power_w;
         match (power_w, self.state) {
-            (_, State::Faulted) => Action::Keep,
+            (_, State::LockedOut) => Action::Keep,
             (0, _) => {
                 self.enter(State::Idle);
                 self.pot = Pot::Unknown;
@@ -91,7 +91,9 @@ impl Control {
                 self.power.restart();
                 self.drive_at(pwm::HIGHEST_HZ)
             }
-            (_, State::Probing | State::Heating) => Action::Keep,
+            (_, State::Probing | State::Heating | State::WaitingForPot | State::Pausing) => {
+                Action::Keep
+            }
         }
     }
 
@@ -104,7 +106,7 @@ impl Control {
 
     /// A fault tripped somewhere.
     pub fn faulted(&mut self) {
-        self.enter(State::Faulted);
+        self.enter(State::LockedOut);
         self.asked_w = 0;
     }
 
@@ -118,7 +120,7 @@ impl Control {
     /// Takes a half-cycle's summary.
     pub fn on_half_cycle(&mut self, summary: &Summary, lookup: &RlLookup) -> Action {
         match self.state {
-            State::Idle | State::Faulted => Action::Keep,
+            State::Idle | State::LockedOut | State::WaitingForPot | State::Pausing => Action::Keep,
             // The drive asked for has not taken effect yet.
             _ if summary.f_sw_hz != self.requested_hz => Action::Keep,
             State::Probing => self.probe(summary, lookup),

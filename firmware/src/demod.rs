@@ -10,7 +10,10 @@
 //! instructions to see whether it is out of the ordinary; per block the boxcars add eight 64-bit
 //! additions and four scalings. Sums are exact integers: nothing drifts.
 
-use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
+use ihd_shared::sampling::{
+    ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, I_FULL_SCALE_A, Pair,
+    V_FULL_SCALE_V,
+};
 
 use crate::fixed::{Complex, narrow, saturate};
 
@@ -30,8 +33,25 @@ pub const OHM_PER_UNIT: f64 = VOLT_PER_UNIT / AMPERE_PER_UNIT;
 /// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
 const TABLE_BITS: u32 = 14;
 
-/// Fractional bits of the scaling mantissas: with N ≥ 1 the largest, 50/61, stays below 2^26.
+/// Fractional bits of the scaling mantissas: the largest, [`GAIN_V`] / 61 with N = 1, stays below 2^28.
 const GAIN_BITS: u32 = 26;
+
+/// Twice the estimator's units per code, times what the table's bits fall short of the state's: p·N² times a
+/// channel's gain.
+const fn gain_numerator(full_scale: f64, per_unit: f64) -> u64 {
+    let units_per_code = full_scale / CODE_HALF_RANGE as f64 / per_unit;
+    let numerator = 2.0 * units_per_code * (1u64 << (STATE_BITS - TABLE_BITS)) as f64;
+    // A scale that is no whole number here would read wrong by the rounding.
+    assert!(numerator as u64 as f64 == numerator);
+    numerator as u64
+}
+
+const GAIN_V: u64 = gain_numerator(V_FULL_SCALE_V, VOLT_PER_UNIT);
+
+const GAIN_I: u64 = gain_numerator(I_FULL_SCALE_A, AMPERE_PER_UNIT);
+
+/// Sums of p·2^25·N² times a gain of 2^26·128/(p·N²) are 58 bits, whatever N.
+const _: () = assert!(GAIN_V < 128 && GAIN_I < 128);
 
 /// Most blocks of a boxcar: 0.2 ms at 80 kHz are 5.3.
 pub const MAX_BOXCAR: usize = 6;
@@ -254,8 +274,7 @@ impl Demodulator {
     pub fn new(f_sw_hz: u32) -> Self {
         // 0.2 ms in blocks of q/f_sw, to nearest: f · 0.2e-3 / 3 = f / 15 000.
         let length = ((f_sw_hz + 7_500) / (5_000 * ADC_LOCK_Q)).clamp(1, MAX_BOXCAR as u32);
-        // Amplitude = 2/p · mean over N² sums; units per code are 25/4096 (v) and 5/2048 (i), and
-        // the table's 14 bits fall short of the state's 26 by 12: gains 50/(p·N²) and 20/(p·N²).
+        // Amplitude = 2/p · mean over N² sums.
         // Never 0, which the compiler would otherwise provide for.
         let divisor = u64::from(ADC_LOCK_P as u32 * length * length).max(1);
         let gain = |numerator: u64| (((numerator << GAIN_BITS) + divisor / 2) / divisor) as i32;
@@ -267,8 +286,8 @@ impl Demodulator {
             second_sum: [0; 4],
             at: 0,
             filled: 0,
-            gain_v: gain(50),
-            gain_i: gain(20),
+            gain_v: gain(GAIN_V),
+            gain_i: gain(GAIN_I),
         }
     }
 
@@ -297,7 +316,6 @@ impl Demodulator {
             return None;
         }
         let scaled = |k: usize, gain: i32| -> i32 {
-            // At most 61·2^25·36 (37 bits) times 26 bits.
             narrow(self.second_sum[k] * i64::from(gain), GAIN_BITS)
         };
         Some(Phasors {

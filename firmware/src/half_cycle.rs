@@ -1,10 +1,16 @@
 //! One mains half-cycle in numbers, gathered block by block.
 
-use ihd_shared::sampling::ADC_LOCK_P;
+use ihd_shared::sampling::{ADC_LOCK_P, CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::demod::{BlockSums, Phasors, amplitude_ma};
 use crate::ekf::Ekf;
+
+/// Milliwatt of one code squared, times the codes' range squared.
+const MILLIWATT: u64 = V_FULL_SCALE_MV as u64 * I_FULL_SCALE_MA as u64 / 1_000;
+
+/// A mean of products is at most the range squared.
+const _: () = assert!(MILLIWATT < 1 << (64 - 2 * (CODE_BITS - 1) as u32));
 
 /// What the sampling path hands to power control and telemetry after each half-cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,8 +82,7 @@ impl Accumulator {
     /// The summary of what was added, and a fresh start.
     pub fn finish(&mut self, half_cycle: u32, f_sw_hz: u32, duration_ns: u32) -> Summary {
         let pairs = i64::from(self.blocks.max(1)) * ADC_LOCK_P as i64;
-        // One code squared is (400·80/2048²) W = 1953.125/256 mW.
-        let power_mw = (self.vi / pairs).max(0) as u64 * 1_953_125 / 256_000;
+        let power_mw = ((self.vi / pairs).max(0) as u64 * MILLIWATT) >> (2 * (CODE_BITS - 1));
         let summary = Summary {
             half_cycle,
             f_sw_hz,

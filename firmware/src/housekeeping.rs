@@ -2,15 +2,15 @@
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, DecodeError, FaultEvent, Hello, Message, Outcome, PushLookup,
-    ReplayBlocks, ReplayMode, ReplayStart, Reply, SetPower, State, Status, Stream, Telemetry,
-    Utilisation,
+    AnyMessage, ClearFault, Configure, DecodeError, FaultEvent, Hello, Limit, Message, NO_PANEL,
+    NO_SENSOR_C, Outcome, PushLookup, ReplayBlocks, ReplayMode, ReplayStart, Reply, ResetLookup,
+    SetPower, State, Status, Stream, Telemetry, Utilisation,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
@@ -30,6 +30,9 @@ pub struct Housekeeping {
     telemetry_every: u8,
     active: RlLookup,
     pending: Option<RlLookup>,
+    /// Lookups that became active since boot.
+    lookup_changes: u32,
+    settings: Configure,
     reported_fault: Fault,
     half_cycles_unheard: u32,
     last: Summary,
@@ -47,6 +50,8 @@ impl Housekeeping {
             telemetry_every: 0,
             active: prior(),
             pending: None,
+            lookup_changes: 0,
+            settings: Configure::DEFAULT,
             reported_fault: Fault::NONE,
             half_cycles_unheard: 0,
             last: Summary::default(),
@@ -54,9 +59,12 @@ impl Housekeeping {
         }
     }
 
-    /// Starts from a lookup that was kept, in place of the prior.
+    /// Starts from a lookup that was kept, in place of the prior. One of version 0 says that it was
+    /// reset: this build's prior stays, which may be a newer one.
     pub fn restore(&mut self, lookup: RlLookup) {
-        self.active = lookup;
+        if lookup.version > 0 {
+            self.active = lookup;
+        }
     }
 
     /// The lookup in use.
@@ -67,6 +75,17 @@ impl Housekeeping {
     /// The last half-cycle's summary.
     pub fn summary(&self) -> &Summary {
         &self.last
+    }
+
+    /// How often another lookup became active since boot: who keeps it sees from this when. Its version
+    /// may return after a reset.
+    pub fn lookup_changes(&self) -> u32 {
+        self.lookup_changes
+    }
+
+    /// What a host has set, else [`Configure::DEFAULT`].
+    pub fn settings(&self) -> &Configure {
+        &self.settings
     }
 
     /// The state machine.
@@ -116,6 +135,12 @@ impl Housekeeping {
                     self.queue.answer(Answer::Status(status));
                 }
                 Ok(AnyMessage::ReadLookup(_)) => self.queue.answer(Answer::Lookup),
+                Ok(AnyMessage::ResetLookup(_)) => {
+                    let (outcome, detail) = self.activate(prior());
+                    self.reply(ResetLookup::ID, outcome, detail);
+                }
+                Ok(AnyMessage::Configure(m)) => self.configure(m),
+                Ok(AnyMessage::GetFrontEnd(_)) => self.queue.answer(Answer::FrontEnd),
                 Ok(AnyMessage::ClearFault(_)) => self.clear_fault(access),
                 Ok(AnyMessage::GetUtilisation(_)) => {
                     let utilisation = access.with(utilisation);
@@ -155,7 +180,9 @@ impl Housekeeping {
         access.with(|rt| rt.set_windows_every(0));
         self.paired = check(self.queue.hello(), theirs).is_ok();
         self.queue.answer(Answer::Hello);
-        if !self.paired {
+        if self.paired {
+            self.queue.answer(Answer::FrontEnd);
+        } else {
             self.reply(Hello::ID, Outcome::NotPaired, 0);
         }
     }
@@ -214,14 +241,35 @@ impl Housekeeping {
         self.reply(Stream::ID, Outcome::Ok, 0);
     }
 
-    /// A lookup that passed every check of its content: it must still be newer than what we have.
-    /// It waits for the half-cycle boundary, so that one half-cycle sees one lookup.
+    fn configure(&mut self, settings: Configure) {
+        match settings.check() {
+            Ok(()) => {
+                self.settings = settings;
+                self.reply(Configure::ID, Outcome::Ok, 0);
+            }
+            Err(field) => self.reply(Configure::ID, Outcome::OutOfRange, field),
+        }
+    }
+
+    /// A lookup that passed every check of its content: it must still be newer than what we have, and
+    /// leave room for later ones.
     fn accept(&mut self, lookup: RlLookup) -> (Outcome, u32) {
+        let highest = self.active.version.saturating_add(LOOKUP_VERSION_STEP);
+        if self.pending.is_some() {
+            (Outcome::Busy, 0)
+        } else if lookup.version <= self.active.version {
+            (Outcome::LookupStale, self.active.version)
+        } else if lookup.version > highest {
+            (Outcome::LookupStep, highest)
+        } else {
+            self.activate(lookup)
+        }
+    }
+
+    /// At the half-cycle boundary, so that one half-cycle sees one lookup.
+    fn activate(&mut self, lookup: RlLookup) -> (Outcome, u32) {
         if self.pending.is_some() {
             return (Outcome::Busy, 0);
-        }
-        if lookup.version <= self.active.version {
-            return (Outcome::LookupStale, self.active.version);
         }
         self.pending = Some(lookup);
         (Outcome::Ok, 0)
@@ -238,6 +286,7 @@ impl Housekeeping {
             if let Some(lookup) = self.pending.take() {
                 access.with(|rt| rt.set_lookup_version(lookup.version));
                 self.active = lookup;
+                self.lookup_changes = self.lookup_changes.wrapping_add(1);
             }
             self.watch_host(access);
             self.last = summary;
@@ -248,7 +297,7 @@ impl Housekeeping {
             let action = self.control.advance(&self.active);
             self.act(access, action);
         }
-        if fault != Fault::NONE && self.control.state() != State::Faulted {
+        if fault != Fault::NONE && self.control.state() != State::LockedOut {
             self.control.faulted();
         }
         let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));
@@ -286,6 +335,7 @@ impl Housekeeping {
         }
         let fault = access.with(|rt| rt.fault());
         let (state, pot) = (self.control.state(), self.control.pot());
+        let asked_w = self.control.asked_w();
         let lookup_version = self.active.version;
         let phase_mrad = if s.f_sw_hz > 0 && s.i_crest_ma > 0 {
             Tank::new(s.f_sw_hz, s.r, s.l).phase_mrad()
@@ -306,6 +356,11 @@ impl Housekeeping {
             power_mw: s.power_mw,
             phase_mrad,
             lookup_version,
+            asked_w,
+            limit: Limit::None,
+            bus_peak_dv: s.bus_peak_dv,
+            v_coil_peak_dv: 0,
+            i_turn_off_min_ma: 0,
         });
     }
 
@@ -334,6 +389,14 @@ impl Housekeeping {
                 frames_bad: counters.bad,
                 frames_lost: counters.lost,
                 saturated_pairs: rt.saturated_pairs(),
+                limit: Limit::None,
+                tries_left: 0,
+                heat_sink_c: NO_SENSOR_C,
+                glass_c: NO_SENSOR_C,
+                coil_c: NO_SENSOR_C,
+                fan: false,
+                panel_level: NO_PANEL,
+                key_locked: false,
             }
         })
     }

@@ -3,11 +3,17 @@
 use ihd_shared::sampling::ADC_LOCK_P;
 
 /// The voltage must have been this far from zero, in codes, before a change of its sign counts: a
-/// twelfth of the crest of 230 V on a range of ±400 V.
+/// twelfth of the crest of 230 V on the range of [`MAINS_FULL_SCALE_MV`].
 const ARMED_AT: i32 = 140;
 
 /// Decivolt at the end of the bus converter's range: 500 V over 12 bit.
 pub const BUS_DV_FULL_SCALE: u32 = 5_000;
+
+/// Half the input range of the mains voltage's channel, in millivolt.
+pub const MAINS_FULL_SCALE_MV: u32 = 400_000;
+
+/// Half the input range of the mains voltage's channel, in volt.
+pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
 
 /// Bus voltage of a code, in decivolt.
 pub fn bus_dv(code: u16) -> u16 {

@@ -7,13 +7,15 @@
 
 use heapless::Deque;
 use ihd_shared::lookup::RlLookup;
+use ihd_shared::sampling::{CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
-    FaultEvent, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
+    FaultEvent, FrontEnd, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
     TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 
+use crate::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
 use crate::realtime::Access;
 use crate::recorder::Header;
 use crate::replay::Estimates;
@@ -28,6 +30,8 @@ const TELEMETRY: usize = 4;
 pub enum Answer {
     /// The device's hello.
     Hello,
+    /// What the codes of the channels stand for.
+    FrontEnd,
     /// Outcome of a command.
     Reply(Reply),
     /// The status of the moment it was asked for.
@@ -42,6 +46,17 @@ pub enum Answer {
     ReplayMode(ReplayMode),
     /// What replayed blocks led to.
     ReplayEstimates(Estimates),
+}
+
+/// What the codes of this firmware's channels stand for.
+fn front_end() -> FrontEnd {
+    FrontEnd {
+        v_full_scale_mv: V_FULL_SCALE_MV,
+        i_full_scale_ma: I_FULL_SCALE_MA,
+        bus_full_scale_mv: BUS_DV_FULL_SCALE * 100,
+        mains_full_scale_mv: MAINS_FULL_SCALE_MV,
+        bits: CODE_BITS,
+    }
 }
 
 /// How far a window has been sent.
@@ -100,7 +115,7 @@ impl TransmitQueue {
 
     /// Whether another answer would find no room.
     pub fn is_full(&self) -> bool {
-        // A hello may be followed by a refusal.
+        // A hello is followed by a refusal or by what the codes stand for.
         self.answers.len() + 2 > ANSWERS
     }
 
@@ -147,6 +162,7 @@ impl TransmitQueue {
                     let hello = self.hello.clone();
                     self.frame(&hello, out)
                 }
+                Answer::FrontEnd => self.frame(&front_end(), out),
                 Answer::Reply(m) => self.frame(&m, out),
                 Answer::Status(m) => self.frame(&m, out),
                 Answer::Utilisation(m) => self.frame(&m, out),
@@ -202,6 +218,8 @@ impl TransmitQueue {
                     trajectory: h.trajectory,
                     saturated: h.saturated,
                     lookup_version: h.lookup_version,
+                    v_full_scale_mv: V_FULL_SCALE_MV,
+                    i_full_scale_ma: I_FULL_SCALE_MA,
                 };
                 (self.frame(&start, out), Stage::Pairs(0))
             }

@@ -216,6 +216,8 @@ fn start(seq: u32, reader: &mut Reader<'_>) -> WindowStart {
         trajectory: u16::from(reader.u8()) * 5 / 4,
         saturated: u16::from(reader.u8()) / 16,
         lookup_version: 0,
+        v_full_scale_mv: 640_000,
+        i_full_scale_ma: 80_000,
     }
 }
 

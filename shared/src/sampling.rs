@@ -12,14 +12,23 @@ pub const ADC_LOCK_P: usize = 61;
 /// Switching periods per block, the denominator q of f_adc / f_sw.
 pub const ADC_LOCK_Q: u32 = 3;
 
-/// Half the input range of the voltage channel, in volt: code −2048 is −400 V.
-pub const V_FULL_SCALE_V: f64 = 400.0;
+/// Half the input range of the voltage channel, in millivolt: code −2048 is −640 V.
+pub const V_FULL_SCALE_MV: u32 = 640_000;
 
-/// Half the input range of the current channel, in ampere: code −2048 is −80 A.
-pub const I_FULL_SCALE_A: f64 = 80.0;
+/// Half the input range of the current channel, in milliampere: code −2048 is −80 A.
+pub const I_FULL_SCALE_MA: u32 = 80_000;
 
-/// Half the number of codes of the 12-bit ADC.
-pub const CODE_HALF_RANGE: i16 = 2048;
+/// Half the input range of the voltage channel, in volt.
+pub const V_FULL_SCALE_V: f64 = V_FULL_SCALE_MV as f64 / 1e3;
+
+/// Half the input range of the current channel, in ampere.
+pub const I_FULL_SCALE_A: f64 = I_FULL_SCALE_MA as f64 / 1e3;
+
+/// Bits of a code.
+pub const CODE_BITS: u8 = 12;
+
+/// Half the number of codes of the ADC.
+pub const CODE_HALF_RANGE: i16 = 1 << (CODE_BITS - 1);
 
 /// Largest code; a sample at this code or above is saturated.
 pub const CODE_MAX: i16 = CODE_HALF_RANGE - 1;

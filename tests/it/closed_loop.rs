@@ -98,7 +98,7 @@ fn assert_faulted(kitchen: &mut Kitchen, fault: Fault) {
     let status = kitchen.client.status().unwrap();
     assert_eq!(
         (status.state, status.fault, status.f_sw_hz),
-        (State::Faulted, fault, 0)
+        (State::LockedOut, fault, 0)
     );
     let Err(LinkError::Refused {
         outcome, detail, ..
@@ -111,7 +111,7 @@ fn assert_faulted(kitchen: &mut Kitchen, fault: Fault) {
         (Outcome::FaultActive, u32::from(fault.number()))
     );
     for t in &kitchen.watch(5)[1..] {
-        assert_eq!((t.f_sw_hz, t.state, t.fault), (0, State::Faulted, fault));
+        assert_eq!((t.f_sw_hz, t.state, t.fault), (0, State::LockedOut, fault));
     }
     kitchen.client.clear_fault().unwrap();
     assert_eq!(kitchen.client.status().unwrap().state, State::Idle);

@@ -4,15 +4,16 @@ use std::time::Duration;
 
 use ihd_link::{Client, Event, LinkError, Transport};
 use ihd_shared::fault::Fault;
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
+use ihd_shared::sampling::V_FULL_SCALE_MV;
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_raw};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
+    AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
@@ -53,7 +54,7 @@ fn a_device_says_what_it_is_and_takes_commands() {
 fn a_device_says_how_busy_it_is_since_it_was_asked_last() {
     let (mut client, link) = connected();
     link.hob().run(2);
-    let seen = client.utilisation().unwrap().unwrap();
+    let seen = client.utilisation().unwrap();
     assert!((520..540).contains(&seen.blocks), "{seen:?}");
     assert_eq!((seen.mean_permille, seen.worst_permille), (249, 249));
     assert_eq!(seen.longest_gap_us, 37);
@@ -61,65 +62,59 @@ fn a_device_says_how_busy_it_is_since_it_was_asked_last() {
     link.hob().run(1);
     link.hob().turn_every = 1;
     link.hob().run(1);
-    assert_eq!(client.utilisation().unwrap().unwrap().longest_gap_us, 750);
+    assert_eq!(client.utilisation().unwrap().longest_gap_us, 750);
     link.hob().run(1);
-    assert_eq!(client.utilisation().unwrap().unwrap().longest_gap_us, 37);
+    assert_eq!(client.utilisation().unwrap().longest_gap_us, 37);
 }
 
-/// A device of protocol 1.2: it says so, and knows neither `GetUtilisation` nor anything after.
-#[derive(Default)]
-struct Device1_2 {
-    deframer: Deframer,
-    sent: Vec<u8>,
+/// A link that swallows the device's first `FrontEnd`, which follows its hello.
+struct WithoutFirstFrontEnd {
+    link: DeskLink,
+    swallowed: bool,
 }
 
-impl Transport for Device1_2 {
+impl Transport for WithoutFirstFrontEnd {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let mut out = [0; MAX_ENCODED];
-        for &byte in bytes {
-            let Some(Ok(frame)) = self.deframer.push(byte) else {
-                continue;
-            };
-            let length = match frame.id {
-                Hello::ID => {
-                    let mut hello = desk_hello();
-                    (hello.protocol_minor, hello.schema_hash) = (2, 0x6948_75a9_1436_e731);
-                    encode(&hello, 0, &mut out)
-                }
-                to => {
-                    let outcome = Outcome::UnknownMessage;
-                    let (seq, detail) = (1, 0);
-                    encode(
-                        &Reply {
-                            to,
-                            outcome,
-                            detail,
-                        },
-                        seq,
-                        &mut out,
-                    )
-                }
-            }
-            .unwrap();
-            self.sent.extend(&out[..length]);
-        }
-        Ok(())
+        self.link.send(bytes)
     }
-    fn receive(&mut self, buf: &mut [u8], _: Duration) -> Result<usize, LinkError> {
-        let length = self.sent.len();
-        buf[..length].copy_from_slice(&std::mem::take(&mut self.sent));
-        Ok(length)
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        let length = self.link.receive(buf, timeout)?;
+        let mut sent = buf[..length].to_vec();
+        let at = |sent: &[u8]| {
+            sent.windows(3)
+                .position(|w| w[0] == 0 && w[2] == FrontEnd::ID)
+        };
+        if !self.swallowed
+            && let Some(at) = at(&sent)
+        {
+            self.swallowed = true;
+            sent.truncate(at);
+        }
+        buf[..sent.len()].copy_from_slice(&sent);
+        Ok(sent.len())
     }
     fn describe(&self) -> String {
-        "device of 1.2".into()
+        self.link.describe()
     }
 }
 
 #[test]
-fn an_older_device_that_does_not_know_its_utilisation_is_no_error() {
-    let mut client = Client::connect(Box::new(Device1_2::default())).unwrap();
-    assert_eq!(client.hello().protocol_minor, 2);
-    assert_eq!(client.utilisation().unwrap(), None);
+fn the_scales_are_known_even_where_their_first_frame_is_lost() {
+    let front_end = FrontEnd {
+        v_full_scale_mv: V_FULL_SCALE_MV,
+        i_full_scale_ma: 80_000,
+        bus_full_scale_mv: 500_000,
+        mains_full_scale_mv: 400_000,
+        bits: 12,
+    };
+    for swallowed in [true, false] {
+        let link = DeskLink::new(DeskHob::new(desk_hello()));
+        let transport = WithoutFirstFrontEnd { link, swallowed };
+        let mut client = Client::connect(Box::new(transport)).unwrap();
+        assert_eq!(client.front_end(), &front_end);
+        client.status().unwrap();
+        assert_eq!(client.counters().answers_stray, 0);
+    }
 }
 
 /// Wrong option bytes: the device runs and says so, and clearing does not let it heat.
@@ -138,7 +133,7 @@ fn a_standing_fault_is_reported_and_cannot_be_cleared() {
         let status = client.status().unwrap();
         assert_eq!(
             (status.state, status.fault),
-            (State::Faulted, Fault::OPTION_BYTES)
+            (State::LockedOut, Fault::OPTION_BYTES)
         );
         assert_eq!(
             refusal(client.set_power(1_000)),
@@ -162,7 +157,7 @@ fn another_major_is_reported_at_the_host() {
     };
     let text = error.to_string();
     assert!(matches!(error, LinkError::Mismatch { .. }), "{text}");
-    for part in ["protocol major version 2", "1 here", "desk 0.0.0", "flash"] {
+    for part in ["protocol major version 3", "2 here", "desk 0.0.0", "flash"] {
         assert!(text.contains(part), "{part:?} is missing in {text:?}");
     }
 }
@@ -256,6 +251,62 @@ fn a_good_lookup_becomes_active_at_the_half_cycle_boundary() {
     assert_eq!(client.status().unwrap().lookup_version, 3);
     assert_eq!(client.read_lookup().unwrap(), newer(3));
     client.push_lookup(&newer(4)).unwrap();
+}
+
+/// A lookup far ahead would leave no room for the next one; after a reset any low version is new.
+#[test]
+fn a_version_steps_within_bounds_and_a_reset_leads_back_to_the_prior() {
+    let (mut client, link) = connected();
+    link.hob().run(1);
+    let too_far = refusal(client.push_lookup(&newer(LOOKUP_VERSION_STEP + 1)));
+    assert_eq!(too_far, (Outcome::LookupStep, LOOKUP_VERSION_STEP));
+    let too_far = refusal(client.push_lookup(&newer(u32::MAX)));
+    assert_eq!(too_far, (Outcome::LookupStep, LOOKUP_VERSION_STEP));
+    client.push_lookup(&newer(LOOKUP_VERSION_STEP)).unwrap();
+    link.hob().run(1);
+    let changes = link.hob().housekeeping().lookup_changes();
+    client.reset_lookup().unwrap();
+    assert_eq!(refusal(client.reset_lookup()).0, Outcome::Busy);
+    link.hob().run(1);
+    assert_eq!(client.read_lookup().unwrap(), prior());
+    // The board keeps it in flash when it sees this.
+    assert_eq!(link.hob().housekeeping().lookup_changes(), changes + 1);
+    client.push_lookup(&newer(1)).unwrap();
+    link.hob().run(1);
+    assert_eq!(client.read_lookup().unwrap(), newer(1));
+}
+
+/// A reset that was kept is no lookup of an older build.
+#[test]
+fn what_was_kept_of_version_zero_is_this_builds_prior() {
+    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut older = newer(0);
+    older.r[0][0] += 1;
+    link.hob().housekeeping_mut().restore(older);
+    assert_eq!(link.hob().housekeeping().lookup(), &prior());
+    link.hob().housekeeping_mut().restore(newer(4));
+    assert_eq!(link.hob().housekeeping().lookup(), &newer(4));
+}
+
+#[test]
+fn settings_outside_their_range_change_nothing() {
+    let (mut client, link) = connected();
+    let set = |give_up_s, dither_permille| Configure {
+        give_up_s,
+        dither_permille,
+    };
+    assert_eq!(link.hob().housekeeping().settings(), &Configure::DEFAULT);
+    for good in [set(60, 0), set(600, 10)] {
+        client.configure(&good).unwrap();
+        assert_eq!(link.hob().housekeeping().settings(), &good);
+    }
+    for (bad, field) in [(set(59, 0), 0), (set(601, 11), 0), (set(60, 11), 1)] {
+        assert_eq!(
+            refusal(client.configure(&bad)),
+            (Outcome::OutOfRange, field)
+        );
+        assert_eq!(link.hob().housekeeping().settings(), &set(600, 10));
+    }
 }
 
 #[test]

@@ -12,10 +12,11 @@ use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, decode, encode_raw};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, FaultEvent, GetStatus, GetUtilisation, Hello, LookupBlob, MESSAGES,
-    Message, Outcome, Pot, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates,
-    ReplayMode, ReplayStart, Reply, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry,
-    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, ClearFault, Configure, FaultEvent, FrontEnd, GetFrontEnd, GetStatus,
+    GetUtilisation, Hello, Limit, LookupBlob, MESSAGES, Message, Outcome, Pot, PushLookup, Raw,
+    ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply,
+    ResetLookup, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrajectoryChunk,
+    Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
@@ -94,6 +95,12 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
         }),
         AnyMessage::ReplayEnd(ReplayEnd {}),
         AnyMessage::GetUtilisation(GetUtilisation {}),
+        AnyMessage::ResetLookup(ResetLookup {}),
+        AnyMessage::Configure(Configure {
+            give_up_s: 420,
+            dither_permille: 9,
+        }),
+        AnyMessage::GetFrontEnd(GetFrontEnd {}),
         AnyMessage::Reply(Reply {
             to: 5,
             outcome: Outcome::LookupStale,
@@ -113,6 +120,8 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             trajectory: 174,
             saturated: 3,
             lookup_version: 7,
+            v_full_scale_mv: 640_001,
+            i_full_scale_ma: 80_002,
         }),
         AnyMessage::WindowChunk(WindowChunk {
             seq: 77,
@@ -147,6 +156,13 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             worst_permille: 601,
             longest_gap_us: 19_876,
         }),
+        AnyMessage::FrontEnd(FrontEnd {
+            v_full_scale_mv: 640_001,
+            i_full_scale_ma: 80_002,
+            bus_full_scale_mv: 500_003,
+            mains_full_scale_mv: 400_004,
+            bits: 12,
+        }),
     ]
 }
 
@@ -166,6 +182,14 @@ fn status() -> Status {
         frames_bad: 504,
         frames_lost: 605,
         saturated_pairs: 706,
+        limit: Limit::Temperature,
+        tries_left: 3,
+        heat_sink_c: 86,
+        glass_c: 251,
+        coil_c: -300,
+        fan: true,
+        panel_level: 8,
+        key_locked: true,
     }
 }
 
@@ -184,6 +208,11 @@ fn telemetry() -> Telemetry {
         power_mw: 1_499_999,
         phase_mrad: -345,
         lookup_version: 7,
+        asked_w: 1_800,
+        limit: Limit::CoilVoltage,
+        bus_peak_dv: 3_251,
+        v_coil_peak_dv: 5_432,
+        i_turn_off_min_ma: -1_250,
     }
 }
 
@@ -342,7 +371,7 @@ fn the_longest_of_every_message_fits_a_frame() {
             }
             AnyMessage::WindowChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
             AnyMessage::TrajectoryChunk(m) => (m.seq, m.offset) = (u32::MAX, u16::MAX),
-            // Integers only, at most 14 of at most 5 bytes: far below a frame.
+            // Integers only, at most 22 of at most 5 bytes: far below a frame.
             _ => {}
         }
         assert!(framed(message, u16::MAX).len() <= MAX_ENCODED);

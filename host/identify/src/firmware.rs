@@ -8,7 +8,7 @@ use ihd_firmware::demod::{Demodulator, correlate};
 use ihd_firmware::ekf::{Ekf, Noise};
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::sampling::ADC_LOCK_P;
+use ihd_shared::sampling::{ADC_LOCK_P, I_FULL_SCALE_A, V_FULL_SCALE_V};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_signal::Segment;
 use ihd_signal::SegmentError;
@@ -74,7 +74,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     }
     if saturated > 0 {
         estimate.notes.push(format!(
-            "{saturated} sample pairs beyond the ADC's ±400 V and ±80 A"
+            "{saturated} sample pairs beyond the ADC's ±{V_FULL_SCALE_V} V and ±{I_FULL_SCALE_A} A"
         ));
     }
     if at_bound {

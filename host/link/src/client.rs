@@ -6,8 +6,9 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
 use ihd_shared::wire::messages::{
-    ClearFault, GetStatus, GetUtilisation, Hello, Message, Outcome, PushLookup, Raw, ReadLookup,
-    Reply, SetPower, Status, Stream, Utilisation,
+    ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
+    Outcome, PushLookup, Raw, ReadLookup, Reply, ResetLookup, SetPower, Status, Stream,
+    Utilisation,
 };
 
 use super::incoming::{Answer, Event, Incoming};
@@ -30,6 +31,7 @@ pub struct Client {
     transport: Box<dyn Transport>,
     incoming: Incoming,
     hello: Hello,
+    front_end: FrontEnd,
     frame_seq: u16,
     timeout: Duration,
     /// An answer stayed away and may still come.
@@ -52,6 +54,14 @@ impl Client {
             transport,
             incoming: Incoming::default(),
             hello: ours.clone(),
+            // Before the device has told.
+            front_end: FrontEnd {
+                v_full_scale_mv: 0,
+                i_full_scale_ma: 0,
+                bus_full_scale_mv: 0,
+                mains_full_scale_mv: 0,
+                bits: 0,
+            },
             frame_seq: 0,
             timeout: DEFAULT_TIMEOUT,
             owed: false,
@@ -70,7 +80,25 @@ impl Client {
         // What came before the hello was for somebody else.
         client.incoming.events.clear();
         client.hello = theirs;
+        client.front_end = client.await_front_end()?;
         Ok(client)
+    }
+
+    /// The device sends it behind its hello; asked for where that frame was lost.
+    fn await_front_end(&mut self) -> Result<FrontEnd, LinkError> {
+        let wanted = |answer| match answer {
+            Answer::FrontEnd(front_end) => Some(front_end),
+            _ => None,
+        };
+        match self.await_answer(GetFrontEnd::ID, "GetFrontEnd", LATE, wanted) {
+            Err(LinkError::NoAnswer { .. }) => self.ask(&GetFrontEnd {}, "GetFrontEnd", wanted),
+            answer => answer,
+        }
+    }
+
+    /// What the codes of the device's channels stand for.
+    pub fn front_end(&self) -> &FrontEnd {
+        &self.front_end
     }
 
     /// How the device describes itself.
@@ -147,28 +175,19 @@ impl Client {
         })
     }
 
-    /// How busy the controller was since this was asked last; `None` from a device older than
-    /// protocol 1.3, which does not know the question.
+    /// How busy the controller was since this was asked last.
     ///
     /// # Errors
     /// As every command.
-    pub fn utilisation(&mut self) -> Result<Option<Utilisation>, LinkError> {
-        let answer = self.ask(
+    pub fn utilisation(&mut self) -> Result<Utilisation, LinkError> {
+        self.ask(
             &GetUtilisation {},
             "GetUtilisation",
             |answer| match answer {
                 Answer::Utilisation(utilisation) => Some(utilisation),
                 _ => None,
             },
-        );
-        match answer {
-            Ok(utilisation) => Ok(Some(utilisation)),
-            Err(LinkError::Refused {
-                outcome: Outcome::UnknownMessage,
-                ..
-            }) => Ok(None),
-            Err(error) => Err(error),
-        }
+        )
     }
 
     /// Offers a lookup. Taken, it becomes active at the next half-cycle boundary, which
@@ -201,6 +220,22 @@ impl Client {
             device: self.describe(),
             source,
         })
+    }
+
+    /// Back to the built-in lookup, version 0, at the next half-cycle boundary.
+    ///
+    /// # Errors
+    /// As every command.
+    pub fn reset_lookup(&mut self) -> Result<(), LinkError> {
+        self.order(&ResetLookup {}, "ResetLookup")
+    }
+
+    /// Changes the device's settings until its next boot.
+    ///
+    /// # Errors
+    /// [`LinkError::Refused`] when one is outside its range, else as every command.
+    pub fn configure(&mut self, settings: &Configure) -> Result<(), LinkError> {
+        self.order(settings, "Configure")
     }
 
     /// Leaves the safe state after a fault; power must be asked for again.
@@ -254,16 +289,27 @@ impl Client {
         self.frame_seq = self.frame_seq.wrapping_add(1);
         self.transport.send(&frame[..length])?;
         self.tap.give(self.transport.clock(), &frame[..length]);
+        self.await_answer(M::ID, command, self.timeout, wanted)
+    }
+
+    /// The answer to the command of number `id`, as `wanted` knows it.
+    fn await_answer<T>(
+        &mut self,
+        id: u8,
+        command: &'static str,
+        timeout: Duration,
+        wanted: impl Fn(Answer) -> Option<T>,
+    ) -> Result<T, LinkError> {
         let start = self.transport.clock();
         // Faults of the link seen so far do not explain a missing answer to this command.
         let before = self.incoming.counters();
         loop {
             while let Some(answer) = self.incoming.answers.pop_front() {
                 if let Answer::Reply(reply) = &answer
-                    && reply.to == M::ID
+                    && reply.to == id
                     && reply.outcome != Outcome::Ok
                     // A device that refuses our hello sends its own first, which shows why.
-                    && M::ID != Hello::ID
+                    && id != Hello::ID
                 {
                     return Err(LinkError::Refused {
                         command,
@@ -277,7 +323,7 @@ impl Client {
                 }
             }
             let waited = self.transport.clock().saturating_sub(start);
-            let left = self.timeout.saturating_sub(waited);
+            let left = timeout.saturating_sub(waited);
             if left.is_zero() || self.receive(left)? == 0 {
                 self.owed = true;
                 return Err(self.no_answer(command, &before));

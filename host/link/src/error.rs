@@ -152,6 +152,21 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
             "{} runs the wrong way with frequency or current by more than 4 %",
             cell(detail)
         ),
+        Outcome::LockedOut => {
+            let fault = u16::try_from(detail).map_or(Fault::NONE, Fault::from_number);
+            format!("it stays off until a person switches its power off and on: {fault}")
+        }
+        Outcome::LookupStep => {
+            format!(
+                "too many versions ahead: it takes up to {detail}, or any low one after a reset"
+            )
+        }
+        Outcome::PanelOff => {
+            "it was switched off at its panel, which the host cannot override".into()
+        }
+        Outcome::OutOfRange => {
+            format!("field {detail} of the message is outside its range; nothing was changed")
+        }
         Outcome::Busy => "a lookup is already waiting for its half-cycle; try again".into(),
     }
 }

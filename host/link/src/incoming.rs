@@ -5,7 +5,8 @@ use std::collections::VecDeque;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Hello, ReplayMode, Reply, Status, Telemetry, Utilisation,
+    AnyMessage, DecodeError, FaultEvent, FrontEnd, Hello, ReplayMode, Reply, Status, Telemetry,
+    Utilisation,
 };
 
 use super::Counters;
@@ -39,6 +40,8 @@ pub enum Answer {
     Reply(Reply),
     /// The controller now.
     Status(Status),
+    /// What the codes of the device's channels stand for.
+    FrontEnd(FrontEnd),
     /// How busy the controller was.
     Utilisation(Utilisation),
     /// The active lookup's bytes.
@@ -90,6 +93,7 @@ impl Incoming {
             Ok(AnyMessage::Hello(m)) => self.answers.push_back(Answer::Hello(m)),
             Ok(AnyMessage::Reply(m)) => self.answers.push_back(Answer::Reply(m)),
             Ok(AnyMessage::Status(m)) => self.answers.push_back(Answer::Status(m)),
+            Ok(AnyMessage::FrontEnd(m)) => self.answers.push_back(Answer::FrontEnd(m)),
             Ok(AnyMessage::Utilisation(m)) => self.answers.push_back(Answer::Utilisation(m)),
             Ok(AnyMessage::LookupBlob(m)) => {
                 self.answers.push_back(Answer::Lookup(m.blob.0.to_vec()));
@@ -127,6 +131,9 @@ impl Incoming {
                 | AnyMessage::GetUtilisation(_)
                 | AnyMessage::PushLookup(_)
                 | AnyMessage::ReadLookup(_)
+                | AnyMessage::ResetLookup(_)
+                | AnyMessage::Configure(_)
+                | AnyMessage::GetFrontEnd(_)
                 | AnyMessage::ClearFault(_)
                 | AnyMessage::ReplayStart(_)
                 | AnyMessage::ReplayBlocks(_)

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use ihd_shared::fault::Fault;
+use ihd_shared::lookup::LOOKUP_VERSION_STEP;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
@@ -66,7 +67,7 @@ no frame, counts them, and is in step again at the next zero.
 | `u8`, enumeration | one byte |
 | `bool` | one byte, 0 or 1 |
 | `u16`, `u32`, `u64`, `Fault` | varint |
-| `i16` | zigzag varint |
+| `i16`, `i32` | zigzag varint |
 | `MicroOhm`, `PicoHenry` | `i32` in that unit, zigzag varint |
 | `Raw`, `String<N>` | length as varint, then the bytes; a string is UTF-8 of at most N bytes |
 
@@ -75,7 +76,7 @@ no frame, counts them, and is in step again at the next zero.
 The host sends `Hello`, the device answers with its own, and both check: the magic word, opposite
 roles, the same major version, and the same schema hash where the minor version agrees. A device that
 does not fit answers `Reply` to `Hello` with `NotPaired`, and so to every later command; the host ends
-with the reason. A hello makes the device silent: it forgets what was queued, and streams nothing until
+with the reason. A device that fits sends `FrontEnd` behind its hello. A hello makes the device silent: it forgets what was queued, and streams nothing until
 `Stream` asks for it.
 
 ## Evolution
@@ -85,9 +86,11 @@ included, raises the major version. `Hello` is frozen for ever. `tests/wire_gold
 message's bytes.
 
 The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
-given another meaning: an older host keeps the whole message and shows the number. A host of 1.1 does not
-yet: there a fault was an enumeration of 0 to 10, the same bytes, and it drops messages that carry a higher
-one.
+given another meaning: an older host keeps the whole message and shows the number.
+
+What 2.0 changed: windows carry their scales and the device tells those of its channels (`FrontEnd`),
+where 1.x meant ±400 V and ±80 A; states, `Limit`, temperatures and panel; a lookup can be reset, and a
+version steps by at most {LOOKUP_VERSION_STEP}. A recording of 1.x is still read.
 
 ## Windows
 
@@ -109,8 +112,8 @@ dropped.
 Little-endian, {LEN} bytes. {FREQUENCIES} frequencies × {CURRENTS} currents, cell index =
 frequency · {CURRENTS} + current; R in 16 ohm / 65536, L in 64 µH / 65536. Bit `cell % 8` of observed
 byte `cell / 8` is set where the cell rests on observations. The CRC-32 covers all before it. A device
-takes a lookup whose version is above its own and whose cells are plausible, at the next half-cycle
-boundary.
+takes a lookup whose version is above its own by at most {LOOKUP_VERSION_STEP} and whose cells are plausible, at
+the next half-cycle boundary. `ResetLookup` leads back to the built-in one, version 0.
 "
     )
 }

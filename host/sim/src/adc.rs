@@ -90,7 +90,7 @@ impl Adc {
 
 #[cfg(test)]
 mod tests {
-    use ihd_shared::sampling::{CODE_MAX, CODE_MIN};
+    use ihd_shared::sampling::{CODE_MAX, CODE_MIN, I_FULL_SCALE_A, V_FULL_SCALE_V};
 
     use super::*;
 
@@ -98,7 +98,7 @@ mod tests {
     fn codes_round_and_saturate() {
         let mut adc = Adc::new(Noise::default(), 0);
         assert_eq!(
-            adc.convert(400.0, -80.0),
+            adc.convert(V_FULL_SCALE_V, -I_FULL_SCALE_A),
             Pair {
                 v: CODE_MAX,
                 i: CODE_MIN

@@ -87,7 +87,7 @@ impl Default for HobConfig {
             anti_alias_hz: 500e3,
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
-                v_v: 0.1,
+                v_v: 0.16,
                 i_a: 0.02,
             },
             seed: 1,

@@ -1,7 +1,7 @@
 //! The slow ADC: bus and mains voltage, once a block, as the board's third converter reads them.
 
-use ihd_firmware::mains::BUS_DV_FULL_SCALE;
-use ihd_shared::sampling::{CODE_MAX, CODE_MIN, VOLT_PER_CODE};
+use ihd_firmware::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_V};
+use ihd_shared::sampling::{CODE_HALF_RANGE, CODE_MAX, CODE_MIN};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -33,9 +33,10 @@ impl SlowAdc {
         code.round().clamp(0.0, BUS_CODES - 1.0) as u16
     }
 
-    /// Code of the mains voltage, on the range of the coil's voltage.
+    /// Code of the mains voltage.
     pub fn mains(&mut self, mains_v: f64) -> i32 {
-        let code = (mains_v / VOLT_PER_CODE + self.noise()).round();
+        let code =
+            (mains_v / MAINS_FULL_SCALE_V * f64::from(CODE_HALF_RANGE) + self.noise()).round();
         code.clamp(f64::from(CODE_MIN), f64::from(CODE_MAX)) as i32
     }
 

@@ -22,6 +22,10 @@ pub const HENRY_PER_CODE: f64 = 64e-6 / 65_536.0;
 /// Bytes of the observed-cell bitmap.
 pub const OBSERVED_BYTES: usize = CELLS.div_ceil(8);
 
+/// How far above the active version a new one may be: one of 2³² − 1, whatever is in it, would leave no
+/// room for a later one.
+pub const LOOKUP_VERSION_STEP: u32 = 1_000;
+
 /// One lookup. Cells are indexed `[frequency][current]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RlLookup {

@@ -1,5 +1,7 @@
 //! The message table: ids, layouts and meanings. docs/protocol.md is generated from it.
 
+use core::ops::RangeInclusive;
+
 use heapless::String;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -38,8 +40,39 @@ wire_enum! {
         Probing = 1,
         /// Regulating power.
         Heating = 2,
-        /// Inverter off because of a fault; `ClearFault` leaves it.
-        Faulted = 3,
+        /// Inverter off for good: its tries are used up, or the controller itself is faulty. A person
+        /// switches off and on.
+        LockedOut = 3,
+        /// No suitable pot; looks for one from time to time.
+        WaitingForPot = 4,
+        /// Inverter off after a trip, or without good mains; starts again by itself.
+        Pausing = 5,
+    }
+}
+
+wire_enum! {
+    /// What holds the power below what was asked for.
+    pub enum Limit {
+        /// Nothing: it is what was asked for, or the inverter is off.
+        None = 0,
+        /// An end of the frequency range.
+        Frequency = 1,
+        /// The coil current's crest.
+        Current = 2,
+        /// The coil voltage's crest.
+        CoilVoltage = 3,
+        /// Nearness of the tank's resonance.
+        Resonance = 4,
+        /// The current that is left at a turn-off, which has to turn the bridge's node over.
+        SoftSwitching = 5,
+        /// A pot too small for more.
+        SmallPot = 6,
+        /// A temperature.
+        Temperature = 7,
+        /// Mains too low.
+        Mains = 8,
+        /// The panel's level.
+        Panel = 9,
     }
 }
 
@@ -91,6 +124,15 @@ wire_enum! {
         LookupNotMonotone = 12,
         /// A lookup is already waiting for its half-cycle boundary; try again.
         Busy = 13,
+        /// The inverter is off until a person switches off and on; `detail` is the fault's number.
+        LockedOut = 14,
+        /// Lookup too many versions ahead of the active one; `detail` is the highest accepted.
+        LookupStep = 15,
+        /// Switched off at the panel, which a host cannot override.
+        PanelOff = 16,
+        /// A setting outside its range, and none was changed; `detail` is the field's place in its
+        /// message, from 0.
+        OutOfRange = 17,
     }
 }
 
@@ -233,8 +275,21 @@ message_table! { 'a;
     }
     /// Leaves replay mode; power must be asked for again. Answered by `ReplayMode`.
     0x0a "to device" ReplayEnd {}
-    /// Asks for a `Utilisation`; since protocol 1.3.
+    /// Asks for a `Utilisation`.
     0x0b "to device" GetUtilisation {}
+    /// Back to the built-in lookup, version 0, which is kept like any other. Answered by `Reply`; it
+    /// becomes active at the next half-cycle boundary, seen in `Status`.
+    0x0c "to device" ResetLookup {}
+    /// Settings, kept until the next boot. Answered by `Reply`.
+    0x0d "to device" Configure {
+        /// How long the device looks for a pot before it gives up, in seconds: 60 to 600.
+        give_up_s: u16,
+        /// How far the switching frequency is moved to either side from half-cycle to half-cycle, in
+        /// permille: 0 (not at all) to 10. Never within a window.
+        dither_permille: u8,
+    }
+    /// Asks for a `FrontEnd`.
+    0x0e "to device" GetFrontEnd {}
     /// Answer to every command that has no answer of its own.
     0x80 "from device" Reply {
         /// Id of the command.
@@ -274,6 +329,22 @@ message_table! { 'a;
         frames_lost: u32,
         /// Sample pairs at the end of the ADC's range.
         saturated_pairs: u32,
+        /// What holds the power below what was asked for.
+        limit: Limit,
+        /// Restarts left after a trip before the inverter stays off.
+        tries_left: u8,
+        /// Heat sink, in °C; −300 without a sensor.
+        heat_sink_c: i16,
+        /// Glass, in °C; −300 without a sensor.
+        glass_c: i16,
+        /// Coil, in °C; −300 without a sensor.
+        coil_c: i16,
+        /// Whether the fan runs.
+        fan: bool,
+        /// Level chosen at the panel, 0 to 9; 255 where no panel was ever touched.
+        panel_level: u8,
+        /// Whether the panel's keys are locked.
+        key_locked: bool,
     }
     /// One half-cycle in numbers.
     0x82 "from device" Telemetry {
@@ -304,6 +375,17 @@ message_table! { 'a;
         phase_mrad: i16,
         /// Version of the active lookup.
         lookup_version: u32,
+        /// Power asked for, in watt.
+        asked_w: u16,
+        /// What holds the power below what was asked for.
+        limit: Limit,
+        /// Highest bus voltage of the half-cycle, in decivolt.
+        bus_peak_dv: u16,
+        /// Largest coil voltage of the half-cycle's samples, in decivolt; that of the fundamental where
+        /// no sample is known.
+        v_coil_peak_dv: u16,
+        /// Smallest current at a turn-off, in milliampere; negative where it flows the wrong way.
+        i_turn_off_min_ma: i32,
     }
     /// Begins a window ([`crate::window`]).
     0x83 "from device" WindowStart {
@@ -329,6 +411,10 @@ message_table! { 'a;
         saturated: u16,
         /// Version of the lookup that was active.
         lookup_version: u32,
+        /// Half the input range of the voltage channel, in millivolt: what code −2048 stands for.
+        v_full_scale_mv: u32,
+        /// Half the input range of the current channel, in milliampere.
+        i_full_scale_ma: u32,
     }
     /// A run of a window's pairs.
     0x84 "from device" WindowChunk<'a> {
@@ -398,10 +484,58 @@ message_table! { 'a;
         /// watchdog, in microseconds.
         longest_gap_us: u32,
     }
+    /// What the codes of the device's channels stand for. Sent on `GetFrontEnd`, and by itself after each
+    /// `Hello` of a host that fits.
+    0x8c "from device" FrontEnd {
+        /// Half the input range of the coil voltage's channel, in millivolt.
+        v_full_scale_mv: u32,
+        /// Half the input range of the coil current's channel, in milliampere.
+        i_full_scale_ma: u32,
+        /// Largest bus voltage that can be told, in millivolt; its channel begins at 0.
+        bus_full_scale_mv: u32,
+        /// Half the input range of the mains voltage's channel, in millivolt.
+        mains_full_scale_mv: u32,
+        /// Bits of a code.
+        bits: u8,
+    }
 }
 
+impl Configure {
+    /// What a device begins with: five minutes, and a frequency that stays.
+    pub const DEFAULT: Self = Self {
+        give_up_s: 300,
+        dither_permille: 0,
+    };
+
+    /// Accepted values of [`Configure::give_up_s`].
+    pub const GIVE_UP_S: RangeInclusive<u16> = 60..=600;
+
+    /// Accepted values of [`Configure::dither_permille`].
+    pub const DITHER_PERMILLE: RangeInclusive<u8> = 0..=10;
+
+    /// Whether every setting is within its range.
+    ///
+    /// # Errors
+    /// The place of the first field that is not, as [`Outcome::OutOfRange`] tells it.
+    pub fn check(&self) -> Result<(), u32> {
+        if !Self::GIVE_UP_S.contains(&self.give_up_s) {
+            return Err(0);
+        }
+        if !Self::DITHER_PERMILLE.contains(&self.dither_permille) {
+            return Err(1);
+        }
+        Ok(())
+    }
+}
+
+/// What a temperature of [`Status`] holds where no sensor is fitted.
+pub const NO_SENSOR_C: i16 = -300;
+
+/// What [`Status::panel_level`] holds where no panel was ever touched.
+pub const NO_PANEL: u8 = u8::MAX;
+
 /// Every enumeration that messages use.
-pub const ENUMS: &[Entry] = &[State::ENTRY, Pot::ENTRY, Outcome::ENTRY];
+pub const ENUMS: &[Entry] = &[State::ENTRY, Limit::ENTRY, Pot::ENTRY, Outcome::ENTRY];
 
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they
 /// are open ([`crate::fault`]).

@@ -13,7 +13,7 @@ pub mod schema;
 pub mod timing;
 
 /// Raised by any change of an existing message.
-pub const PROTOCOL_MAJOR: u16 = 1;
+pub const PROTOCOL_MAJOR: u16 = 2;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 3;
+pub const PROTOCOL_MINOR: u16 = 0;

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use ihd_firmware::drive;
+use ihd_firmware::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::Adc;
 use ihd_sim::hob::HobConfig;
@@ -13,9 +14,6 @@ use crate::usb::host::HostController;
 
 /// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
 const BUS_RANGE_V: f64 = 500.0;
-
-/// Volt of the mains over half the range (docs/board.md: PB0).
-const MAINS_HALF_RANGE_V: f64 = 400.0;
 
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
@@ -43,7 +41,7 @@ impl Sample {
             (1, 1) => from_middle(self.pair.v),
             (2, 2) => from_middle(self.pair.i),
             (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES),
-            (3, 12) => code(MIDDLE + self.mains_v / MAINS_HALF_RANGE_V * MIDDLE),
+            (3, 12) => code(MIDDLE + self.mains_v / MAINS_FULL_SCALE_V * MIDDLE),
             // A pin that nothing is wired to.
             _ => 0,
         }

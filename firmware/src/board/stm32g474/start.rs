@@ -56,7 +56,7 @@ struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     led: Led,
     heartbeat: Heartbeat,
-    kept_version: u32,
+    kept_changes: u32,
 }
 
 #[cortex_m_rt::entry]
@@ -148,7 +148,7 @@ fn start(
         watchdog,
         led,
         heartbeat: Heartbeat::default(),
-        kept_version: housekeeping.lookup().version,
+        kept_changes: housekeeping.lookup_changes(),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);
@@ -278,9 +278,10 @@ impl Board {
         if blocks == RAN_WELL {
             crash::ran_well();
         }
-        let version = housekeeping.lookup().version;
-        if version != self.kept_version && housekeeping.control().state() == State::Idle {
-            self.kept_version = version;
+        // Not its version, which returns after a reset.
+        let changes = housekeeping.lookup_changes();
+        if changes != self.kept_changes && housekeeping.control().state() == State::Idle {
+            self.kept_changes = changes;
             TO_KEEP.signal(housekeeping.lookup().clone());
         }
     }

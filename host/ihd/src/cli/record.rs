@@ -187,7 +187,7 @@ impl RecordArgs {
         }
         client.stream(0, 0)?;
         while client.next_event(LOOK_EVERY)?.is_some() {}
-        Ok((client.status()?, used))
+        Ok((client.status()?, Some(used)))
     }
 
     fn print(&self, r: &Report) -> Result<()> {

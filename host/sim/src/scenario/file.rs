@@ -43,6 +43,12 @@ pub struct ScenarioFile {
     /// Noise of the fast channels; without it half a code.
     #[serde(default)]
     pub noise: Option<NoiseField>,
+    /// How long the device looks for a pot, in seconds; without it the device's default.
+    #[serde(default, deserialize_with = "number::some_give_up_s")]
+    pub give_up_s: Option<f64>,
+    /// How far the frequency is moved from half-cycle to half-cycle, in permille; without it not at all.
+    #[serde(default, deserialize_with = "number::some_permille")]
+    pub dither_permille: Option<f64>,
     /// What happens, in any order.
     #[serde(default)]
     pub event: Vec<Spanned<EventField>>,
@@ -174,6 +180,8 @@ pub enum HostWord {
     ClearFaultEvery,
     /// Pushes a lookup from `file`, or one of a constant `r_ohm` and `l_uh`.
     PushLookup,
+    /// Sends the device back to its built-in lookup.
+    ResetLookup,
     /// Asks for `power_w` again and again, every `every_s`; with `toggle` for 0 in between.
     SetPowerEvery,
 }

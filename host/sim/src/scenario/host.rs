@@ -3,7 +3,9 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
-use ihd_shared::wire::messages::{ClearFault, GetStatus, Message, PushLookup, Raw, SetPower};
+use ihd_shared::wire::messages::{
+    ClearFault, Configure, GetStatus, Message, PushLookup, Raw, ResetLookup, SetPower,
+};
 
 use super::timeline::Repeated;
 use crate::hob::SimHob;
@@ -68,6 +70,14 @@ impl Host {
     pub(super) fn push_lookup(&mut self, hob: &mut SimHob, lookup: &RlLookup) {
         let bytes = lookup.to_bytes();
         self.send(hob, &PushLookup { blob: Raw(&bytes) });
+    }
+
+    pub(super) fn reset_lookup(&mut self, hob: &mut SimHob) {
+        self.send(hob, &ResetLookup {});
+    }
+
+    pub(super) fn configure(&mut self, hob: &mut SimHob, settings: &Configure) {
+        self.send(hob, settings);
     }
 
     /// Nothing more, until told otherwise.

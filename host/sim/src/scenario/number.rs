@@ -45,5 +45,6 @@ numbers! {
     corner_hz some_corner_hz 0.0 1e7 "0 (none), or up to 10 MHz";
     noise_v some_noise_v 0.0 400.0 "0 to 400 V";
     noise_a some_noise_a 0.0 80.0 "0 to 80 A";
-    permille some_permille 0.0 50.0 "0 to 50 permille";
+    permille some_permille 0.0 10.0 "0 to 10 permille";
+    give_up_s some_give_up_s 60.0 600.0 "60 to 600 s";
 }

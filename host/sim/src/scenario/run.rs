@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::State;
+use ihd_shared::wire::messages::{Configure, State};
 
 use super::ScenarioError;
 use super::file::{MainsField, Scenario};
@@ -82,7 +82,19 @@ impl Run {
             ..usual
         };
         let mut hob = SimHob::assemble(&config)?;
-        let host = Host::new(&mut hob);
+        let mut host = Host::new(&mut hob);
+        if file.give_up_s.is_some() || file.dither_permille.is_some() {
+            let usual = Configure::DEFAULT;
+            host.configure(
+                &mut hob,
+                &Configure {
+                    give_up_s: file.give_up_s.map_or(usual.give_up_s, |s| s as u16),
+                    dither_permille: file
+                        .dither_permille
+                        .map_or(usual.dither_permille, |p| p as u8),
+                },
+            );
+        }
         Ok(Self {
             hob,
             host,
@@ -145,6 +157,7 @@ impl Run {
             }
             Change::Silent => host.fall_silent(),
             Change::ClearFault => host.clear_fault(hob),
+            Change::ResetLookup => host.reset_lookup(hob),
             Change::PushLookup(lookup) => host.push_lookup(hob, lookup),
             Change::Repeat {
                 what,
@@ -214,9 +227,9 @@ impl Run {
     }
 
     fn finish(self, duration_s: f64) -> Record {
-        let faulted = self.hob.housekeeping().control().state() == State::Faulted;
+        let locked = self.hob.housekeeping().control().state() == State::LockedOut;
         let mut summary = summary::of(&self.half_cycles, &self.marks, duration_s);
-        summary.latched = faulted && self.host.asked_w() > 0;
+        summary.latched = locked && self.host.asked_w() > 0;
         summary.energy_j = self.energy_j;
         summary.watchdog_bites = self.hob.watchdog_bites();
         Record {

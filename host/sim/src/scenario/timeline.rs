@@ -31,6 +31,8 @@ pub enum Change {
     Silent,
     /// The host clears the fault.
     ClearFault,
+    /// The host sends the device back to its built-in lookup.
+    ResetLookup,
     /// The host pushes a lookup.
     PushLookup(Box<RlLookup>),
     /// The host sends the same every so many seconds, until a time in seconds.
@@ -177,6 +179,7 @@ impl Changes<'_> {
             },
             Some(HostWord::Silent) => Change::Silent,
             Some(HostWord::ClearFault) => Change::ClearFault,
+            Some(HostWord::ResetLookup) => Change::ResetLookup,
             Some(HostWord::ClearFaultEvery) => Change::Repeat {
                 what: Repeated::ClearFault,
                 every_s: every_s()?,

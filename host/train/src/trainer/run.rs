@@ -113,7 +113,7 @@ pub fn run(
     let outcome = run.all_points();
     if outcome.is_ok() {
         run.report.status = run.device.client.status()?;
-        run.report.utilisation = run.device.client.utilisation()?;
+        run.report.utilisation = Some(run.device.client.utilisation()?);
     }
     let off = run.device.finish();
     outcome?;

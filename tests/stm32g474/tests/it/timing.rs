@@ -103,7 +103,7 @@ fn the_load_that_it_reports_is_the_load_that_it_has() {
     let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
     let (mean, worst) = cycles(&bench, 0.1);
     let (mean, worst) = (mean / block_cycles(f_sw_hz), worst / block_cycles(f_sw_hz));
-    let told = client.utilisation().unwrap().expect("protocol 1.3");
+    let told = client.utilisation().unwrap();
     println!(
         "{told:?}; from outside {:.1} % and {:.1} %",
         mean * 100.0,
