@@ -74,6 +74,11 @@ impl Housekeeping {
         &self.active
     }
 
+    /// The last half-cycle's summary.
+    pub fn summary(&self) -> &Summary {
+        &self.last
+    }
+
     /// How often another lookup became active since boot: who keeps it sees from this when. Its version
     /// may return after a reset.
     pub fn lookup_changes(&self) -> u32 {
