@@ -177,6 +177,7 @@ impl SimHob {
             pairs: &pairs,
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
             bus_dv: bus_dv(self.injections.on_bus(bus_code)),
+            dc_link_ma: None,
             lost: self.lost,
         };
         let drive = if self.injections.on_block() {
@@ -220,23 +221,6 @@ impl SimHob {
                 truth.i_a.push(point.i_a);
             }
             k += 1;
-<<<<<<< HEAD
-        });
-        let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
-        let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
-        let block = Block {
-            pairs: &pairs,
-            zero_crossing: self.zero_crossing.on_block(mains_code),
-            bus_dv: bus_dv(self.slow_adc.bus(mains.bus_v(end_s))),
-            dc_link_ma: None,
-            lost: 0,
-        };
-        let drive = self.realtime.on_block(&block);
-        self.plant.set_drive(drive);
-        let since_s = end_s - f64::from(self.truth.half_cycle) * half_s;
-        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
-            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
-=======
         })
     }
 
@@ -251,7 +235,6 @@ impl SimHob {
         } else if t_s - self.fed_s > WATCHDOG_S {
             self.watchdog_bites += 1;
             self.fed_s = t_s;
->>>>>>> sim
         }
     }
 
