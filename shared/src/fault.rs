@@ -96,6 +96,38 @@ fault_table! {
     OPTION_BYTES = 16 "OptionBytes":
         "the controller's option bytes are wrong (one flash bank, or RAM parity off); set DBANK=1 and \
          SRAM_PE=0 with a debug probe (docs/board.md), then reset it";
+    /// Coil voltage, coil current and bus voltage contradict each other.
+    BRIDGE_BALANCE = 17 "BridgeBalance":
+        "coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the \
+         three sensors";
+    /// A channel's mean over whole periods is not zero.
+    SENSOR_OFFSET = 18 "SensorOffset":
+        "coil voltage or current has an offset, which the capacitor allows none of; check the sensor";
+    /// The samples repeat themselves to the last bit.
+    SAMPLES_FROZEN = 19 "SamplesFrozen":
+        "the same samples come again and again; check the ADC trigger and DMA";
+    /// Mains frequency outside 45 to 66 Hz, or zero crossings that are missing or misplaced.
+    MAINS_IRREGULAR = 20 "MainsIrregular":
+        "mains outside 45 to 66 Hz, or its zero crossings are missing or late; check mains and crossing \
+         detector";
+    /// The bridge switches and no current flows.
+    NO_COIL_CURRENT = 21 "NoCoilCurrent":
+        "the bridge switches and no coil current flows; check coil, capacitor and current sensor";
+    /// A temperature sensor's wire is broken.
+    NTC_OPEN = 22 "NtcOpen":
+        "a temperature sensor is not connected; check the wires of heat sink, glass and coil sensor";
+    /// A temperature sensor is shorted.
+    NTC_SHORT = 23 "NtcShort":
+        "a temperature sensor is shorted; check the wires of heat sink, glass and coil sensor";
+    /// Heat sink, glass or coil too hot for any power.
+    OVER_TEMPERATURE = 24 "OverTemperature":
+        "heat sink, glass or coil is too hot; let it cool down, and check fan and air inlets";
+    /// Power from the DC link and into the coil differ.
+    POWER_BALANCE = 25 "PowerBalance":
+        "the power from the DC link and the power into the coil differ; check gain of the sensors";
+    /// Zero crossings come and the bus has no voltage.
+    BUS_RANGE = 26 "BusRange":
+        "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
 }
 
 /// Text of a number that [`Fault::TABLE`] lacks.

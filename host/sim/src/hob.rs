@@ -177,6 +177,7 @@ impl SimHob {
             pairs: &pairs,
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
             bus_dv: bus_dv(self.injections.on_bus(bus_code)),
+            dc_link_ma: None,
             lost: self.lost,
         };
         let drive = if self.injections.on_block() {
