@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::schema::{Entry, FNV_BASIS, Item, fold_entry, wire_enum};
 use crate::fault::Fault;
+use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
 
 /// Bytes that travel as they are: a varint length, then the bytes.
@@ -497,6 +498,26 @@ message_table! { 'a;
         mains_full_scale_mv: u32,
         /// Bits of a code.
         bits: u8,
+    }
+}
+
+impl WindowStart {
+    /// What its codes stand for.
+    pub fn scales(&self) -> Scales {
+        Scales {
+            v_full_scale_mv: self.v_full_scale_mv,
+            i_full_scale_ma: self.i_full_scale_ma,
+        }
+    }
+}
+
+impl FrontEnd {
+    /// What the codes of coil voltage and current stand for.
+    pub fn scales(&self) -> Scales {
+        Scales {
+            v_full_scale_mv: self.v_full_scale_mv,
+            i_full_scale_ma: self.i_full_scale_ma,
+        }
     }
 }
 

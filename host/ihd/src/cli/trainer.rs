@@ -10,6 +10,7 @@ use ihd_capture::{OpenOptions, open};
 use ihd_link::{Client, DeviceSpec};
 use ihd_pinn::{Backend, Config};
 use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::sampling::Scales;
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
@@ -98,8 +99,9 @@ impl TrainerArgs {
             Box::new(hob)
         })?;
         let client = Client::connect(transport)?;
+        let scales = client.front_end().scales();
         let settings = Settings {
-            source: self.source()?,
+            source: self.source(scales)?,
             pinn,
             store: if self.no_store {
                 None
@@ -133,14 +135,17 @@ impl TrainerArgs {
         Ok(())
     }
 
-    fn source(&self) -> Result<Source> {
+    fn source(&self, scales: Scales) -> Result<Source> {
         let Some(path) = &self.replay else {
             return Ok(Source::Powers(self.power.clone()));
         };
         let capture = open(path, &OpenOptions::default())?;
         let survey = Survey::of(&capture, &Hints::default())?;
         let segments = survey.segments(&capture);
-        let half_cycles: Vec<_> = segments.iter().flat_map(Recorded::half_cycles).collect();
+        let half_cycles: Vec<_> = segments
+            .iter()
+            .flat_map(|segment| Recorded::half_cycles(segment, scales))
+            .collect();
         ensure!(
             !half_cycles.is_empty(),
             "{} holds no whole mains half-cycle to replay",
