@@ -46,16 +46,19 @@ fault_table! {
     /// No fault.
     NONE = 0 "None":
         "no fault";
-    /// No pot on the coil when heating was asked for.
+    /// No pot on the coil when heating was asked for. Protocol 1.x alone: since 2.0 this is the state
+    /// WaitingForPot.
     NO_POT = 1 "NoPot":
-        "no pot on the coil; put one on and start again";
-    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless).
+        "no pot on the coil (a controller of protocol 1.x, which did not wait for one); put one on and start again";
+    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless). Protocol 1.x
+    /// alone, like NoPot.
     UNSUITABLE_POT = 2 "UnsuitablePot":
-        "the load cannot be heated by induction (aluminium, copper, bare stainless); \
-         use a ferromagnetic pot";
-    /// The pot was taken away while heating.
+        "the load cannot be heated by induction (aluminium, copper, bare stainless; a controller of protocol \
+         1.x, which did not wait for another); use a ferromagnetic pot";
+    /// The pot was taken away while heating. Protocol 1.x alone, like NoPot.
     POT_REMOVED = 3 "PotRemoved":
-        "the pot was taken away while heating; put it back and start again";
+        "the pot was taken away while heating (a controller of protocol 1.x, which did not wait for it); put \
+         it back and start again";
     /// Coil current reached the trip level, seen in the samples.
     OVER_CURRENT = 4 "OverCurrent":
         "coil current at the trip level; ask for less power, or check the current sensor";

@@ -522,9 +522,9 @@ impl FrontEnd {
 }
 
 impl Configure {
-    /// What a device begins with: five minutes, and a frequency that stays.
+    /// What a device begins with: a minute, and a frequency that stays.
     pub const DEFAULT: Self = Self {
-        give_up_s: 300,
+        give_up_s: 60,
         dither_permille: 0,
     };
 
