@@ -125,6 +125,7 @@ impl DeskHob {
             pairs: &pairs,
             zero_crossing,
             bus_dv: (BUS_PEAK_V * self.envelope() * 10.0) as u16,
+            dc_link_ma: None,
             lost: 0,
         };
         self.realtime.on_block(&block);

@@ -45,7 +45,7 @@ impl Kitchen {
     /// The default hob with another pot.
     pub fn with_pot(pot: PotKind) -> Self {
         Self::new(HobConfig {
-            pot,
+            pot: pot.into(),
             ..HobConfig::default()
         })
     }

@@ -16,6 +16,7 @@ use ihd_shared::sampling::{
 };
 
 use crate::fixed::{Complex, narrow, saturate};
+use crate::soft_limit::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE};
 
 /// One ampere unit of the estimator is 16 A, one volt unit 32 V, one ohm unit 2 ohm; all states
 /// are mantissas of 26 fractional bits in these units, so ±512 A, ±1024 V, ±64 ohm.
@@ -126,8 +127,9 @@ fn high(word: u32) -> i32 {
     word as i32 >> 16
 }
 
-/// Current codes from here on are out of the ordinary: 70 A, below any trip level.
-pub const ALARM_CODE: i16 = 1_792;
+/// Codes from here on are out of the ordinary: the soft limits, below any trip level.
+const ALARM_I: i16 = SOFT_CURRENT_CODE as i16;
+const ALARM_V: i16 = SOFT_VOLTAGE_CODE as i16;
 
 /// What one pass over a block's pairs gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -138,20 +140,21 @@ pub struct BlockSums {
     pub i: Complex,
     /// Σ v·i in codes squared: mean power times pairs, all harmonics included.
     pub vi: i64,
-    /// Largest magnitude of a current code, where one reaches [`ALARM_CODE`]; else 0.
+    /// Largest magnitude of a current code, where one reaches its soft limit; else 0.
     pub i_peak: u16,
+    /// The same of the voltage.
+    pub v_peak: u16,
     /// Pairs at the end of either channel's range.
     pub saturated: u16,
 }
 
 /// Adding ABOVE or BELOW to a packed pair sets a half-word's sign bit when its code reaches the
-/// limit: v at CODE_MIN or CODE_MAX, |i| at [`ALARM_CODE`]. A carry may make the current limit act one
-/// code early; `look_closer` then checks exactly.
+/// soft limit. A carry may make the current's act one code early; `look_closer` then checks exactly.
 const ABOVE: u32 = halves(
-    i16::MIN.wrapping_sub(CODE_MAX),
-    i16::MIN.wrapping_sub(ALARM_CODE),
+    i16::MIN.wrapping_sub(ALARM_V),
+    i16::MIN.wrapping_sub(ALARM_I),
 );
-const BELOW: u32 = halves(-1 - CODE_MIN, ALARM_CODE - 2);
+const BELOW: u32 = halves(ALARM_V - 1, ALARM_I - 2);
 const SIGNS: u32 = 0x8000_8000;
 
 /// Correlates one block with the fundamental. The only loop that runs per sample; a second one
@@ -209,14 +212,18 @@ fn holds_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
 #[inline(never)]
 fn look_closer(pairs: &[Pair; ADC_LOCK_P], s: &mut BlockSums) {
     s.vi = 0;
-    let mut peak = 0;
+    let (mut v_peak, mut i_peak) = (0, 0);
     for pair in pairs {
         s.vi += i64::from(i32::from(pair.v) * i32::from(pair.i));
-        peak = pair.i.unsigned_abs().max(peak);
+        v_peak = pair.v.unsigned_abs().max(v_peak);
+        i_peak = pair.i.unsigned_abs().max(i_peak);
         s.saturated += u16::from(pair.is_saturated());
     }
-    if peak >= ALARM_CODE.unsigned_abs() {
-        s.i_peak = peak;
+    if v_peak >= SOFT_VOLTAGE_CODE {
+        s.v_peak = v_peak;
+    }
+    if i_peak >= SOFT_CURRENT_CODE {
+        s.i_peak = i_peak;
     }
 }
 
@@ -329,6 +336,12 @@ impl Demodulator {
             },
         })
     }
+}
+
+/// Amplitude in decivolt of a voltage phasor, from its squared magnitude in estimator units.
+pub fn amplitude_dv(norm_squared: u64) -> u32 {
+    let mantissa = norm_squared.isqrt() as i64;
+    saturate((mantissa * 320) >> STATE_BITS) as u32
 }
 
 /// Amplitude in milliampere of a current phasor, from its squared magnitude in estimator units.
@@ -454,13 +467,12 @@ mod tests {
                     pairs[17] = pair;
                     let s = correlate(&pairs);
                     assert_eq!(s.saturated, u16::from(pair.is_saturated()), "{pair:?}");
-                    let peak = pair.i.unsigned_abs();
-                    let expected = if peak >= ALARM_CODE.unsigned_abs() {
-                        peak
-                    } else {
-                        0
+                    let from = |code: i16, limit: u16| {
+                        let peak = code.unsigned_abs();
+                        if peak >= limit { peak } else { 0 }
                     };
-                    assert_eq!(s.i_peak, expected, "{pair:?}");
+                    assert_eq!(s.i_peak, from(pair.i, SOFT_CURRENT_CODE), "{pair:?}");
+                    assert_eq!(s.v_peak, from(pair.v, SOFT_VOLTAGE_CODE), "{pair:?}");
                     assert_eq!(s.vi, i64::from(i32::from(pair.v) * i32::from(pair.i)));
                 }
             }

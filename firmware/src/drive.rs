@@ -108,10 +108,16 @@ mod tests {
                 .map(|_| {
                     self.block += 1;
                     let crossing = self.block.is_multiple_of(HALF_CYCLE);
+                    // No two blocks are alike, or they would be frozen.
+                    let i = (self.block % 7) as i16;
                     let block = Block {
-                        pairs: &[Pair::default(); ADC_LOCK_P],
+                        pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| Pair {
+                            v: 0,
+                            i: if k == 0 { i } else { 0 },
+                        }),
                         zero_crossing: crossing.then_some(0),
-                        bus_dv: 0,
+                        bus_dv: 300,
+                        dc_link_ma: None,
                         lost: 0,
                     };
                     self.realtime.on_block(&block).bridge

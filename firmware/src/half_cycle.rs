@@ -1,16 +1,22 @@
 //! One mains half-cycle in numbers, gathered block by block.
 
-use ihd_shared::sampling::{ADC_LOCK_P, CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
+use ihd_shared::sampling::{ADC_LOCK_P, CODE_BITS, I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::messages::Limit;
 
 use crate::demod::{BlockSums, Phasors, amplitude_ma};
 use crate::ekf::Ekf;
+use crate::fixed::Complex;
+use crate::soft_limit::Checked;
 
 /// Milliwatt of one code squared, times the codes' range squared.
 const MILLIWATT: u64 = V_FULL_SCALE_MV as u64 * I_FULL_SCALE_MA as u64 / 1_000;
 
 /// A mean of products is at most the range squared.
 const _: () = assert!(MILLIWATT < 1 << (64 - 2 * (CODE_BITS - 1) as u32));
+
+/// One block in so many is looked at for an offset: the mean over three whole periods.
+const OFFSET_EVERY: u32 = 16;
 
 /// What the sampling path hands to power control and telemetry after each half-cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,6 +37,55 @@ pub struct Summary {
     pub power_mw: u32,
     /// Highest bus voltage, in decivolt.
     pub bus_peak_dv: u16,
+    /// Bus voltage at the zero crossing that ended it, in decivolt.
+    pub bus_at_crossing_dv: u16,
+    /// Coil voltage and current where the current's amplitude was largest.
+    pub crest: Phasors,
+    /// Largest sample of the coil voltage where it reached its soft limit, in decivolt; else 0.
+    pub v_peak_dv: u32,
+    /// Smallest current at a turn-off, in milliampere; `i32::MAX` where none was seen.
+    pub i_turn_off_min_ma: i32,
+    /// The soft limit that acted last.
+    pub limit: Limit,
+    /// The drive changed within it: R, L and power are of no one frequency.
+    pub disturbed: bool,
+    /// Mean of the coil voltage, in decivolt.
+    pub v_offset_dv: i32,
+    /// Mean of the coil current, in milliampere.
+    pub i_offset_ma: i32,
+    /// Mean power out of the DC link, in milliwatt, where a sensor is fitted.
+    pub dc_link_mw: Option<u32>,
+}
+
+impl Summary {
+    /// As the default.
+    const BLANK: Self = Self {
+        half_cycle: 0,
+        f_sw_hz: 0,
+        duration_ns: 0,
+        r: MicroOhm(0),
+        l: PicoHenry(0),
+        i_crest_ma: 0,
+        power_mw: 0,
+        bus_peak_dv: 0,
+        bus_at_crossing_dv: 0,
+        crest: Phasors {
+            v: Complex { re: 0, im: 0 },
+            i: Complex { re: 0, im: 0 },
+        },
+        v_peak_dv: 0,
+        i_turn_off_min_ma: 0,
+        limit: Limit::None,
+        disturbed: false,
+        v_offset_dv: 0,
+        i_offset_ma: 0,
+        dc_link_mw: None,
+    };
+
+    /// Amplitude of the coil voltage's fundamental at the crest, in decivolt.
+    pub fn v_crest_dv(&self) -> u32 {
+        crate::demod::amplitude_dv(self.crest.v.norm_squared())
+    }
 }
 
 /// Gathers a [`Summary`].
@@ -40,6 +95,13 @@ pub struct Accumulator {
     crest: Summary,
     vi: i64,
     blocks: u32,
+    turn_off_ma: Option<i32>,
+    /// Sums of codes of the blocks that were looked at for an offset, and how many.
+    offsets: (i32, i32),
+    offset_blocks: i32,
+    /// Σ of bus voltage times DC-link current, in decivolt milliampere, and how many blocks had one.
+    dc_link: u64,
+    dc_link_blocks: u32,
 }
 
 impl Accumulator {
@@ -47,26 +109,59 @@ impl Accumulator {
     pub(crate) const fn blank() -> Self {
         Self {
             crest_norm: 0,
-            crest: Summary {
-                half_cycle: 0,
-                f_sw_hz: 0,
-                duration_ns: 0,
-                r: MicroOhm(0),
-                l: PicoHenry(0),
-                i_crest_ma: 0,
-                power_mw: 0,
-                bus_peak_dv: 0,
-            },
+            crest: Summary::BLANK,
             vi: 0,
             blocks: 0,
+            turn_off_ma: None,
+            offsets: (0, 0),
+            offset_blocks: 0,
+            dc_link: 0,
+            dc_link_blocks: 0,
         }
     }
 
     /// Adds one block, whether the inverter runs or not.
-    pub fn add_block(&mut self, sums: &BlockSums, bus_dv: u16) {
+    pub fn add_block(&mut self, sums: &BlockSums, bus_dv: u16, dc_link_ma: Option<u32>) {
         self.vi = self.vi.saturating_add(sums.vi);
         self.blocks += 1;
         self.crest.bus_peak_dv = self.crest.bus_peak_dv.max(bus_dv);
+        if sums.v_peak > 0 {
+            let peak_dv = (u32::from(sums.v_peak) * (V_FULL_SCALE_MV / 100)) >> (CODE_BITS - 1);
+            self.crest.v_peak_dv = self.crest.v_peak_dv.max(peak_dv);
+        }
+        if let Some(ma) = dc_link_ma {
+            self.dc_link += u64::from(bus_dv) * u64::from(ma);
+            self.dc_link_blocks += 1;
+        }
+    }
+
+    /// Looks at the means of both channels, in one block of [`OFFSET_EVERY`].
+    pub fn look_at_offset(&mut self, pairs: &[Pair; ADC_LOCK_P]) {
+        // 16 blocks of 61 codes of 12 bit a half-cycle, or some hundred without crossings: far from
+        // 31 bit, and bounded all the same.
+        if !self.blocks.is_multiple_of(OFFSET_EVERY) || self.offset_blocks > 1_000 {
+            return;
+        }
+        for pair in pairs {
+            self.offsets.0 += i32::from(pair.v);
+            self.offsets.1 += i32::from(pair.i);
+        }
+        self.offset_blocks += 1;
+    }
+
+    /// Adds what the soft limits saw.
+    pub fn add_check(&mut self, checked: &Checked) {
+        if let Some(ma) = checked.turn_off_ma {
+            self.turn_off_ma = Some(self.turn_off_ma.map_or(ma, |least| least.min(ma)));
+        }
+        if checked.limit != Limit::None {
+            self.crest.limit = checked.limit;
+        }
+    }
+
+    /// The drive changes before the half-cycle is over.
+    pub fn disturb(&mut self) {
+        self.crest.disturbed = true;
     }
 
     /// Adds one estimate.
@@ -74,20 +169,39 @@ impl Accumulator {
         let norm = z.i.norm_squared();
         if norm > self.crest_norm && !ekf.is_held() {
             self.crest_norm = norm;
+            self.crest.crest = *z;
             self.crest.r = ekf.r();
             self.crest.l = ekf.l();
         }
     }
 
     /// The summary of what was added, and a fresh start.
-    pub fn finish(&mut self, half_cycle: u32, f_sw_hz: u32, duration_ns: u32) -> Summary {
+    pub fn finish(
+        &mut self,
+        half_cycle: u32,
+        f_sw_hz: u32,
+        duration_ns: u32,
+        bus_at_crossing_dv: u16,
+    ) -> Summary {
         let pairs = i64::from(self.blocks.max(1)) * ADC_LOCK_P as i64;
         let power_mw = ((self.vi / pairs).max(0) as u64 * MILLIWATT) >> (2 * (CODE_BITS - 1));
+        let mean = |sum: i32, full_scale: u32| {
+            let codes =
+                i64::from(self.offset_blocks.max(1)) * ((ADC_LOCK_P as i64) << (CODE_BITS - 1));
+            (i64::from(sum) * i64::from(full_scale) / codes) as i32
+        };
         let summary = Summary {
             half_cycle,
             f_sw_hz,
             duration_ns,
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
+            bus_at_crossing_dv,
+            i_turn_off_min_ma: self.turn_off_ma.unwrap_or(i32::MAX),
+            v_offset_dv: mean(self.offsets.0, V_FULL_SCALE_MV / 100),
+            i_offset_ma: mean(self.offsets.1, I_FULL_SCALE_MA),
+            // Decivolt times milliampere are a tenth of a milliwatt.
+            dc_link_mw: (self.dc_link_blocks > 0)
+                .then(|| (self.dc_link / u64::from(self.dc_link_blocks) / 10) as u32),
             // Here and not at every block of a rising current: a square root takes its time.
             i_crest_ma: amplitude_ma(self.crest_norm),
             ..self.crest
@@ -110,13 +224,13 @@ mod tests {
             ..BlockSums::default()
         };
         for _ in 0..150 {
-            a.add_block(&sums, 3_000);
+            a.add_block(&sums, 3_000, None);
         }
-        let s = a.finish(7, 45_000, 10_000_000);
+        let s = a.finish(7, 45_000, 10_000_000, 0);
         let expected = 200_000.0 * VOLT_PER_CODE * AMPERE_PER_CODE * 1e3;
         assert!((f64::from(s.power_mw) / expected - 1.0).abs() < 1e-5);
         assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
-        assert_eq!(a.finish(8, 0, 0).power_mw, 0, "it must start afresh");
+        assert_eq!(a.finish(8, 0, 0, 0).power_mw, 0, "it must start afresh");
     }
 
     #[test]
@@ -128,7 +242,8 @@ mod tests {
                 ..BlockSums::default()
             },
             0,
+            None,
         );
-        assert_eq!(a.finish(0, 45_000, 0).power_mw, 0);
+        assert_eq!(a.finish(0, 45_000, 0, 0).power_mw, 0);
     }
 }

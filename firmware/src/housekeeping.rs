@@ -8,17 +8,19 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, Configure, DecodeError, FaultEvent, Hello, Limit, Message, NO_PANEL,
+    AnyMessage, ClearFault, Configure, DecodeError, FaultEvent, Hello, Message, NO_PANEL,
     NO_SENSOR_C, Outcome, PushLookup, ReplayBlocks, ReplayMode, ReplayStart, Reply, ResetLookup,
     SetPower, State, Status, Stream, Telemetry, Utilisation,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
-use crate::control::{Action, Control};
+use crate::control::{Action, Control, Now};
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
+use crate::request::PanelEvent;
+use crate::temperature::TemperatureCodes;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
@@ -70,6 +72,11 @@ impl Housekeeping {
     /// The lookup in use.
     pub fn lookup(&self) -> &RlLookup {
         &self.active
+    }
+
+    /// The last half-cycle's summary.
+    pub fn summary(&self) -> &Summary {
+        &self.last
     }
 
     /// How often another lookup became active since boot: who keeps it sees from this when. Its version
@@ -134,7 +141,7 @@ impl Housekeeping {
                     let (outcome, detail) = self.activate(prior());
                     self.reply(ResetLookup::ID, outcome, detail);
                 }
-                Ok(AnyMessage::Configure(m)) => self.configure(m),
+                Ok(AnyMessage::Configure(m)) => self.configure(access, m),
                 Ok(AnyMessage::GetFrontEnd(_)) => self.queue.answer(Answer::FrontEnd),
                 Ok(AnyMessage::ClearFault(_)) => self.clear_fault(access),
                 Ok(AnyMessage::GetUtilisation(_)) => {
@@ -183,41 +190,61 @@ impl Housekeeping {
     }
 
     fn set_power(&mut self, access: &mut impl Access, m: &SetPower) {
-        let fault = access.with(|rt| rt.fault());
-        if m.power_w > RATED_POWER_W {
-            return self.reply(
-                SetPower::ID,
-                Outcome::PowerOutOfRange,
-                u32::from(RATED_POWER_W),
-            );
+        let (outcome, detail) = self.host_power(access, m.power_w);
+        self.reply(SetPower::ID, outcome, detail);
+    }
+
+    fn host_power(&mut self, access: &mut impl Access, power_w: u16) -> (Outcome, u32) {
+        let (fault, replaying) = access.with(|rt| (rt.fault(), rt.is_replaying()));
+        if power_w > RATED_POWER_W {
+            return (Outcome::PowerOutOfRange, u32::from(RATED_POWER_W));
         }
-        // In replay mode nothing may be heated; there is no fault to name.
-        let locked = access.with(|rt| rt.is_replaying());
-        if (fault != Fault::NONE || locked) && m.power_w > 0 {
-            return self.reply(
-                SetPower::ID,
-                Outcome::FaultActive,
-                u32::from(fault.number()),
-            );
+        if power_w > 0 && replaying {
+            // Nothing may be heated; there is no fault to name.
+            return (Outcome::FaultActive, 0);
         }
-        let action = self.control.set_power(m.power_w);
+        if power_w > 0 && self.control.state() == State::LockedOut {
+            return (Outcome::LockedOut, u32::from(fault.number()));
+        }
+        match self.control.host(power_w) {
+            Some(action) => {
+                self.act(access, action);
+                (Outcome::Ok, 0)
+            }
+            None => (Outcome::PanelOff, 0),
+        }
+    }
+
+    /// A person touches the panel.
+    pub fn panel(&mut self, access: &mut impl Access, event: PanelEvent) {
+        let action = self.control.panel(event);
         self.act(access, action);
-        self.reply(SetPower::ID, Outcome::Ok, 0);
+    }
+
+    /// Codes of the temperature sensors, some hundred times a second.
+    pub fn set_temperatures(&mut self, codes: TemperatureCodes) {
+        self.control.set_temperatures(codes);
+    }
+
+    /// Whether the fan is to run.
+    pub fn fan(&self) -> bool {
+        self.control.temperatures().fan()
     }
 
     fn clear_fault(&mut self, access: &mut impl Access) {
-        access.with(RealTime::clear_fault);
-        self.control.clear_fault();
+        let action = self.control.clear_fault();
+        self.act(access, action);
         let standing = access.with(|rt| rt.fault());
         let outcome = match standing {
             Fault::NONE => Outcome::Ok,
+            _ if self.control.state() == State::LockedOut => Outcome::LockedOut,
             _ => Outcome::FaultActive,
         };
         self.reply(ClearFault::ID, outcome, u32::from(standing.number()));
     }
 
     fn start_replay(&mut self, access: &mut impl Access, m: &ReplayStart) {
-        let off = self.control.set_power(0);
+        let off = self.control.switch_off();
         self.act(access, off);
         match self.replay.start(access, m) {
             Ok(mode) => self.answer_replay_mode(mode),
@@ -236,9 +263,11 @@ impl Housekeeping {
         self.reply(Stream::ID, Outcome::Ok, 0);
     }
 
-    fn configure(&mut self, settings: Configure) {
+    fn configure(&mut self, access: &mut impl Access, settings: Configure) {
         match settings.check() {
             Ok(()) => {
+                self.control.set_give_up_s(settings.give_up_s);
+                access.with(|rt| rt.set_dither(settings.dither_permille));
                 self.settings = settings;
                 self.reply(Configure::ID, Outcome::Ok, 0);
             }
@@ -273,9 +302,9 @@ impl Housekeeping {
     /// To be called after each block: control, telemetry, faults. One step of the search for a
     /// frequency is the longest it does.
     pub fn poll(&mut self, access: &mut impl Access) {
-        let (summary, fault) = access.with(|rt| {
+        let (summary, now) = access.with(|rt| {
             rt.note_turn();
-            (rt.take_summary(), rt.fault())
+            (rt.take_summary(), Now::of(rt))
         });
         if let Some(summary) = summary {
             if let Some(lookup) = self.pending.take() {
@@ -285,16 +314,17 @@ impl Housekeeping {
             }
             self.watch_host(access);
             self.last = summary;
-            let action = self.control.on_half_cycle(&summary, &self.active);
+            let action = self.control.on_half_cycle(&summary, &now);
             self.act(access, action);
             self.send_telemetry(access, &summary);
         } else {
-            let action = self.control.advance(&self.active);
+            let action = self.control.advance(&self.active, &now);
             self.act(access, action);
         }
-        if fault != Fault::NONE && self.control.state() != State::LockedOut {
-            self.control.faulted();
-        }
+        // What the bridge was just asked for counts.
+        let now = access.with(|rt| Now::of(rt));
+        let action = self.control.tick(&now);
+        self.act(access, action);
         let (fault, half_cycle) = access.with(|rt| (rt.fault(), rt.fault_half_cycle()));
         if fault != self.reported_fault && self.paired && !self.queue.is_full() {
             self.reported_fault = fault;
@@ -306,8 +336,10 @@ impl Housekeeping {
     /// Power that was asked for over the link lapses with the link.
     fn watch_host(&mut self, access: &mut impl Access) {
         self.half_cycles_unheard = self.half_cycles_unheard.saturating_add(1);
-        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES && self.control.asked_w() > 0 {
-            let action = self.control.set_power(0);
+        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES
+            && self.control.request().is_of_host()
+        {
+            let action = self.control.host_lost();
             self.act(access, action);
         }
     }
@@ -316,10 +348,9 @@ impl Housekeeping {
         match action {
             Action::Keep => {}
             Action::Drive(drive) => access.with(|rt| rt.request(drive)),
-            Action::Fault(fault) => {
-                access.with(|rt| rt.raise(fault));
-                self.control.faulted();
-            }
+            Action::OffAtCrossing => access.with(RealTime::request_off_at_crossing),
+            Action::Fault(fault) => access.with(|rt| rt.raise(fault)),
+            Action::ClearFault => access.with(RealTime::clear_fault),
         }
     }
 
@@ -330,7 +361,7 @@ impl Housekeeping {
         }
         let fault = access.with(|rt| rt.fault());
         let (state, pot) = (self.control.state(), self.control.pot());
-        let asked_w = self.control.asked_w();
+        let (asked_w, limit) = (self.control.asked_w(), self.control.limit());
         let lookup_version = self.active.version;
         let phase_mrad = if s.f_sw_hz > 0 && s.i_crest_ma > 0 {
             Tank::new(s.f_sw_hz, s.r, s.l).phase_mrad()
@@ -352,10 +383,14 @@ impl Housekeeping {
             phase_mrad,
             lookup_version,
             asked_w,
-            limit: Limit::None,
+            limit,
             bus_peak_dv: s.bus_peak_dv,
-            v_coil_peak_dv: 0,
-            i_turn_off_min_ma: 0,
+            v_coil_peak_dv: u16::try_from(s.v_peak_dv.max(s.v_crest_dv())).unwrap_or(u16::MAX),
+            i_turn_off_min_ma: if s.i_turn_off_min_ma == i32::MAX {
+                0
+            } else {
+                s.i_turn_off_min_ma
+            },
         });
     }
 
@@ -363,6 +398,10 @@ impl Housekeeping {
         let counters = self.deframer.counters();
         let telemetry_dropped = self.queue.telemetry_dropped();
         let (control, active, last) = (&self.control, &self.active, &self.last);
+        let [heat_sink_c, glass_c, coil_c] = control
+            .temperatures()
+            .celsius()
+            .map(|celsius| celsius.unwrap_or(NO_SENSOR_C));
         access.with(|rt| {
             let windows = rt.recorder().counters();
             Status {
@@ -384,14 +423,14 @@ impl Housekeeping {
                 frames_bad: counters.bad,
                 frames_lost: counters.lost,
                 saturated_pairs: rt.saturated_pairs(),
-                limit: Limit::None,
-                tries_left: 0,
-                heat_sink_c: NO_SENSOR_C,
-                glass_c: NO_SENSOR_C,
-                coil_c: NO_SENSOR_C,
-                fan: false,
-                panel_level: NO_PANEL,
-                key_locked: false,
+                limit: control.limit(),
+                tries_left: control.restart().tries_left(),
+                heat_sink_c,
+                glass_c,
+                coil_c,
+                fan: control.temperatures().fan(),
+                panel_level: control.request().level().unwrap_or(NO_PANEL),
+                key_locked: control.request().is_key_locked(),
             }
         })
     }

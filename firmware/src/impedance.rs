@@ -37,6 +37,11 @@ impl TankAt {
         }
     }
 
+    /// Reactance of the capacitor as a positive number, in milliohm.
+    pub fn x_c_mohm(self) -> i64 {
+        self.x_c_mohm
+    }
+
     /// The tank of a load.
     pub fn with_load(self, r: MicroOhm, l: PicoHenry) -> Tank {
         // 33 by 31 bit.

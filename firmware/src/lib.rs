@@ -17,6 +17,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod burst;
 pub mod control;
 pub mod demod;
 pub mod drive;
@@ -26,8 +27,10 @@ pub mod half_cycle;
 pub mod health;
 pub mod housekeeping;
 pub mod impedance;
+pub mod limits;
 pub mod mains;
 pub mod nonvolatile;
+pub mod plausibility;
 pub mod pot;
 pub mod power;
 pub mod protection;
@@ -35,7 +38,11 @@ pub mod pwm;
 pub mod realtime;
 pub mod recorder;
 pub mod replay;
+pub mod request;
 pub mod reset;
+pub mod restart;
 pub mod ring;
+pub mod soft_limit;
+pub mod temperature;
 pub mod transmit_queue;
 pub mod utilisation;

@@ -1,33 +1,39 @@
-//! Pot detection: the estimate at the crest against what the lookup expects there.
+//! Pot detection: the estimate at the crest against what the built-in prior expects there. A lookup
+//! that was pushed has no say: whatever it holds, a pot is the same pot.
 //!
 //! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 1.4-0.84 / 52-49, aluminium
 //! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
-//! to the lookup at the same frequency and current separate them: R below half of the expected is
+//! to the prior at the same frequency and current separate them: R below half of the expected is
 //! no full pot, and then L separates air (above) from a non-magnetic plate (below).
 
 use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::Pot;
 
 use crate::half_cycle::Summary;
+use crate::limits::{BUS_MIN_DV, POT_CURRENT_MIN_MA};
 
-/// Amplitude below which nothing can be said: 1.5 A.
-pub const MIN_CURRENT_MA: u32 = 1_500;
+/// What a full-size pot shows, as far as anybody knows before seeing one.
+pub static PRIOR: RlLookup = prior();
 
-/// R of a full-size pot, at least this percentage of the lookup's.
+/// R of a full-size pot, at least this percentage of the prior's.
 const FULL_R_PERCENT: i64 = 50;
 
-/// R of any ferromagnetic pot worth heating, at least this percentage of the lookup's.
+/// R of any ferromagnetic pot worth heating, at least this percentage of the prior's.
 const SMALL_R_PERCENT: i64 = 10;
 
-/// L above this percentage of the lookup's means that the coil looks into air.
+/// L above this percentage of the prior's means that the coil looks into air.
 const AIR_L_PERCENT: i64 = 125;
 
-/// What stands on the coil, by the last half-cycle.
-pub fn classify(summary: &Summary, lookup: &RlLookup) -> Pot {
-    if summary.f_sw_hz == 0 || summary.i_crest_ma < MIN_CURRENT_MA {
+/// What stands on the coil, by the last half-cycle; unknown with too little current or mains to say.
+pub fn classify(summary: &Summary) -> Pot {
+    if summary.f_sw_hz == 0
+        || summary.i_crest_ma < POT_CURRENT_MIN_MA
+        || summary.bus_peak_dv < BUS_MIN_DV
+    {
         return Pot::Unknown;
     }
-    let (r, l) = lookup.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+    let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
     let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
     let (r, l) = (percent(summary.r.0, r.0), percent(summary.l.0, l.0));
     match (r, l) {
@@ -41,7 +47,6 @@ pub fn classify(summary: &Summary, lookup: &RlLookup) -> Pot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ihd_shared::lookup::prior::prior;
     use ihd_shared::units::{MicroOhm, PicoHenry};
 
     /// R at 45 kHz in ohm, L in µH, current in ampere; R ∝ √f.
@@ -52,9 +57,10 @@ mod tests {
             r: MicroOhm((r * 1e6) as i32),
             l: PicoHenry((l * 1e6) as i32),
             i_crest_ma: (i * 1e3) as u32,
+            bus_peak_dv: 3_253,
             ..Summary::default()
         };
-        classify(&summary, &prior())
+        classify(&summary)
     }
 
     #[test]

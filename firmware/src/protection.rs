@@ -1,7 +1,7 @@
 //! Protection: what switches off within a block, whatever the link or the lookup says.
 //!
 //! The comparator on the current and the HRTIM fault input act first, in hardware; these are the
-//! checks a block later. No limit here can be changed by the host.
+//! checks a block later. Their levels are in [`crate::limits`].
 
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::AMPERE_PER_CODE;
@@ -9,26 +9,15 @@ use ihd_shared::units::PicoHenry;
 
 use crate::demod::BlockSums;
 use crate::ekf::Ekf;
+use crate::fixed::Complex;
 use crate::impedance::resonant_inductance;
+use crate::limits::{
+    BUS_TRIP_DV, ESTIMATE_BLOCKS, FROZEN_BLOCKS, LOST_BLOCKS, MAINS_LOST_NS, SATURATED_PAIRS,
+    TRIP_CURRENT_MA,
+};
 
-/// Trip level of the coil current: 76 A, below the ADC's 80 A.
-pub const TRIP_CODE: u16 = (76.0 / AMPERE_PER_CODE) as u16;
-
-/// Trip level of the bus voltage: 420 V, in decivolt.
-pub const BUS_TRIP_DV: u16 = 4_200;
-
-/// Saturated pairs in one block that mean a broken sensor and not a spike.
-pub const SATURATED_TRIP: u16 = 16;
-
-/// Blocks lost in one half-cycle that are still an interrupt that came late.
-pub const LOST_BLOCKS_ALLOWED: u32 = 2;
-
-/// Half-cycles without a zero crossing that mean the mains is gone, as time: 30 ms.
-pub const MAINS_LOST_NS: u64 = 30_000_000;
-
-/// Blocks in a row at or below resonance, or at a bound of the estimate, before the trip: 8 blocks
-/// are 0.3-0.7 ms, more than the estimator takes to settle after the current has come back.
-const BLOCKS_IN_A_ROW: u8 = 8;
+/// Trip level of the coil current, in codes.
+pub const TRIP_CODE: u16 = (TRIP_CURRENT_MA as f64 * 1e-3 / AMPERE_PER_CODE) as u16;
 
 /// Checks that need memory.
 #[derive(Clone, Debug, Default)]
@@ -37,6 +26,9 @@ pub struct Protection {
     since_zero_crossing_ns: u64,
     below_resonance: u8,
     at_bound: u8,
+    /// The last block's sums, and blocks in a row that were alike.
+    last: (Complex, Complex),
+    alike: u8,
     /// Below this inductance the inverter runs below resonance.
     l_min: PicoHenry,
 }
@@ -49,11 +41,14 @@ impl Protection {
             since_zero_crossing_ns: 0,
             below_resonance: 0,
             at_bound: 0,
+            last: (Complex { re: 0, im: 0 }, Complex { re: 0, im: 0 }),
+            alike: 0,
             l_min: PicoHenry(0),
         }
     }
 
-    /// Checks raw samples and timing of one block; `lost` blocks are missing before it.
+    /// Checks raw samples and timing of one block; `lost` blocks are missing before it. While the bridge
+    /// is `switching`, no two blocks are alike: the mains moves on.
     pub fn check_block(
         &mut self,
         sums: &BlockSums,
@@ -61,16 +56,24 @@ impl Protection {
         lost: u32,
         block_ns: u32,
         zero_crossing: bool,
+        switching: bool,
     ) -> Option<Fault> {
         self.lost_blocks = self.lost_blocks.saturating_add(lost);
-        let late = self.lost_blocks > LOST_BLOCKS_ALLOWED;
+        let late = self.lost_blocks > LOST_BLOCKS;
+        let now = (sums.v, sums.i);
+        let alike = switching && now == core::mem::replace(&mut self.last, now);
+        self.alike = if alike {
+            self.alike.saturating_add(1)
+        } else {
+            0
+        };
         if zero_crossing {
             self.since_zero_crossing_ns = 0;
             self.lost_blocks = 0;
         } else {
             self.since_zero_crossing_ns += u64::from(block_ns);
         }
-        if sums.saturated >= SATURATED_TRIP {
+        if sums.saturated >= SATURATED_PAIRS {
             Some(Fault::SENSOR_SATURATED)
         } else if sums.i_peak >= TRIP_CODE {
             Some(Fault::OVER_CURRENT)
@@ -78,6 +81,8 @@ impl Protection {
             Some(Fault::BUS_OVER_VOLTAGE)
         } else if late {
             Some(Fault::SAMPLES_LOST)
+        } else if self.alike >= FROZEN_BLOCKS {
+            Some(Fault::SAMPLES_FROZEN)
         } else if self.since_zero_crossing_ns > MAINS_LOST_NS {
             Some(Fault::MAINS_LOST)
         } else {
@@ -96,7 +101,7 @@ impl Protection {
     pub fn check_estimate(&mut self, ekf: &Ekf) -> Option<Fault> {
         let count = |counter: &mut u8, bad: bool| {
             *counter = if bad { counter.saturating_add(1) } else { 0 };
-            *counter >= BLOCKS_IN_A_ROW
+            *counter >= ESTIMATE_BLOCKS
         };
         if count(&mut self.at_bound, ekf.is_at_bound()) {
             Some(Fault::ESTIMATOR_DIVERGED)
@@ -129,14 +134,14 @@ mod tests {
     #[test]
     fn each_limit_trips_with_its_number() {
         let check = |sums: BlockSums, bus, lost| {
-            Protection::default().check_block(&sums, bus, lost, 60_000, false)
+            Protection::default().check_block(&sums, bus, lost, 60_000, false, false)
         };
         let current = BlockSums {
             i_peak: TRIP_CODE,
             ..quiet()
         };
         let saturated = BlockSums {
-            saturated: SATURATED_TRIP,
+            saturated: SATURATED_PAIRS,
             ..current
         };
         assert_eq!(check(quiet(), 3_300, 0), None);
@@ -154,12 +159,15 @@ mod tests {
     fn mains_must_cross_zero_within_thirty_milliseconds() {
         let mut p = Protection::default();
         let mut blocks = 0;
-        while p.check_block(&quiet(), 0, 0, 60_000, false).is_none() {
+        while p
+            .check_block(&quiet(), 0, 0, 60_000, false, false)
+            .is_none()
+        {
             blocks += 1;
             assert!(blocks < 1_000);
         }
         assert_eq!(blocks, 500);
-        assert_eq!(p.check_block(&quiet(), 0, 0, 60_000, true), None);
+        assert_eq!(p.check_block(&quiet(), 0, 0, 60_000, true, true), None);
     }
 
     #[test]
@@ -177,7 +185,7 @@ mod tests {
             assert_eq!(p.check_estimate(&ekf), None);
         }
         p.set_frequency(33_000);
-        for _ in 0..BLOCKS_IN_A_ROW - 1 {
+        for _ in 0..ESTIMATE_BLOCKS - 1 {
             assert_eq!(p.check_estimate(&ekf), None);
         }
         let tripped = p.check_estimate(&ekf);

@@ -12,14 +12,19 @@ use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
+use ihd_shared::wire::messages::Limit;
 
-use crate::demod::{Demodulator, correlate};
+use crate::demod::{BlockSums, Demodulator, correlate};
 pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
+use crate::limits::{
+    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, SOFT_STEP_PERMILLE,
+};
 use crate::protection::Protection;
 use crate::pwm;
 use crate::recorder::Recorder;
+use crate::soft_limit::SoftLimits;
 use crate::utilisation::Utilisation;
 
 /// One block as the board delivers it.
@@ -31,9 +36,15 @@ pub struct Block<'a> {
     pub zero_crossing: Option<u8>,
     /// Bus voltage, in decivolt.
     pub bus_dv: u16,
+    /// Mean current out of the DC link, in milliampere, where a sensor is fitted.
+    pub dc_link_ma: Option<u32>,
     /// Blocks lost since the last one (DMA overrun).
     pub lost: u32,
 }
+
+/// A lower switch closed for so long has seen a whole half-cycle: a bus that did not go down in it is a
+/// link that nothing discharges.
+const IDLE_LINK_NS: u32 = 25_000_000;
 
 /// A crossing sooner than this after the last one is an echo of it.
 const SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000;
@@ -61,6 +72,15 @@ pub struct RealTime {
     demod: Demodulator,
     ekf: Ekf,
     protection: Protection,
+    soft: SoftLimits,
+    /// How long the bus has been down while the bridge switches.
+    bus_down_ns: u32,
+    /// The next open bridge waits for a zero crossing.
+    off_at_crossing: bool,
+    dither_permille: u8,
+    /// Time since boot: whole milliseconds, and the rest.
+    now_ms: u32,
+    now_rest_ns: u32,
     accumulator: Accumulator,
     recorder: Recorder,
     windows_every: u8,
@@ -109,6 +129,12 @@ impl RealTime {
             demod: Demodulator::blank(),
             ekf: Ekf::blank(),
             protection: Protection::blank(),
+            soft: SoftLimits::blank(),
+            bus_down_ns: 0,
+            off_at_crossing: false,
+            dither_permille: 0,
+            now_ms: 0,
+            now_rest_ns: 0,
             accumulator: Accumulator::blank(),
             recorder: Recorder::new(),
             windows_every: 0,
@@ -142,6 +168,12 @@ impl RealTime {
     pub fn on_block(&mut self, block: &Block<'_>) -> Drive {
         self.blocks = self.blocks.wrapping_add(1);
         self.gap_ns = self.gap_ns.saturating_add(self.block_ns);
+        self.now_rest_ns += self.block_ns;
+        // Not a division: a block is 37 to 88 µs.
+        if self.now_rest_ns >= 1_000_000 {
+            self.now_rest_ns -= 1_000_000;
+            self.now_ms = self.now_ms.wrapping_add(1);
+        }
         if !self.replaying {
             self.take_block(block);
         }
@@ -151,10 +183,32 @@ impl RealTime {
     /// Asks for another drive: off at once, anything else at the next zero crossing, at the nearest
     /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive`]). Ignored while a fault is active.
     pub fn request(&mut self, drive: Drive) {
+        self.off_at_crossing = false;
         self.wanted = Drive {
             f_sw_hz: pwm::nearest_hz(drive.f_sw_hz),
             ..drive
         };
+    }
+
+    /// Asks for both switches to open at the next zero crossing.
+    pub fn request_off_at_crossing(&mut self) {
+        self.off_at_crossing = true;
+    }
+
+    /// What is asked for: the last request, or what a soft limit has made of it.
+    pub fn wanted(&self) -> Drive {
+        self.wanted
+    }
+
+    /// Varies the switching frequency from half-cycle to half-cycle by so much, at most
+    /// [`DITHER_MAX_PERMILLE`], outside windows: +, 0, −, 0.
+    pub fn set_dither(&mut self, permille: u8) {
+        self.dither_permille = permille.min(DITHER_MAX_PERMILLE);
+    }
+
+    /// Time since boot, in milliseconds; wraps after 49 days.
+    pub fn now_ms(&self) -> u32 {
+        self.now_ms
     }
 
     /// Blocks from the ADC since boot.
@@ -195,6 +249,7 @@ impl RealTime {
         self.demod = Demodulator::new(drive.f_sw_hz);
         self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
         self.protection.set_frequency(drive.f_sw_hz);
+        self.soft.set_frequency(drive.f_sw_hz);
         self.protection.reset();
         self.accumulator = Accumulator::default();
         self.recorder.interrupt();
@@ -261,6 +316,7 @@ impl RealTime {
     pub fn clear_fault(&mut self) {
         self.fault = self.standing_fault;
         self.wanted = Drive::OFF;
+        self.off_at_crossing = false;
         self.protection.reset();
     }
 
@@ -302,19 +358,22 @@ impl RealTime {
         let crossing = block
             .zero_crossing
             .filter(|_| self.since_crossing_ns >= SHORTEST_HALF_CYCLE_NS);
-        self.accumulator.add_block(&sums, block.bus_dv);
+        self.accumulator
+            .add_block(&sums, block.bus_dv, block.dc_link_ma);
+        self.accumulator.look_at_offset(block.pairs);
         let raw = self.protection.check_block(
             &sums,
             block.bus_dv,
             block.lost,
             self.block_ns,
             crossing.is_some(),
+            self.drive.is_switching(),
         );
         if let Some(fault) = raw {
             self.trip(fault);
         }
         match crossing {
-            Some(at) => self.cross_zero(block.pairs, usize::from(at).min(ADC_LOCK_P)),
+            Some(at) => self.cross_zero(block, usize::from(at).min(ADC_LOCK_P)),
             None => self.recorder.push(block.pairs, sums.saturated == 0),
         }
         if self.drive.is_switching()
@@ -339,13 +398,51 @@ impl RealTime {
         self.since_crossing_ns = self
             .since_crossing_ns
             .saturating_add(i64::from(self.block_ns));
-        self.take_drive(crossing.is_some());
+        if self.drive.is_switching() {
+            self.watch(block, &sums);
+        } else {
+            self.bus_down_ns = 0;
+        }
+        self.take_drive(crossing.is_some(), block.bus_dv);
         estimate
     }
 
+    /// What acts within a block while the bridge switches: the soft limits, and a mains that is away,
+    /// which opens both switches until its next zero crossing.
+    fn watch(&mut self, block: &Block<'_>, sums: &BlockSums) {
+        let checked = self.soft.check(sums, block.pairs, block.bus_dv);
+        self.accumulator.add_check(&checked);
+        let down = block.bus_dv < BUS_DOWN_DV;
+        self.bus_down_ns = if down {
+            self.bus_down_ns + self.block_ns
+        } else {
+            0
+        };
+        // A recording's drive is what it was.
+        if self.replaying {
+            return;
+        }
+        if self.bus_down_ns > BUS_DOWN_NS {
+            self.bus_down_ns = 0;
+            self.accumulator.disturb();
+            self.change_drive(Drive {
+                bridge: Bridge::Open,
+                ..self.drive
+            });
+        } else if checked.limit != Limit::None && self.fault == Fault::NONE {
+            let step_hz = self.drive.f_sw_hz * SOFT_STEP_PERMILLE / 1_000;
+            let higher = Drive::switching(pwm::nearest_hz(self.drive.f_sw_hz + step_hz));
+            if self.wanted.is_switching() {
+                self.wanted.f_sw_hz = self.wanted.f_sw_hz.max(higher.f_sw_hz);
+            }
+            self.accumulator.disturb();
+            self.change_drive(higher);
+        }
+    }
+
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
-    fn cross_zero(&mut self, pairs: &[Pair; ADC_LOCK_P], at: usize) {
-        let (before, after) = pairs.split_at(at);
+    fn cross_zero(&mut self, block: &Block<'_>, at: usize) {
+        let (before, after) = block.pairs.split_at(at);
         let offset_ns = at as i64 * i64::from(self.block_ns) / ADC_LOCK_P as i64;
         let duration_ns = self.since_crossing_ns.saturating_add(offset_ns);
         self.since_crossing_ns = -offset_ns;
@@ -353,17 +450,14 @@ impl RealTime {
         let duration_ns = u32::try_from(duration_ns).unwrap_or(u32::MAX);
         self.recorder.end(duration_ns);
         let f_sw_hz = self.f_sw_hz();
-        self.summary = Some(
-            self.accumulator
-                .finish(self.half_cycle, f_sw_hz, duration_ns),
-        );
+        self.summary =
+            Some(
+                self.accumulator
+                    .finish(self.half_cycle, f_sw_hz, duration_ns, block.bus_dv),
+            );
         self.half_cycle = self.half_cycle.wrapping_add(1);
         // A window wants one frequency throughout, so none begins at a frequency step.
-        let due = self.windows_every > 0
-            && self
-                .half_cycle
-                .is_multiple_of(u32::from(self.windows_every));
-        if due && self.drive.is_switching() && self.wanted == self.drive {
+        if self.is_window_due(0) && self.drive.is_switching() && self.wanted == self.drive {
             self.recorder.begin(
                 self.half_cycle,
                 self.drive.f_sw_hz,
@@ -374,27 +468,64 @@ impl RealTime {
         }
     }
 
+    /// Whether the half-cycle that runs, or one so many after it, is to be recorded.
+    fn is_window_due(&self, ahead: u32) -> bool {
+        let every = u32::from(self.windows_every);
+        every > 0 && self.half_cycle.wrapping_add(ahead).is_multiple_of(every)
+    }
+
     /// The drive that [`Drive::next`] says, from the next block on.
-    fn take_drive(&mut self, at_crossing: bool) {
+    fn take_drive(&mut self, at_crossing: bool, bus_dv: u16) {
         if self.drive.bridge == Bridge::LowerOn {
             self.lower_on_ns = self.lower_on_ns.saturating_add(self.block_ns);
         }
+        if at_crossing && self.off_at_crossing {
+            self.wanted = Drive::OFF;
+            self.off_at_crossing = false;
+        }
         let wanted = if self.fault == Fault::NONE {
-            self.wanted
+            self.dithered(self.wanted, at_crossing)
         } else {
             Drive::OFF
         };
+        let may_start = bus_dv < BUS_AT_START_DV || self.lower_on_ns > IDLE_LINK_NS;
+        let at_crossing = at_crossing && (self.drive.is_switching() || may_start);
         let next = self.drive.next(wanted, at_crossing, self.lower_on_ns);
-        if next == self.drive {
-            return;
+        if next != self.drive {
+            if !at_crossing {
+                self.accumulator.disturb();
+            }
+            self.change_drive(next);
         }
+    }
+
+    /// The frequency that a half-cycle gets: its own in every other one, which power control looks at,
+    /// and in those that are recorded.
+    fn dithered(&self, wanted: Drive, at_crossing: bool) -> Drive {
+        if self.dither_permille == 0 || !wanted.is_switching() || !at_crossing {
+            return wanted;
+        }
+        let by_hz = wanted.f_sw_hz * u32::from(self.dither_permille) / 1_000;
+        let f_sw_hz = match self.half_cycle & 3 {
+            // A window begins at a frequency that was there before.
+            _ if self.is_window_due(0) || self.is_window_due(1) => wanted.f_sw_hz,
+            1 => pwm::nearest_hz(wanted.f_sw_hz + by_hz),
+            3 => pwm::nearest_hz(wanted.f_sw_hz - by_hz),
+            _ => wanted.f_sw_hz,
+        };
+        Drive { f_sw_hz, ..wanted }
+    }
+
+    fn change_drive(&mut self, next: Drive) {
         if next.f_sw_hz != self.drive.f_sw_hz {
             self.block_ns = block_ns(next.f_sw_hz);
             self.ekf.set_frequency(next.f_sw_hz);
             self.protection.set_frequency(next.f_sw_hz);
+            self.soft.set_frequency(next.f_sw_hz);
         }
         if !self.drive.is_switching() {
             self.ekf.restart();
+            self.soft.set_frequency(next.f_sw_hz);
         }
         self.lower_on_ns = 0;
         self.demod = Demodulator::new(next.f_sw_hz);

@@ -170,6 +170,7 @@ fn replay_one(
             pairs: &pairs,
             zero_crossing,
             bus_dv,
+            dc_link_ma: None,
             lost: 0,
         })
     })

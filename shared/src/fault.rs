@@ -1,7 +1,7 @@
 //! The table of faults: number, name, meaning, and what to do about it. There is no other.
 //!
 //! A fault travels as its number, a varint of a `u16`, so a host decodes numbers that its table does
-//! not know, shows "fault 23", and loses nothing else of the message. Therefore a new fault raises
+//! not know, shows "fault 120", and loses nothing else of the message. Therefore a new fault raises
 //! only [`crate::wire::PROTOCOL_MINOR`]. Its number is the next free one: a number, once given, keeps
 //! its meaning for ever.
 
@@ -99,6 +99,38 @@ fault_table! {
     OPTION_BYTES = 16 "OptionBytes":
         "the controller's option bytes are wrong (one flash bank, or RAM parity off); set DBANK=1 and \
          SRAM_PE=0 with a debug probe (docs/board.md), then reset it";
+    /// Coil voltage, coil current and bus voltage contradict each other.
+    BRIDGE_BALANCE = 17 "BridgeBalance":
+        "coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the \
+         three sensors";
+    /// A channel's mean over whole periods is not zero.
+    SENSOR_OFFSET = 18 "SensorOffset":
+        "coil voltage or current has an offset, which the capacitor allows none of; check the sensor";
+    /// The samples repeat themselves to the last bit.
+    SAMPLES_FROZEN = 19 "SamplesFrozen":
+        "the same samples come again and again; check the ADC trigger and DMA";
+    /// Mains frequency outside 45 to 66 Hz, or zero crossings that are missing or misplaced.
+    MAINS_IRREGULAR = 20 "MainsIrregular":
+        "mains outside 45 to 66 Hz, or its zero crossings are missing or late; check mains and crossing \
+         detector";
+    /// The bridge switches and no current flows.
+    NO_COIL_CURRENT = 21 "NoCoilCurrent":
+        "the bridge switches and no coil current flows; check coil, capacitor and current sensor";
+    /// A temperature sensor's wire is broken.
+    NTC_OPEN = 22 "NtcOpen":
+        "a temperature sensor is not connected; check the wires of heat sink, glass and coil sensor";
+    /// A temperature sensor is shorted.
+    NTC_SHORT = 23 "NtcShort":
+        "a temperature sensor is shorted; check the wires of heat sink, glass and coil sensor";
+    /// Heat sink, glass or coil too hot for any power.
+    OVER_TEMPERATURE = 24 "OverTemperature":
+        "heat sink, glass or coil is too hot; let it cool down, and check fan and air inlets";
+    /// Power from the DC link and into the coil differ.
+    POWER_BALANCE = 25 "PowerBalance":
+        "the power from the DC link and the power into the coil differ; check gain of the sensors";
+    /// Zero crossings come and the bus has no voltage.
+    BUS_RANGE = 26 "BusRange":
+        "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
 }
 
 /// Text of a number that [`Fault::TABLE`] lacks.
@@ -171,13 +203,13 @@ mod tests {
 
     #[test]
     fn an_unknown_number_is_shown_as_its_number() {
-        let fault = Fault::from_number(23);
+        let fault = Fault::from_number(120);
         assert_eq!(
             fault.to_string(),
-            "fault 23 (unknown to this version: update ihd)"
+            "fault 120 (unknown to this version: update ihd)"
         );
-        assert_eq!(format!("{fault:?}"), "fault 23");
-        assert_eq!((fault.name(), fault.number()), (None, 23));
+        assert_eq!(format!("{fault:?}"), "fault 120");
+        assert_eq!((fault.name(), fault.number()), (None, 120));
     }
 
     #[test]

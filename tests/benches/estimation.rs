@@ -121,6 +121,7 @@ fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<RealTime> {
             pairs,
             zero_crossing: crosses.then_some(0),
             bus_dv: 3_000,
+            dc_link_ma: None,
             lost: 0,
         };
         since_ns = if crosses { 0 } else { since_ns };

@@ -134,7 +134,7 @@ fn what_cannot_be_heated_is_refused_at_switch_on() {
         );
         assert_faulted(&mut kitchen, fault);
         // With a pot the same hob heats.
-        kitchen.hob.lock().set_pot(PotKind::Ferromagnetic);
+        kitchen.hob.lock().set_pot(PotKind::Ferromagnetic).unwrap();
         kitchen.client.set_power(0).unwrap();
         kitchen.watch(3);
         assert_reaches(&mut kitchen, 1_000);
@@ -162,7 +162,7 @@ fn more_than_a_small_pot_takes_ends_at_the_lowest_frequency() {
 /// Exchanges the pot while heating; returns the fault and after how many half-cycles it came.
 fn exchange(power_w: u16, pot: PotKind) -> (Kitchen, Fault, usize) {
     let mut kitchen = Kitchen::heating(power_w);
-    kitchen.hob.lock().set_pot(pot);
+    kitchen.hob.lock().set_pot(pot).unwrap();
     let seen = kitchen.watch(20);
     let after = seen.iter().position(|t| t.fault != Fault::NONE);
     let after = after.expect("a fault");

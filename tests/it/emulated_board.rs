@@ -156,6 +156,7 @@ fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
                 pairs,
                 zero_crossing: (k == 0).then_some(0),
                 bus_dv: BUS_DV,
+                dc_link_ma: None,
                 lost: 0,
             })
         })

@@ -2,11 +2,9 @@
 
 use ihd_shared::lookup::{AtFrequency, RlLookup};
 
-use super::RESONANCE_MARGIN_PERCENT;
+use super::fundamental_uv;
 use crate::impedance::{Tank, TankAt};
-
-/// Crest current the prediction may ask for: 70 A, below the trip level.
-const I_CREST_MAX_MA: u32 = 70_000;
+use crate::limits::{PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT};
 
 /// sin of the four midpoints of a quarter period (11.25°, 33.75°, …), in 1/1024: the mean over
 /// them is the mean over the half-cycle.
@@ -15,7 +13,16 @@ const ENVELOPE_Q10: [u32; 4] = [200, 569, 851, 1_004];
 /// Rounds of the fixed point at each of them.
 const ROUNDS: u32 = 4;
 
-/// Mean power of a half-cycle in milliwatt that the lookup predicts at a frequency, or `None`
+/// What a lookup predicts for a half-cycle at one frequency.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Prediction {
+    /// Mean power, in milliwatt.
+    pub power_mw: u64,
+    /// Amplitude of the current at the crest of the mains, in milliampere.
+    pub i_crest_ma: u32,
+}
+
+/// What the lookup predicts at a frequency, or `None`
 /// where the tank would come too close to resonance or the current too high.
 ///
 /// At each point of the envelope the amplitude is the fixed point of I = V1/|Z(f, I)| with
@@ -23,9 +30,8 @@ const ROUNDS: u32 = 4;
 /// the voltage, and the iteration rises towards it from the last point's current in proportion.
 /// Four rounds leave 0.06 % of power with the prior, 0.3 % with half as much saturation again (eight
 /// from the last current itself: 0.001 and 0.007 %).
-pub fn predict_mw(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<u64> {
-    // 4.2e6 at most: times 1000 it still fits 32 bit.
-    let v1_peak_mv = u32::from(bus_peak_dv) * 6_366 / 100;
+pub fn predict(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<Prediction> {
+    let v1_peak_mv = fundamental_uv(bus_peak_dv) / 1_000;
     let load = LoadAt::new(lookup, f_sw_hz);
     let mut heat = 0;
     let mut i_ma = 0;
@@ -38,13 +44,16 @@ pub fn predict_mw(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<u
             i_ma = v1_uv / load.tank(i_ma).z_mohm().clamp(1, u64::from(u32::MAX)) as u32;
         }
         let tank = load.tank(i_ma);
-        if i_ma > I_CREST_MAX_MA || !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+        if i_ma > PLANNED_CURRENT_MA || !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
             return None;
         }
         heat += u64::from(i_ma) * u64::from(i_ma) * tank.r_mohm.max(0) as u64;
     }
-    // ½ I² R: mA² · mΩ = 1e-9 W.
-    Some(heat / (2_000_000 * ENVELOPE_Q10.len() as u64))
+    Some(Prediction {
+        // ½ I² R: mA² · mΩ = 1e-9 W.
+        power_mw: heat / (2_000_000 * ENVELOPE_Q10.len() as u64),
+        i_crest_ma: i_ma,
+    })
 }
 
 /// The load of a lookup at one frequency.
@@ -97,7 +106,7 @@ mod tests {
     #[test]
     fn prediction_follows_the_f64_oracle() {
         for f in [42_000, 50_000, 60_000, 80_000] {
-            let mw = predict_mw(&prior(), f, 3_253).unwrap() as f64;
+            let mw = predict(&prior(), f, 3_253).unwrap().power_mw as f64;
             let oracle = oracle_w(f64::from(f), 325.3) * 1e3;
             assert!((mw / oracle - 1.0).abs() < 0.01, "{f}: {mw} {oracle}");
         }
@@ -105,6 +114,6 @@ mod tests {
 
     #[test]
     fn no_power_is_predicted_near_resonance() {
-        assert_eq!(predict_mw(&prior(), 31_000, 3_253), None);
+        assert_eq!(predict(&prior(), 31_000, 3_253), None);
     }
 }

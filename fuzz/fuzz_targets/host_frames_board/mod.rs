@@ -90,6 +90,7 @@ impl Board {
             pairs,
             zero_crossing,
             bus_dv,
+            dc_link_ma: None,
             lost,
         }
     }

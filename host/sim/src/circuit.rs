@@ -68,7 +68,7 @@ mod tests {
                     }
                 }
                 let (from, to) = (n as f64 * dt_s, (n + 1) as f64 * dt_s);
-                let mean = bridge.advance(true, 1.0 / f, from, to, 0.0) * bus;
+                let mean = bridge.advance(true, 1.0 / f, (from, to), 0.0, bus) * bus;
                 circuit.step(mean, r, l, dt_s);
             }
         }

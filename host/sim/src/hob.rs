@@ -6,19 +6,28 @@
 
 use std::collections::VecDeque;
 
+use ihd_firmware::drive::Bridge;
+use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::mains::{ZeroCrossing, bus_dv};
+use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::{Block, RealTime};
+use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_signal::truth::Truth;
 
 use super::adc::{Adc, Noise};
 use super::behavioural::PotKind;
+use super::injection::{InjectionKind, Injections};
+use super::inverter::InverterError;
 use super::mains::Mains;
+use super::meter::Reading;
 use super::plant::{LoadPoint, Plant};
+use super::pot::Pot;
 use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
 
@@ -32,13 +41,23 @@ const SETTLED_AFTER_S: f64 = 0.5e-3;
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
 
+/// Coil current at which the comparator opens the bridge, in ampere.
+const COMPARATOR_A: f64 = TRIP_CODE as f64 * AMPERE_PER_CODE;
+
+/// The board's watchdog bites when it has not been fed for this long, in seconds.
+const WATCHDOG_S: f64 = 60e-3;
+
 /// What is simulated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HobConfig {
     /// Mains frequency in hertz.
     pub mains_hz: f64,
+    /// Mains voltage in volt rms.
+    pub mains_v: f64,
+    /// Bus capacitance in farad; 0: the bus is the rectified mains.
+    pub bus_capacitance_f: f64,
     /// What stands on the coil at the start.
-    pub pot: PotKind,
+    pub pot: Pot,
     /// How the load is modelled.
     pub load: LoadKind,
     /// Whether the pot warms up, so that R and L drift over minutes.
@@ -60,7 +79,9 @@ impl Default for HobConfig {
     fn default() -> Self {
         Self {
             mains_hz: 50.0,
-            pot: PotKind::Ferromagnetic,
+            mains_v: 230.0,
+            bus_capacitance_f: 0.0,
+            pot: PotKind::Ferromagnetic.into(),
             load: LoadKind::Behavioural,
             warming: false,
             anti_alias_hz: 500e3,
@@ -82,6 +103,12 @@ pub struct SimHob {
     zero_crossing: ZeroCrossing,
     realtime: Box<RealTime>,
     housekeeping: Housekeeping,
+    heartbeat: Heartbeat,
+    fed_s: f64,
+    watchdog_bites: u32,
+    injections: Injections,
+    /// Blocks that did not arrive since the last that did.
+    lost: u32,
     inbound: VecDeque<u8>,
     outbound: VecDeque<u8>,
     link_bytes_per_s: f64,
@@ -92,41 +119,91 @@ pub struct SimHob {
 
 impl SimHob {
     /// A hob that has just been switched on, at a mains zero crossing.
+    ///
+    /// # Panics
+    /// For a pot that has no model and the like; [`SimHob::assemble`] returns that as an error.
     pub fn new(config: &HobConfig) -> Self {
+        Self::assemble(config).expect("a pot that has a model")
+    }
+
+    /// The same.
+    ///
+    /// # Errors
+    /// When there is no model of the pot, or no such bus capacitor.
+    pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
         let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
         // Simulated boots differ by their seed.
         let boot_id = config.seed as u32;
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
-        let mains = Mains::new(config.mains_hz);
-        let mut plant = Plant::with_load(mains, config.pot, config.load, adc);
+        let mains = Mains::new(config.mains_hz).changed(0.0, config.mains_v, config.mains_hz);
+        let bus_f = config.bus_capacitance_f;
+        let mut plant = Plant::assemble(mains, config.pot, config.load, bus_f, adc)?;
+        plant.set_comparator(COMPARATOR_A);
         if config.warming {
             plant.enable_warming();
         }
-        Self {
+        Ok(Self {
             plant,
             slow_adc: SlowAdc::new(config.seed),
             zero_crossing: ZeroCrossing::default(),
             realtime: Box::new(RealTime::new(r, l)),
             housekeeping: Housekeeping::new(hello),
+            heartbeat: Heartbeat::default(),
+            fed_s: 0.0,
+            watchdog_bites: 0,
+            injections: Injections::default(),
+            lost: 0,
             inbound: VecDeque::new(),
             outbound: VecDeque::new(),
             link_bytes_per_s: config.link_bytes_per_s,
             link_credit: 0.0,
             truth: Truth::default(),
             truths: VecDeque::new(),
-        }
+        })
     }
 
     /// Simulates one block of 61 samples.
     pub fn step(&mut self) {
         let start_s = self.plant.t_s();
-        let half_s = self.plant.mains().half_cycle_s();
+        let mut pairs = self.sample();
+        let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
+        let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
+        let crossing = self.zero_crossing.on_block(mains_code);
+        let bus_code = self.slow_adc.bus(self.plant.bus_v());
+        self.injections.on_pairs(&mut pairs);
+        let block = Block {
+            pairs: &pairs,
+            zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
+            bus_dv: bus_dv(self.injections.on_bus(bus_code)),
+            dc_link_ma: None,
+            lost: self.lost,
+        };
+        let drive = if self.injections.on_block() {
+            self.lost += 1;
+            self.realtime.drive()
+        } else {
+            self.lost = 0;
+            self.realtime.on_block(&block)
+        };
+        self.plant.set_drive(drive);
+        let since_s = mains.since_crossing_s(end_s);
+        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
+            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
+        }
+        self.run_link(end_s - start_s);
+        self.housekeeping.poll(&mut *self.realtime);
+        self.after_block();
+    }
+
+    /// A block of samples, and the truth beside it.
+    fn sample(&mut self) -> [Pair; ADC_LOCK_P] {
+        let mains = self.plant.mains();
         let (truth, truths) = (&mut self.truth, &mut self.truths);
         let mut k = 0u8;
-        let pairs = self.plant.block(|point: &LoadPoint| {
-            let half_cycle = (point.t_s / half_s) as u32;
+        self.plant.block(|point: &LoadPoint| {
+            let half_cycle = mains.half_cycle(point.t_s);
             if half_cycle != truth.half_cycle {
                 let next = Truth {
                     half_cycle,
@@ -138,29 +215,27 @@ impl SimHob {
                 }
             }
             if usize::from(k).is_multiple_of(TRUTH_EVERY) {
-                truth.t_s.push(point.t_s - f64::from(half_cycle) * half_s);
+                truth.t_s.push(mains.since_crossing_s(point.t_s));
                 truth.r_ohm.push(point.r_ohm);
                 truth.l_h.push(point.l_h);
                 truth.i_a.push(point.i_a);
             }
             k += 1;
-        });
-        let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
-        let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
-        let block = Block {
-            pairs: &pairs,
-            zero_crossing: self.zero_crossing.on_block(mains_code),
-            bus_dv: bus_dv(self.slow_adc.bus(mains.bus_v(end_s))),
-            lost: 0,
-        };
-        let drive = self.realtime.on_block(&block);
-        self.plant.set_drive(drive);
-        let since_s = end_s - f64::from(self.truth.half_cycle) * half_s;
-        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
-            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
+        })
+    }
+
+    /// What the board's hardware has to say after a block, and what becomes of the watchdog.
+    fn after_block(&mut self) {
+        if self.plant.is_tripped() && self.realtime.drive().bridge != Bridge::Open {
+            self.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
         }
-        self.run_link(self.plant.t_s() - start_s);
-        self.housekeeping.poll(&mut *self.realtime);
+        let t_s = self.plant.t_s();
+        if self.heartbeat.beat(self.realtime.blocks()) {
+            self.fed_s = t_s;
+        } else if t_s - self.fed_s > WATCHDOG_S {
+            self.watchdog_bites += 1;
+            self.fed_s = t_s;
+        }
     }
 
     fn run_link(&mut self, elapsed_s: f64) {
@@ -206,8 +281,64 @@ impl SimHob {
     }
 
     /// Puts another pot on the coil, or takes it away.
-    pub fn set_pot(&mut self, pot: PotKind) {
-        self.plant.set_pot(pot);
+    ///
+    /// # Errors
+    /// When there is no model of that pot; the old one stays.
+    pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
+        self.plant.set_pot(pot)
+    }
+
+    /// What stands on the coil.
+    pub fn pot(&self) -> Pot {
+        self.plant.pot()
+    }
+
+    /// Makes a pot ready, so that putting it on later takes no time.
+    ///
+    /// # Errors
+    /// When there is no model of that pot.
+    pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
+        self.plant.prepare(pot)
+    }
+
+    /// The mains.
+    pub fn mains(&self) -> Mains {
+        self.plant.mains()
+    }
+
+    /// Another voltage in volt rms, 0 for none, and frequency in hertz from now on; the phase goes on.
+    pub fn set_mains(&mut self, v_rms_v: f64, frequency_hz: f64) {
+        let mains = self.plant.mains();
+        let changed = mains.changed(self.plant.t_s(), v_rms_v, frequency_hz);
+        self.plant.set_mains(changed);
+    }
+
+    /// Changes what is wrong with sensors and sampling.
+    pub fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
+        change(&mut self.injections);
+        let dead = self.injections.has(InjectionKind::ComparatorDead);
+        let trip_a = if dead { f64::INFINITY } else { COMPARATOR_A };
+        self.plant.set_comparator(trip_a);
+    }
+
+    /// What instruments read over the last true half-cycle, once after each.
+    pub fn take_reading(&mut self) -> Option<Reading> {
+        self.plant.take_reading()
+    }
+
+    /// Since when both switches are open, in seconds; `None` while one may be closed.
+    pub fn open_since_s(&self) -> Option<f64> {
+        self.plant.open_since_s()
+    }
+
+    /// How often the board's watchdog would have reset the controller; the simulation goes on.
+    pub fn watchdog_bites(&self) -> u32 {
+        self.watchdog_bites
+    }
+
+    /// The firmware's sampling path, for those that look inside.
+    pub fn realtime(&self) -> &RealTime {
+        &self.realtime
     }
 
     /// The truth of a half-cycle that is over and not too long ago.

@@ -1,4 +1,4 @@
-//! The load library of the simulated hob: every pot, ready to be put on its coil.
+//! The load library of the simulated hob: each pot is prepared when it is first put on the coil.
 
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
@@ -10,54 +10,71 @@ use super::recording::settings::LoadKind;
 /// Resistance of the winding in ohm, beside a load from the field model.
 const WINDING_R_OHM: f64 = 0.1;
 
-/// Every pot, ready to be put on the coil.
+/// Pots of one load model, ready to be put on the coil.
 #[derive(Clone, Debug)]
-pub(super) struct LoadLibrary(Vec<(PotKind, PreparedLoad)>);
+pub(super) struct LoadLibrary {
+    kind: LoadKind,
+    ready: Vec<(Pot, PreparedLoad)>,
+}
 
 impl LoadLibrary {
-    /// Prepares every pot for a load model.
-    pub(super) fn new(kind: LoadKind) -> Result<Self, InverterError> {
-        let prepare = |pot: PotKind| {
-            let prepared = match kind {
-                LoadKind::Behavioural => PreparedLoad::Behavioural(pot),
-                _ => PreparedLoad::new(kind, &described(pot), WINDING_R_OHM)?,
-            };
-            Ok((pot, prepared))
+    /// Empty, for a load model.
+    pub(super) fn new(kind: LoadKind) -> Self {
+        Self {
+            kind,
+            ready: Vec::new(),
+        }
+    }
+
+    /// Prepares a pot, if it is not yet: some 10 ms for the field, 100 ms for the table, four times that
+    /// off centre.
+    ///
+    /// # Errors
+    /// When there is no model of that pot.
+    pub(super) fn prepare(&mut self, pot: &Pot) -> Result<&PreparedLoad, InverterError> {
+        let known = self.ready.iter().position(|(ready, _)| ready == pot);
+        let at = match known {
+            Some(at) => at,
+            None => {
+                // The formulas would take any number.
+                pot.field_settings(WINDING_R_OHM)?;
+                let prepared = PreparedLoad::new(self.kind, pot, WINDING_R_OHM)?;
+                self.ready.push((*pot, prepared));
+                self.ready.len() - 1
+            }
         };
-        let all: Result<_, InverterError> = PotKind::ALL.into_iter().map(prepare).collect();
-        Ok(Self(all?))
+        Ok(&self.ready[at].1)
     }
 
     /// A pot at a switching frequency, with `steps` integration steps a period, in place of `before`.
     pub(super) fn take(
-        &self,
-        pot: PotKind,
+        &mut self,
+        pot: &Pot,
         f_sw_hz: f64,
         steps: usize,
         before: Option<&LoadState>,
     ) -> Result<LoadState, InverterError> {
-        // `new` prepared every kind.
-        let found = self.0.iter().find(|(kind, _)| *kind == pot);
-        let (_, prepared) = found.unwrap_or(&self.0[0]);
-        prepared.start(f_sw_hz, steps, before)
+        self.prepare(pot)?.start(f_sw_hz, steps, before)
     }
 
     /// Winding resistance in ohm within the loads' R; the formulas know none.
     pub(super) fn winding_r_ohm(&self) -> f64 {
-        match self.0.first() {
-            Some((_, PreparedLoad::Behavioural(_))) => 0.0,
-            _ => WINDING_R_OHM,
+        match self.kind {
+            LoadKind::Behavioural => 0.0,
+            LoadKind::Field | LoadKind::Surrogate => WINDING_R_OHM,
         }
     }
 }
 
-/// The pots of the behavioural model as field models.
-pub(super) fn described(pot: PotKind) -> Pot {
-    match pot {
-        PotKind::Ferromagnetic => Pot::new(Metal::Ferritic, 0.21),
-        PotKind::Small => Pot::new(Metal::Ferritic, 0.12),
-        PotKind::Aluminium => Pot::new(Metal::Aluminium, 0.21),
-        PotKind::Stainless => Pot::new(Metal::Stainless, 0.21),
-        PotKind::None => Pot::NONE,
+/// The loads of the formulas as pots.
+impl From<PotKind> for Pot {
+    fn from(kind: PotKind) -> Self {
+        match kind {
+            PotKind::Ferromagnetic => Self::new(Metal::Ferritic, 0.21),
+            PotKind::Small => Self::new(Metal::Ferritic, 0.12),
+            PotKind::Aluminium => Self::new(Metal::Aluminium, 0.21),
+            PotKind::Stainless => Self::new(Metal::Stainless, 0.21),
+            PotKind::None => Self::NONE,
+        }
     }
 }

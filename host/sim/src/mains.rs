@@ -1,15 +1,17 @@
 //! The rectified mains behind the half-bridge's bus.
 
-/// 230 V mains, rectified, with no bus capacitance to speak of: the bus follows |sin|.
+/// Mains whose voltage and frequency may change at any instant, its phase going on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mains {
     /// Mains frequency in hertz, 50 or 60.
     pub frequency_hz: f64,
-    /// Peak of the bus voltage in volt.
+    /// Peak of the bus voltage in volt; 0 without mains.
     pub peak_v: f64,
     /// Distortion: third, fifth and seventh harmonic as a share of the fundamental, in phase at
     /// the zero crossing. A positive third or a negative fifth flattens the top.
     pub harmonics: [f64; 3],
+    /// Time of the last change of frequency, in seconds, and the mains cycles until then.
+    changed: (f64, f64),
 }
 
 impl Mains {
@@ -19,7 +21,44 @@ impl Mains {
             frequency_hz,
             peak_v: ihd_shared::hob::BUS_PEAK_V,
             harmonics: [0.0; 3],
+            changed: (0.0, 0.0),
         }
+    }
+
+    /// The same with third, fifth and seventh harmonic as shares of the fundamental.
+    pub fn with_harmonics(self, harmonics: [f64; 3]) -> Self {
+        Self { harmonics, ..self }
+    }
+
+    /// The same mains from `t_s` on with another voltage and frequency, without a jump of its phase.
+    pub fn changed(self, t_s: f64, v_rms_v: f64, frequency_hz: f64) -> Self {
+        Self {
+            frequency_hz,
+            peak_v: v_rms_v * std::f64::consts::SQRT_2,
+            changed: (t_s, self.cycles(t_s)),
+            ..self
+        }
+    }
+
+    /// Rms of the fundamental, in volt.
+    pub fn v_rms_v(&self) -> f64 {
+        self.peak_v * std::f64::consts::FRAC_1_SQRT_2
+    }
+
+    /// Mains cycles since the start.
+    pub fn cycles(&self, t_s: f64) -> f64 {
+        let (changed_s, before) = self.changed;
+        before + self.frequency_hz * (t_s - changed_s)
+    }
+
+    /// Half-cycles that are over at a time; without mains they go on at the last frequency.
+    pub fn half_cycle(&self, t_s: f64) -> u32 {
+        (2.0 * self.cycles(t_s)) as u32
+    }
+
+    /// Time since the last zero crossing, in seconds.
+    pub fn since_crossing_s(&self, t_s: f64) -> f64 {
+        (2.0 * self.cycles(t_s)).fract() * self.half_cycle_s()
     }
 
     /// Duration of a half-cycle in seconds.
@@ -29,7 +68,9 @@ impl Mains {
 
     /// Mains voltage at a time after a rising zero crossing, in volt.
     pub fn mains_v(&self, t_s: f64) -> f64 {
-        let angle = std::f64::consts::TAU * self.frequency_hz * t_s;
+        let (changed_s, before) = self.changed;
+        let angle = std::f64::consts::TAU * self.frequency_hz * (t_s - changed_s)
+            + std::f64::consts::TAU * before.fract();
         let mut v = libm::sin(angle);
         if self.harmonics != [0.0; 3] {
             for (share, order) in self.harmonics.into_iter().zip([3.0, 5.0, 7.0]) {
@@ -42,5 +83,31 @@ impl Mains {
     /// Rectified mains at a time after a zero crossing, in volt.
     pub fn bus_v(&self, t_s: f64) -> f64 {
         libm::fabs(self.mains_v(t_s))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_change_of_frequency_keeps_the_phase_and_one_of_voltage_scales_at_once() {
+        let mains = Mains::new(50.0);
+        let at_s = 13.3e-3;
+        let faster = mains.changed(at_s, 230.0, 60.0);
+        assert!((faster.mains_v(at_s) - mains.mains_v(at_s)).abs() < 1e-9);
+        // 0.335 of a cycle is left at 13.3 ms: 5.583 ms at 60 Hz.
+        let crossing_s = at_s + 0.335 / 60.0;
+        assert!(faster.mains_v(crossing_s).abs() < 1e-9);
+        assert_eq!(faster.half_cycle(crossing_s - 1e-6), 1);
+        assert_eq!(faster.half_cycle(crossing_s + 1e-6), 2);
+        let since_s = faster.since_crossing_s(crossing_s + 1e-3);
+        assert!((since_s - 1e-3).abs() < 1e-12, "{since_s}");
+        let sag = mains.changed(at_s, 138.0, 50.0);
+        assert!((sag.bus_v(at_s) / mains.bus_v(at_s) - 0.6).abs() < 1e-12);
+        assert_eq!(mains.changed(at_s, 0.0, 50.0).bus_v(14e-3), 0.0);
+        assert!(
+            (sag.changed(15e-3, 230.0, 50.0).mains_v(0.025) - mains.mains_v(0.025)).abs() < 1e-9
+        );
     }
 }

@@ -1,17 +1,20 @@
 //! The power stage with its load and ADC, one ADC block at a time.
 
+use ihd_firmware::drive::Bridge;
+use ihd_firmware::pwm::DEAD_TIME_NS;
 use ihd_firmware::realtime::Drive;
-use ihd_shared::hob::EDGE_NS;
+use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
 use super::adc::Adc;
-use super::behavioural::PotKind;
 use super::inverter::bridge::HalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::harmonic_analyser::HarmonicAnalyser;
-use super::inverter::{Inverter, InverterError};
-use super::load_library::{LoadLibrary, described};
+use super::inverter::{Instant, Inverter, InverterError};
+use super::load_library::LoadLibrary;
 use super::mains::Mains;
+use super::meter::Reading;
+use super::pot::Pot;
 use super::recording::settings::LoadKind;
 use super::thermal_model::ThermalModel;
 
@@ -37,14 +40,30 @@ pub struct LoadPoint {
     pub i_a: f64,
 }
 
+/// Gathers a [`Reading`].
+#[derive(Clone, Debug, Default)]
+struct Meter {
+    half_cycle: u32,
+    energy_before_j: f64,
+    running: Reading,
+    last: Option<Reading>,
+}
+
 /// Mains, half-bridge, capacitor, load and ADC.
 #[derive(Clone, Debug)]
 pub struct Plant {
     adc: Adc,
-    pot: PotKind,
+    pot: Pot,
     load_library: LoadLibrary,
     drive: Drive,
     inverter: Inverter,
+    /// Coil current in ampere at which the comparator opens both switches; infinite without one.
+    comparator_a: f64,
+    /// Since when the comparator holds the bridge open.
+    tripped_s: Option<f64>,
+    /// Since when both switches are open.
+    open_since_s: Option<f64>,
+    meter: Meter,
     analyser: HarmonicAnalyser,
     measured: LoadPoint,
     warming: Option<ThermalModel>,
@@ -52,32 +71,39 @@ pub struct Plant {
 
 impl Plant {
     /// A plant at rest, at a mains zero crossing, with a behavioural load.
-    pub fn new(mains: Mains, pot: PotKind, adc: Adc) -> Self {
+    pub fn new(mains: Mains, pot: impl Into<Pot>, adc: Adc) -> Self {
         Self::with_load(mains, pot, LoadKind::Behavioural, adc)
     }
 
     /// The same with a load model of choice.
     ///
     /// # Panics
-    /// Never by anything from outside: all pots and the bridge are constants of this file, and the
-    /// tests put every pot on the coil.
-    pub fn with_load(mains: Mains, pot: PotKind, load: LoadKind, adc: Adc) -> Self {
-        Self::assemble(mains, pot, load, adc).expect("the pots of this file are valid")
+    /// For a pot that has no model; [`Plant::assemble`] returns that as an error.
+    pub fn with_load(mains: Mains, pot: impl Into<Pot>, load: LoadKind, adc: Adc) -> Self {
+        Self::assemble(mains, pot.into(), load, 0.0, adc).expect("a pot that has a model")
     }
 
-    fn assemble(
+    /// The same with a bus capacitance in farad.
+    ///
+    /// # Errors
+    /// When there is no model of that pot, or no such capacitor.
+    pub fn assemble(
         mains: Mains,
-        pot: PotKind,
+        pot: Pot,
         load: LoadKind,
+        bus_capacitance_f: f64,
         adc: Adc,
     ) -> Result<Self, InverterError> {
         let drive = Drive::OFF;
         let f_sw_hz = f64::from(drive.f_sw_hz);
-        let load_library = LoadLibrary::new(load)?;
+        let mut load_library = LoadLibrary::new(load);
         let inverter = Inverter::new(
-            Bus::new(mains, 0.0, 0.0)?,
-            HalfBridge::new(0.0, f64::from(EDGE_NS) * 1e-9)?,
-            load_library.take(pot, f_sw_hz, STEPS_PER_PERIOD, None)?,
+            Bus::new(mains, bus_capacitance_f, 0.0)?,
+            HalfBridge::with_node(
+                f64::from(DEAD_TIME_NS) * 1e-9,
+                f64::from(NODE_CAPACITANCE_NF) * 1e-9,
+            )?,
+            load_library.take(&pot, f_sw_hz, STEPS_PER_PERIOD, None)?,
             f_sw_hz,
             STEPS_PER_PERIOD,
             0.0,
@@ -88,10 +114,35 @@ impl Plant {
             load_library,
             drive,
             inverter,
+            comparator_a: f64::INFINITY,
+            tripped_s: None,
+            open_since_s: Some(0.0),
+            meter: Meter::default(),
             analyser: HarmonicAnalyser::new(STEPS_PER_PERIOD),
             measured: LoadPoint::default(),
             warming: None,
         })
+    }
+
+    /// From now on a comparator opens both switches at a coil current in ampere, within the integration
+    /// step; infinite for none. They stay open until the drive has asked for that too.
+    pub fn set_comparator(&mut self, trip_a: f64) {
+        self.comparator_a = trip_a;
+    }
+
+    /// Whether the comparator holds both switches open.
+    pub fn is_tripped(&self) -> bool {
+        self.tripped_s.is_some()
+    }
+
+    /// Since when both switches are open, in seconds; `None` while one may be closed.
+    pub fn open_since_s(&self) -> Option<f64> {
+        self.tripped_s.or(self.open_since_s)
+    }
+
+    /// The last whole half-cycle's readings, once.
+    pub fn take_reading(&mut self) -> Option<Reading> {
+        self.meter.last.take()
     }
 
     /// Lets the pot warm up from room temperature by the power it takes.
@@ -114,26 +165,48 @@ impl Plant {
         self.inverter.bus.mains()
     }
 
+    /// Another mains from now on.
+    pub fn set_mains(&mut self, mains: Mains) {
+        self.inverter.bus.set_mains(mains);
+    }
+
+    /// Bus voltage in volt.
+    pub fn bus_v(&self) -> f64 {
+        self.inverter.bus.v()
+    }
+
     /// What stands on the coil.
-    pub fn pot(&self) -> PotKind {
+    pub fn pot(&self) -> Pot {
         self.pot
     }
 
+    /// Makes a pot ready, so that putting it on later takes no time.
+    ///
+    /// # Errors
+    /// When there is no model of that pot.
+    pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
+        self.load_library.prepare(pot).map(|_| ())
+    }
+
     /// Puts another pot on the coil, or takes it away. The current flows on.
-    pub fn set_pot(&mut self, pot: PotKind) {
-        let load = self.load_library.take(
-            pot,
+    ///
+    /// # Errors
+    /// When there is no model of that pot; the old one stays.
+    pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
+        let pot = pot.into();
+        self.inverter.load = self.load_library.take(
+            &pot,
             self.inverter.f_sw_hz(),
             STEPS_PER_PERIOD,
             Some(&self.inverter.load),
-        );
-        // The library was checked when it was made; a pot that cannot be put on stays away.
-        if let Ok(load) = load {
-            self.inverter.load = load;
-            self.pot = pot;
+        )?;
+        if pot.metal != self.pot.metal || pot.diameter_m != self.pot.diameter_m {
             // The new pot comes from the cupboard.
             self.warming = self.warming.map(|_| ThermalModel::default());
         }
+        self.pot = pot;
+        self.apply_temperature();
+        Ok(())
     }
 
     /// Takes effect with the next block; with another frequency the carrier starts anew.
@@ -145,12 +218,19 @@ impl Plant {
             if !load.set_dt(dt_s).unwrap_or(false)
                 && let Ok(law) =
                     self.load_library
-                        .take(self.pot, f_sw_hz, STEPS_PER_PERIOD, Some(&load))
+                        .take(&self.pot, f_sw_hz, STEPS_PER_PERIOD, Some(&load))
             {
                 load = law;
             }
             self.inverter.restart(load, f_sw_hz, STEPS_PER_PERIOD);
             self.apply_temperature();
+        }
+        match drive.bridge {
+            Bridge::Open => {
+                self.open_since_s = self.open_since_s().or(Some(self.t_s()));
+                self.tripped_s = None;
+            }
+            Bridge::LowerOn | Bridge::Switching => self.open_since_s = None,
         }
         self.drive = drive;
     }
@@ -179,10 +259,53 @@ impl Plant {
     /// integration step, as a comparator sees it. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let pair = self.adc.sample();
+        let bridge = match self.tripped_s {
+            None => self.drive.bridge,
+            Some(_) => Bridge::Open,
+        };
+        self.meter.running.bridge_on |= bridge == Bridge::Switching;
+        let mut crest = (0f64, 0f64);
         for _ in 0..STEPS_PER_SAMPLE {
-            current(self.step());
+            let now = match self.tripped_s {
+                None => self.step(bridge),
+                Some(_) => self.step(Bridge::Open),
+            };
+            if now.i_a.abs() >= self.comparator_a && self.tripped_s.is_none() {
+                self.tripped_s = Some(now.t_s);
+            }
+            crest = (crest.0.max(now.i_a.abs()), crest.1.max(now.coil_v.abs()));
+            current(now.i_a);
         }
+        self.read_meter(crest);
         pair
+    }
+
+    /// After each sample: crests, and at the mains' zero crossing the reading of the half-cycle.
+    fn read_meter(&mut self, (i_a, coil_v): (f64, f64)) {
+        let meter = &mut self.meter;
+        meter.running.i_peak_a = meter.running.i_peak_a.max(i_a);
+        meter.running.v_coil_peak_v = meter.running.v_coil_peak_v.max(coil_v);
+        let t_s = self.inverter.now_s();
+        let half_cycle = self.inverter.bus.mains().half_cycle(t_s);
+        if half_cycle == meter.half_cycle {
+            return;
+        }
+        meter.half_cycle = half_cycle;
+        let energy_j = self.inverter.load_energy_j();
+        let edges = self.inverter.bridge.take_commutations();
+        let next = Reading {
+            t_s,
+            ..Reading::default()
+        };
+        let running = std::mem::replace(&mut meter.running, next);
+        meter.last = Some(Reading {
+            duration_s: t_s - running.t_s,
+            energy_j: energy_j - meter.energy_before_j,
+            hard_edges: edges.hard_edges,
+            i_turn_off_min_a: edges.turn_off_min_a,
+            ..running
+        });
+        meter.energy_before_j = energy_j;
     }
 
     /// One block's heat.
@@ -200,7 +323,7 @@ impl Plant {
     }
 
     fn apply_temperature(&mut self) {
-        let (Some(warming), Some(metal)) = (&self.warming, described(self.pot).metal) else {
+        let (Some(warming), Some(metal)) = (&self.warming, self.pot.metal) else {
             return;
         };
         let winding_r_ohm = self.load_library.winding_r_ohm();
@@ -229,20 +352,20 @@ impl Plant {
         }
     }
 
-    /// One integration step; the current after it.
-    fn step(&mut self) -> f64 {
+    /// One integration step; what is there after it.
+    fn step(&mut self, bridge: Bridge) -> Instant {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {
-            let now = self.inverter.advance(self.drive.bridge);
+            let now = self.inverter.advance(bridge);
             self.adc.advance(now.coil_v, now.i_a, dt_s);
-            return now.i_a;
+            return now;
         }
         let n = self.inverter.step_in_period();
         if n == 0 {
             let start = self.inverter.instant();
             self.analyser.push(0, start.coil_v, start.i_a);
         }
-        let now = self.inverter.advance(self.drive.bridge);
+        let now = self.inverter.advance(bridge);
         self.adc.advance(now.coil_v, now.i_a, dt_s);
         self.analyser.push(n + 1, now.coil_v, now.i_a);
         if n + 1 == STEPS_PER_PERIOD {
@@ -256,7 +379,7 @@ impl Plant {
                 i_a: truth.i_a,
             };
         }
-        now.i_a
+        now
     }
 }
 
@@ -264,7 +387,7 @@ impl Plant {
 mod tests {
     use super::*;
     use crate::adc::Noise;
-    use crate::behavioural::BehaviouralLoad;
+    use crate::behavioural::{BehaviouralLoad, PotKind};
 
     fn at_full_power(load: LoadKind) -> Plant {
         let adc = Adc::new(Noise::default(), 1);
@@ -321,7 +444,7 @@ mod tests {
         for load in [LoadKind::Behavioural, LoadKind::Field] {
             let mut plant = at_full_power(load);
             let before = plant.load_point();
-            plant.set_pot(PotKind::None);
+            plant.set_pot(PotKind::None).unwrap();
             plant.set_drive(Drive::switching(60_000));
             while plant.t_s() < 6e-3 {
                 plant.block(|_| ());

@@ -1,6 +1,7 @@
 //! What stands on the coil, where, and how hot: the description that becomes a field model.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -13,12 +14,27 @@ use super::field::model::Settings;
 /// Angles at which the rim of an off-centre pot is looked at, over half a turn.
 const SECTORS: usize = 4;
 
+/// Diameters of a pot's base that have a name, in centimetre.
+const DIAMETERS_CM: RangeInclusive<f64> = 5.0..=26.0;
+
+/// Where the rim of a pot off centre comes nearer to the coil's axis than this, in metre, this is taken:
+/// 8 mm beyond the coil's inner radius, above 2 of its 23 turns, it is as good as no pot.
+const LEAST_RIM_M: f64 = 20e-3;
+
+/// Any pot may be off centre by this share of its diameter: its rim stays outside the coil's axis.
+const ALLOWED_OFFSET: f64 = 0.4;
+
+/// A pot of 12 cm or more may be off centre by 60 mm: the coil's axis is then at its rim.
+const WIDE_OFFSET_M: f64 = 60e-3;
+
 /// Metals of pots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metal {
     /// Ferromagnetic stainless steel: the paper's load.
     Ferritic,
+    /// Grey cast iron.
+    CastIron,
     /// Austenitic stainless steel 304.
     Stainless,
     /// Aluminium.
@@ -43,7 +59,7 @@ pub struct Pot {
 /// A pot's name that means nothing.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "unknown pot `{0}`: use ferritic-D, stainless-D or aluminium-D with D = 9 to 21 (base in cm), or none"
+    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D or aluminium-D with D = 5 to 26 (base in cm), or none"
 )]
 pub struct UnknownPotName(String);
 
@@ -52,33 +68,37 @@ impl FromStr for Pot {
 
     fn from_str(name: &str) -> Result<Self, UnknownPotName> {
         let unknown = || UnknownPotName(name.to_owned());
-        let (metal, cm) = match name.split_once('-') {
-            None if name == "none" => return Ok(Self::NONE),
-            None => (name, 21.0),
-            Some((metal, cm)) => (metal, cm.parse::<f64>().map_err(|_| unknown())?),
+        let (metal, cm) = match name {
+            "none" => return Ok(Self::NONE),
+            // Names of the formulas' loads.
+            "ferromagnetic" => ("ferritic", 21.0),
+            "small" => ("ferritic", 12.0),
+            _ if Metal::of_name(name).is_some() => (name, 21.0),
+            _ => {
+                let (metal, cm) = name.rsplit_once('-').ok_or_else(unknown)?;
+                (metal, cm.parse::<f64>().map_err(|_| unknown())?)
+            }
         };
-        if !(9.0..=21.0).contains(&cm) {
+        if !DIAMETERS_CM.contains(&cm) {
             return Err(unknown());
         }
-        let metal = match metal {
-            "ferritic" => Metal::Ferritic,
-            "stainless" => Metal::Stainless,
-            "aluminium" => Metal::Aluminium,
-            _ => return Err(unknown()),
-        };
+        let metal = Metal::of_name(metal).ok_or_else(unknown)?;
         Ok(Self::new(metal, cm * 1e-2))
     }
 }
 
 impl fmt::Display for Pot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let metal = match self.metal {
-            None => return f.write_str("none"),
-            Some(Metal::Ferritic) => "ferritic",
-            Some(Metal::Stainless) => "stainless",
-            Some(Metal::Aluminium) => "aluminium",
-        };
-        write!(f, "{metal}-{}", self.diameter_m * 100.0)
+        match self.metal {
+            None => f.write_str("none"),
+            // A thousandth of a millimetre: 0.07 m are not 7.000000000000001 cm.
+            Some(metal) => write!(
+                f,
+                "{}-{}",
+                metal.name(),
+                (self.diameter_m * 1e6).round() / 1e4
+            ),
+        }
     }
 }
 
@@ -123,7 +143,7 @@ impl Pot {
                         self.offset_m * libm::sin(angle),
                         self.offset_m * libm::cos(angle),
                     );
-                    c + (radius_m * radius_m - s * s).sqrt()
+                    (c + (radius_m * radius_m - s * s).sqrt()).max(LEAST_RIM_M)
                 })
                 .collect()
         };
@@ -150,13 +170,17 @@ impl Pot {
         use super::field::error::in_range;
         in_range("pot diameter_m", self.diameter_m, 0.05, 0.4, "5 to 40 cm")?;
         in_range("pot lift_m", self.lift_m, 0.0, 0.1, "0 to 100 mm")?;
-        let most = 0.4 * self.diameter_m;
+        let wide = if self.diameter_m < 2.0 * WIDE_OFFSET_M - 1e-9 {
+            0.0
+        } else {
+            WIDE_OFFSET_M
+        };
         in_range(
             "pot offset_m",
             self.offset_m,
             0.0,
-            most,
-            "0 to 0.4 of the pot's diameter",
+            wide.max(ALLOWED_OFFSET * self.diameter_m),
+            "0 to 0.4 of the pot's diameter, or to 60 mm for 12 cm and more",
         )?;
         in_range(
             "pot temperature_c",
@@ -169,10 +193,33 @@ impl Pot {
 }
 
 impl Metal {
+    /// Every metal.
+    pub const ALL: [Self; 4] = [
+        Self::Ferritic,
+        Self::CastIron,
+        Self::Stainless,
+        Self::Aluminium,
+    ];
+
+    /// Its name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ferritic => "ferritic",
+            Self::CastIron => "cast-iron",
+            Self::Stainless => "stainless",
+            Self::Aluminium => "aluminium",
+        }
+    }
+
+    fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|metal| metal.name() == name)
+    }
+
     /// Resistivity at a temperature in °C over that at 20 °C.
     pub fn resistivity_factor(self, temperature_c: f64) -> f64 {
         let per_kelvin = match self {
             Self::Ferritic => 1.1e-3,
+            Self::CastIron => 1.9e-3,
             Self::Stainless => 0.9e-3,
             Self::Aluminium => 4.0e-3,
         };
@@ -184,6 +231,7 @@ impl Metal {
     pub fn at(self, temperature_c: f64) -> Material {
         let material = match self {
             Self::Ferritic => Material::PAPER,
+            Self::CastIron => Material::GREY_CAST_IRON,
             Self::Stainless => Material::STAINLESS_304,
             Self::Aluminium => Material::ALUMINIUM,
         };
@@ -226,7 +274,14 @@ mod tests {
 
     #[test]
     fn names_round_trip_and_unknown_ones_are_refused() {
-        for name in ["ferritic-18", "stainless-9", "aluminium-12.5", "none"] {
+        for name in [
+            "ferritic-18",
+            "cast-iron-7",
+            "stainless-5",
+            "aluminium-12.5",
+            "ferritic-26",
+            "none",
+        ] {
             assert_eq!(name.parse::<Pot>().unwrap().to_string(), name);
         }
         for bad in ["copper-18", "ferritic-50", "ferritic-x", "", "ferritic-NaN"] {
@@ -238,6 +293,36 @@ mod tests {
                 "{bad}"
             );
         }
+    }
+
+    #[test]
+    fn old_names_are_understood() {
+        assert_eq!("ferromagnetic".parse(), Ok(Pot::new(Metal::Ferritic, 0.21)));
+        assert_eq!("small".parse(), Ok(Pot::new(Metal::Ferritic, 0.12)));
+        assert_eq!("cast-iron".parse(), Ok(Pot::new(Metal::CastIron, 0.21)));
+    }
+
+    #[test]
+    fn the_least_and_the_most_that_can_be_put_on_has_a_load() {
+        let bare = z(Pot {
+            lift_m: 0.1,
+            ..Pot::new(Metal::Ferritic, 0.05)
+        });
+        let off = z(Pot {
+            offset_m: 0.06,
+            ..Pot::new(Metal::CastIron, 0.12)
+        });
+        let wide = z(Pot::new(Metal::CastIron, 0.26));
+        println!("{bare:?} {off:?} {wide:?}");
+        assert!(bare.0 < 0.05 && (4e-5..6e-5).contains(&bare.1), "{bare:?}");
+        assert!((0.2..1.5).contains(&off.0) && off.1 > 3e-5, "{off:?}");
+        assert!(wide.0 > 2.5 && wide.1 < 3.5e-5, "{wide:?}");
+        let too_far = Pot {
+            offset_m: 0.061,
+            ..Pot::new(Metal::CastIron, 0.12)
+        };
+        let refused = too_far.field_settings(0.0).unwrap_err().to_string();
+        assert!(refused.contains("60 mm for 12 cm"), "{refused}");
     }
 
     #[test]

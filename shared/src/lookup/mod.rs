@@ -69,6 +69,16 @@ impl RlLookup {
             .is_some_and(|byte| byte & (1 << (cell % 8)) != 0)
     }
 
+    /// Whether the cell nearest to a switching frequency and a current's amplitude rests on
+    /// observations.
+    pub fn is_observed_at(&self, f_sw_hz: u32, i_ma: u32) -> bool {
+        let nearest = |coordinate: u64| ((coordinate + grid::ONE / 2) >> 16) as usize;
+        self.is_observed(
+            nearest(grid::frequency_coordinate(f_sw_hz)),
+            nearest(grid::current_coordinate(i_ma)),
+        )
+    }
+
     /// Marks a cell as observed; cells outside the grid are ignored.
     pub fn mark_observed(&mut self, frequency: usize, current: usize) {
         let cell = frequency * CURRENTS + current;
@@ -176,6 +186,8 @@ mod tests {
         lookup.mark_observed(9, 0);
         assert!(lookup.is_observed(7, 16) && lookup.is_observed(0, 0));
         assert!(!lookup.is_observed(7, 15));
+        assert!(lookup.is_observed_at(77_000, 75_000) && lookup.is_observed_at(31_000, 300));
+        assert!(!lookup.is_observed_at(70_000, 80_000) && !lookup.is_observed_at(80_000, 66_000));
         assert_eq!(lookup.observed_cells(), 2);
     }
 }

@@ -75,6 +75,7 @@ impl SampleSource for SilentAdc {
             pairs: &SILENCE,
             zero_crossing: crossing.then_some(0),
             bus_dv: 0,
+            dc_link_ma: None,
             lost: 0,
         });
         true

@@ -177,6 +177,7 @@ fn take(rt: &mut RealTime, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option<u8>
         pairs,
         zero_crossing,
         bus_dv: 3_000,
+        dc_link_ma: None,
         lost: 0,
     }));
 }

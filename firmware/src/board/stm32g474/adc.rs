@@ -138,6 +138,7 @@ impl SampleSource for Adc {
             pairs: &self.pairs,
             zero_crossing: self.mains.on_block(mains),
             bus_dv,
+            dc_link_ma: None,
             lost: self.ring.take_lost(),
         });
         self.apply(drive);

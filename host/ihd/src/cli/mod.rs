@@ -10,6 +10,7 @@ pub mod inspect;
 pub mod interrupt;
 pub mod record;
 pub mod replay;
+pub mod scenario;
 pub mod simulate;
 pub mod simulated;
 pub mod study;
@@ -41,6 +42,7 @@ enum Command {
     Inspect(Box<inspect::InspectArgs>),
     Record(Box<record::RecordArgs>),
     Replay(Box<replay::ReplayArgs>),
+    Scenario(scenario::ScenarioArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Study(study::StudyArgs),
 }
@@ -61,6 +63,7 @@ impl Cli {
             Command::Inspect(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Replay(args) => args.run(),
+            Command::Scenario(args) => args.run(),
             Command::Simulate(args) => args.run(),
             Command::Study(args) => args.run(),
         }

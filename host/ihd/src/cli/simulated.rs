@@ -3,8 +3,8 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use ihd_sim::adc::Noise;
-use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::HobConfig;
+use ihd_sim::pot::Pot;
 
 use super::simulate::LoadWord;
 
@@ -12,9 +12,10 @@ use super::simulate::LoadWord;
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulated hob")]
 pub struct SimulatedHobArgs {
-    /// What stands on the coil: ferromagnetic, small, aluminium, stainless or none.
-    #[arg(long, value_name = "POT", default_value = "ferromagnetic")]
-    pot: PotKind,
+    /// What stands on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless or aluminium and 5 to 26
+    /// cm, or none.
+    #[arg(long, value_name = "POT", default_value = "ferritic-21")]
+    pot: Pot,
     /// How the load is modelled: field is the electromagnetic model (35 to 70 times slower than
     /// real time), reduced a table fitted to it.
     #[arg(long, value_name = "MODEL", default_value = "behavioural")]
@@ -43,7 +44,7 @@ const RATED_RMS: (f64, f64) = (179.1, 27.7);
 
 impl SimulatedHobArgs {
     /// The pot.
-    pub fn pot(&self) -> PotKind {
+    pub fn pot(&self) -> Pot {
         self.pot
     }
 

@@ -2,6 +2,7 @@
 
 pub mod identified;
 pub mod recording;
+pub mod scenario;
 pub mod survey;
 pub mod table;
 #[cfg(feature = "pinn")]

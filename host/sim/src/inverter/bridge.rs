@@ -1,19 +1,32 @@
 //! The half-bridge's output node: gates, dead time, edges.
 
 use super::InverterError;
+use super::node::{Commutations, Gate};
+
+/// How the node moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Edge {
+    /// Linearly, in this time in seconds whatever the current.
+    Fixed(f64),
+    /// By the current into this capacitance in farad, see [`super::node`].
+    Node(f64),
+}
 
 /// Node voltage as a share of the bus, 0 to 1.
 ///
 /// In a period of T: upper gate on from the dead time to T/2, lower gate from T/2 + dead time to
 /// T. With both off, the coil current moves the node: out of the node (positive) pulls it to 0,
-/// into it lifts it to 1; without current it stays until the next gate switches hard. Every move
-/// is a linear edge of the given duration (paper: 0.2 µs). A current too small to finish its edge
-/// within the dead time is not modelled.
+/// into it lifts it to 1; without current it stays until the next gate switches hard. Either every
+/// move is a linear edge of a given duration (paper: 0.2 µs), and a current too small to finish its edge
+/// within the dead time is not modelled; or the current charges the node's capacitance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfBridge {
-    dead_s: f64,
-    edge_s: f64,
-    level: f64,
+    pub(super) dead_s: f64,
+    pub(super) edge: Edge,
+    pub(super) level: f64,
+    /// Only kept with a node capacitance.
+    pub(super) gate: Option<Gate>,
+    pub(super) commutations: Commutations,
 }
 
 impl HalfBridge {
@@ -21,11 +34,30 @@ impl HalfBridge {
     pub fn new(dead_s: f64, edge_s: f64) -> Result<Self, InverterError> {
         super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
         super::in_range("edge_s", edge_s, 10e-9, 2e-6, "10 ns to 2 µs")?;
-        Ok(Self {
+        Ok(Self::at_rest(dead_s, Edge::Fixed(edge_s)))
+    }
+
+    /// A bridge at rest, low, whose node has a capacitance in farad, 1 to 100 nF; dead time 0 to 2 µs.
+    pub fn with_node(dead_s: f64, capacitance_f: f64) -> Result<Self, InverterError> {
+        super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
+        super::in_range(
+            "node capacitance_f",
+            capacitance_f,
+            1e-9,
+            100e-9,
+            "1 to 100 nF",
+        )?;
+        Ok(Self::at_rest(dead_s, Edge::Node(capacitance_f)))
+    }
+
+    fn at_rest(dead_s: f64, edge: Edge) -> Self {
+        Self {
             dead_s,
-            edge_s,
+            edge,
             level: 0.0,
-        })
+            gate: None,
+            commutations: Commutations::default(),
+        }
     }
 
     /// Share of the bus now.
@@ -34,8 +66,22 @@ impl HalfBridge {
     }
 
     /// Moves from `from_s` to `to_s` after the start of a period of `period_s` with coil current
-    /// `i_a`; returns the mean level on the way. Not `on` means: lower switch on.
-    pub fn advance(&mut self, on: bool, period_s: f64, from_s: f64, to_s: f64, i_a: f64) -> f64 {
+    /// `i_a` and a bus of `bus_v`; returns the mean level on the way. Not `on` means: lower switch on.
+    pub fn advance(
+        &mut self,
+        on: bool,
+        period_s: f64,
+        (from_s, to_s): (f64, f64),
+        i_a: f64,
+        bus_v: f64,
+    ) -> f64 {
+        let edge_s = match self.edge {
+            Edge::Fixed(edge_s) => edge_s,
+            Edge::Node(capacitance_f) => {
+                let charge_c = capacitance_f * bus_v;
+                return self.advance_node(on, period_s, (from_s, to_s), i_a, charge_c);
+            }
+        };
         let half_s = 0.5 * period_s;
         if on && self.level == 1.0 && from_s >= self.dead_s && to_s <= half_s {
             return 1.0;
@@ -65,31 +111,38 @@ impl HalfBridge {
             } else {
                 Some(0.0)
             };
-            sum += self.ramp(target.unwrap_or(self.level), end_s - at_s);
+            sum += self.ramp(target.unwrap_or(self.level), end_s - at_s, edge_s);
             at_s = end_s;
         }
         sum / (to_s - from_s)
     }
 
     /// Moves for a duration with both switches open, to the side whose diode conducts; returns the
-    /// mean level on the way.
-    pub(super) fn freewheel(&mut self, upper: bool, duration_s: f64) -> f64 {
-        self.ramp(f64::from(u8::from(upper)), duration_s) / duration_s
+    /// mean level on the way. `i_a` is the coil's current, `bus_v` the bus.
+    pub(super) fn freewheel(&mut self, upper: bool, duration_s: f64, i_a: f64, bus_v: f64) -> f64 {
+        self.gate = None;
+        let edge_s = match self.edge {
+            Edge::Fixed(edge_s) => edge_s,
+            // Smallest currents: the diode conducts, and what it carries decays.
+            Edge::Node(c_f) => (c_f * bus_v / i_a.abs().max(0.1)).max(1e-12),
+        };
+        self.ramp(f64::from(u8::from(upper)), duration_s, edge_s) / duration_s
     }
 
     /// Takes the level where the node stands with both switches open and without current.
     pub(super) fn float_at(&mut self, level: f64) {
+        self.gate = None;
         self.level = level.clamp(0.0, 1.0);
     }
 
     /// Moves towards `target` for a duration; returns the integral of the level.
-    fn ramp(&mut self, target: f64, duration_s: f64) -> f64 {
+    fn ramp(&mut self, target: f64, duration_s: f64, edge_s: f64) -> f64 {
         let distance = target - self.level;
-        let moving_s = (distance.abs() * self.edge_s).min(duration_s);
+        let moving_s = (distance.abs() * edge_s).min(duration_s);
         let end = if moving_s < duration_s {
             target
         } else {
-            self.level + distance.signum() * moving_s / self.edge_s
+            self.level + distance.signum() * moving_s / edge_s
         };
         let integral = 0.5 * (self.level + end) * moving_s + end * (duration_s - moving_s);
         self.level = end;
@@ -109,7 +162,7 @@ mod tests {
         let levels = (0..1000)
             .map(|n| {
                 let (from, to) = (n as f64 * 20e-9, (n + 1) as f64 * 20e-9);
-                mean += bridge.advance(true, T, from, to, current_a(from)) / 1000.0;
+                mean += bridge.advance(true, T, (from, to), current_a(from), 325.0) / 1000.0;
                 bridge.level()
             })
             .collect();
@@ -159,16 +212,16 @@ mod tests {
     fn an_edge_off_the_step_grid_keeps_its_area() {
         // Rising edge from 0 to 150 ns in one step of 1 µs: mean = 1 − 0.075.
         let mut bridge = HalfBridge::new(0.0, 150e-9).unwrap();
-        let mean = bridge.advance(true, T, 0.0, 1e-6, 0.0);
+        let mean = bridge.advance(true, T, (0.0, 1e-6), 0.0, 325.0);
         assert!((mean - 0.925).abs() < 1e-12, "{mean}");
     }
 
     #[test]
     fn the_lower_switch_pulls_the_node_down() {
         let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
-        bridge.advance(true, T, 2e-6, 3e-6, 0.0);
+        bridge.advance(true, T, (2e-6, 3e-6), 0.0, 325.0);
         assert_eq!(bridge.level(), 1.0);
-        bridge.advance(false, T, 3e-6, 4e-6, 10.0);
+        bridge.advance(false, T, (3e-6, 4e-6), 10.0, 325.0);
         assert_eq!(bridge.level(), 0.0);
     }
 

@@ -46,6 +46,12 @@ impl Bus {
         self.mains
     }
 
+    /// Another mains from now on.
+    pub fn set_mains(&mut self, mains: Mains) {
+        self.mains = mains;
+        self.piece.0 = -1.0;
+    }
+
     /// Bus voltage now, in volt.
     pub fn v(&self) -> f64 {
         self.v

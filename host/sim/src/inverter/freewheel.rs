@@ -40,7 +40,7 @@ impl Inverter {
             // The node has floated to the rail.
             self.bridge.float_at(f64::from(u8::from(upper)));
         }
-        let level = self.bridge.freewheel(upper, dt_s);
+        let level = self.bridge.freewheel(upper, dt_s, before.i_a, bus_before_v);
         let bus_v = self.bus.advance(to_s, dt_s, level * before.i_a);
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         let circuit = &mut self.circuit;
@@ -50,6 +50,7 @@ impl Inverter {
             *circuit = before;
             circuit.end_current(dt_s);
         }
+        self.meter_energy(mean_v, before, dt_s);
     }
 
     fn float(&mut self, open_v: f64, to_s: f64) {

@@ -7,6 +7,7 @@ pub mod envelope;
 mod freewheel;
 pub mod harmonic_analyser;
 pub mod load;
+pub mod node;
 
 use ihd_firmware::drive::Bridge;
 use thiserror::Error;
@@ -87,6 +88,7 @@ pub struct Inverter {
     period_start_s: f64,
     /// Voltage of the node while both switches are open and no current flows, in volt.
     floating_v: Option<f64>,
+    load_energy_j: f64,
 }
 
 impl Inverter {
@@ -110,7 +112,14 @@ impl Inverter {
             step: 0,
             period_start_s: t_s,
             floating_v: None,
+            load_energy_j: 0.0,
         }
+    }
+
+    /// Energy into the load since the start, its winding included, in joule: ∫ v i dt by the same
+    /// trapezoids as the circuit's, so none gets lost between bridge, capacitor and load.
+    pub fn load_energy_j(&self) -> f64 {
+        self.load_energy_j
     }
 
     /// Integration step in seconds.
@@ -176,10 +185,14 @@ impl Inverter {
         let dt_s = self.dt_s();
         let (from_s, i_a) = (self.step as f64 * dt_s, self.circuit.i_a);
         let flux = self.load.predict(i_a);
-        let bus_before_v = self.bus.v();
-        let level = self
-            .bridge
-            .advance(on, self.steps as f64 * dt_s, from_s, from_s + dt_s, i_a);
+        let (before, bus_before_v) = (self.circuit, self.bus.v());
+        let level = self.bridge.advance(
+            on,
+            self.steps as f64 * dt_s,
+            (from_s, from_s + dt_s),
+            i_a,
+            bus_before_v,
+        );
         let bus_v = self
             .bus
             .advance(self.period_start_s + from_s + dt_s, dt_s, level * i_a);
@@ -187,7 +200,15 @@ impl Inverter {
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         self.circuit
             .step_flux(mean_v, flux.r_ohm, flux.change0_wb, flux.l_h, dt_s);
+        self.meter_energy(mean_v, before, dt_s);
         self.finish(&flux);
+    }
+
+    /// Counts the energy of a step with a mean voltage of the node, from `before` until now.
+    fn meter_energy(&mut self, node_v: f64, before: Circuit, dt_s: f64) {
+        let now = self.circuit;
+        let coil_v = node_v - 0.5 * (before.v_c_v + now.v_c_v);
+        self.load_energy_j += coil_v * 0.5 * (before.i_a + now.i_a) * dt_s;
     }
 
     /// Hands the new current to the load, and counts the step.

@@ -84,7 +84,7 @@ fn behavioural_kind(pot: &Pot) -> PotKind {
         None => PotKind::None,
         Some(Metal::Stainless) => PotKind::Stainless,
         Some(Metal::Aluminium) => PotKind::Aluminium,
-        Some(Metal::Ferritic) if pot.diameter_m < 0.15 => PotKind::Small,
-        Some(Metal::Ferritic) => PotKind::Ferromagnetic,
+        Some(Metal::Ferritic | Metal::CastIron) if pot.diameter_m < 0.15 => PotKind::Small,
+        Some(Metal::Ferritic | Metal::CastIron) => PotKind::Ferromagnetic,
     }
 }

@@ -100,10 +100,7 @@ pub fn record(
     mut progress: impl FnMut(f64),
 ) -> Result<Recording, InverterError> {
     settings.check()?;
-    let mains = Mains {
-        harmonics: settings.mains_harmonics,
-        ..Mains::new(settings.mains_hz)
-    };
+    let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
     let mut prepared = PreparedLoad::new(settings.load, &settings.pot, settings.winding_r_ohm)?;
     let steps = settings.steps(settings.f_sw_hz);
     let mut inverter = Inverter::new(

@@ -59,7 +59,7 @@ fn a_pot_that_is_taken_away_ends_the_heating() {
     bench.run_s(0.2);
     bench.with(|machine| {
         machine.chip().hrtim.off_at = None;
-        machine.chip().pins.plant.set_pot(PotKind::None);
+        machine.chip().pins.plant.set_pot(PotKind::None).unwrap();
     });
     let lifted_s = bench.now_s();
     bench.run_s(0.06);

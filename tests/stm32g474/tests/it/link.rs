@@ -134,6 +134,7 @@ fn a_replay_gives_the_bits_that_the_library_gives_here() {
                 pairs,
                 zero_crossing,
                 bus_dv: BUS_DV,
+                dc_link_ma: None,
                 lost: 0,
             })
         })

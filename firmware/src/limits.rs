@@ -1,0 +1,181 @@
+//! Every limit of control and protection, in one table. No limit here can be changed by the host, and
+//! none depends on a lookup. docs/control.md is generated from it.
+//!
+//! Currents go up in steps: what control plans with (60 A), what is corrected within a block (66 A),
+//! what trips (76 A, samples and comparator), what the converter can show (80 A). The same for the
+//! coil's voltage (540, 590 and 640 V).
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// Name of the constant.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// What it is for.
+    pub doc: &'static str,
+}
+
+macro_rules! limits {
+    ($($(#[doc = $doc:literal])+ $name:ident: $ty:ty = $value:expr, $unit:literal;)+) => {
+        $($(#[doc = $doc])+ pub const $name: $ty = $value;)+
+
+        /// The whole table.
+        pub const TABLE: &[Row] = &[$(Row {
+            name: stringify!($name),
+            value: $name as f64,
+            unit: $unit,
+            doc: concat!($($doc),+),
+        }),+];
+    };
+}
+
+limits! {
+    /// Crest of the coil current that power control plans with, at the bus voltage of now and of a
+    /// mains that has recovered. A swell of 10 % takes it to the next limit.
+    PLANNED_CURRENT_MA: u32 = 60_000, "mA";
+    /// A sample of the coil current from here on raises the frequency within a block.
+    SOFT_CURRENT_MA: u32 = 66_000, "mA";
+    /// A sample of the coil current, or the comparator, from here on opens both switches.
+    TRIP_CURRENT_MA: u32 = 76_000, "mA";
+    /// Crest of the coil voltage that power control plans with.
+    PLANNED_COIL_VOLTAGE_DV: u32 = 5_400, "dV";
+    /// A sample of the coil voltage from here on raises the frequency within a block.
+    SOFT_COIL_VOLTAGE_DV: u32 = 5_900, "dV";
+    /// Bus voltage that opens both switches.
+    BUS_TRIP_DV: u16 = 4_200, "dV";
+    /// Below this highest bus voltage of a half-cycle nothing is heated and nothing judged.
+    BUS_MIN_DV: u16 = 600, "dV";
+    /// Bus voltage below which the mains is at its zero, or away.
+    BUS_DOWN_DV: u16 = 150, "dV";
+    /// For so long the bus may be down while the bridge switches; then both switches open until the
+    /// next zero crossing. The mains passes its zero in 0.4 ms at 180 V and 45 Hz, in 1 ms at 70 V.
+    BUS_DOWN_NS: u32 = 1_500_000, "ns";
+    /// While the bus is below this share of what it was, more power is not looked for: the mains may
+    /// come back at once.
+    SAG_PERCENT: u32 = 85, "%";
+    /// So long a lower bus voltage lasts before it counts as the new one.
+    SAG_FORGOTTEN_MS: u32 = 10_000, "ms";
+    /// Reactance above resonance that power control keeps, of the coil's.
+    RESONANCE_MARGIN_PERCENT: i64 = 12, "%";
+    /// With less than this within a block, the frequency is raised.
+    SOFT_RESONANCE_PERCENT: u32 = 4, "%";
+    /// Blocks in a row with the estimate below resonance or at its bound that open both switches:
+    /// 0.3 to 0.7 ms, more than the estimator takes to settle.
+    ESTIMATE_BLOCKS: u8 = 8, "blocks";
+    /// Turn-off current that power control keeps, of what the node's charge needs within the dead time.
+    TURN_OFF_PERCENT: u32 = 150, "%";
+    /// With less than this within a block, the frequency is raised.
+    SOFT_TURN_OFF_PERCENT: u32 = 115, "%";
+    /// Below this bus voltage a hard edge costs less than 7 µJ, and turn-off current is not looked at.
+    SOFT_SWITCHING_FROM_DV: u16 = 500, "dV";
+    /// What a soft limit adds to the frequency, at least.
+    SOFT_STEP_PERMILLE: u32 = 80, "permille";
+    /// Blocks until the next soft limit may act: new periods begin a block later, and the tank follows
+    /// within another.
+    SOFT_HOLD_BLOCKS: u8 = 3, "blocks";
+    /// For so long a frequency at which a soft limit acted, or a pot stood closer, is not gone below.
+    REMEMBERED_MS: u32 = 2_000, "ms";
+    /// Largest step towards more power per half-cycle, with a lookup that nobody has taught.
+    STEP_DOWN_HZ: u32 = 2_500, "Hz";
+    /// The same where the lookup rests on observations and agrees with what is measured, and on the way
+    /// back to where the same pot was heated.
+    TAUGHT_STEP_DOWN_HZ: u32 = 30_000, "Hz";
+    /// Largest step towards less power per half-cycle.
+    STEP_UP_HZ: u32 = 8_000, "Hz";
+    /// Power that is near enough to what was asked for.
+    DEAD_BAND_PERCENT: u32 = 2, "%";
+    /// Share of the rating that a small pot gets: it takes the whole flux on a small base.
+    SMALL_POT_PERCENT: u16 = 50, "%";
+    /// Longest time that the bridge switches without a pot that was judged.
+    UNJUDGED_MS: u32 = 60, "ms";
+    /// Half-cycles in a row without a pot that end heating.
+    POT_GONE_HALF_CYCLES: u8 = 2, "half-cycles";
+    /// Amplitude of the coil current below which no pot can be judged.
+    POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
+    /// From one look for a pot to the next, in the first time after one was taken away: it may be on
+    /// its way back.
+    QUICK_LOOK_MS: u32 = 200, "ms";
+    /// How long that first time is.
+    QUICK_LOOKS_FOR_MS: u32 = 1_600, "ms";
+    /// From one look to the next after it.
+    LOOK_MS: u32 = 700, "ms";
+    /// Waiting for a pot ends after this, unless the host sets another time, 60 to 600 s.
+    GIVE_UP_MS: u32 = 60_000, "ms";
+    /// Starts again after trips before the lock-out.
+    TRIES: u8 = 3, "tries";
+    /// Pause before the first of them; each further one is twice as long.
+    FIRST_PAUSE_MS: u32 = 1_000, "ms";
+    /// Pause after a fault of the mains, or one that lasts as long as its cause; it counts no try.
+    MAINS_PAUSE_MS: u32 = 300, "ms";
+    /// Heating without a trip for so long gives all tries back.
+    GOOD_RUN_MS: u32 = 30_000, "ms";
+    /// Less power than this is given in bursts of whole mains cycles.
+    BURST_FLOOR_W: u16 = 650, "W";
+    /// Power within a burst.
+    BURST_POWER_W: u16 = 720, "W";
+    /// From one burst to the next: ten seconds have a whole number of them.
+    BURST_PERIOD_MS: u32 = 1_000, "ms";
+    /// Blocks lost in a half-cycle that are still an interrupt that came late.
+    LOST_BLOCKS: u32 = 2, "blocks";
+    /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.
+    SATURATED_PAIRS: u16 = 16, "pairs";
+    /// Without a zero crossing for so long the mains is gone.
+    MAINS_LOST_NS: u64 = 30_000_000, "ns";
+    /// Shortest half-cycle of a mains that is as it must be: 66 Hz.
+    HALF_CYCLE_MIN_NS: u32 = 7_576_000, "ns";
+    /// Longest: 45 Hz.
+    HALF_CYCLE_MAX_NS: u32 = 11_111_000, "ns";
+    /// Half-cycles of another length, or zero crossings away from the bus's zero, among the last eight
+    /// that stop heating.
+    IRREGULAR_HALF_CYCLES: u32 = 3, "of 8";
+    /// At a zero crossing with more than this on the bus, the bridge does not begin to switch: it is no
+    /// zero crossing, but a mains that came back. A link that nothing discharges is excepted.
+    BUS_AT_START_DV: u16 = 600, "dV";
+    /// Share of its peak that the bus may have at a zero crossing.
+    BUS_AT_CROSSING_PERCENT: u32 = 20, "%";
+    /// Half-cycles in a row that an implausible reading lasts before it is a fault.
+    IMPLAUSIBLE_HALF_CYCLES: u8 = 4, "half-cycles";
+    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's.
+    BALANCE_PERCENT: u32 = 6, "%";
+    /// The same above 60 kHz, where the capacitor's share is small.
+    BALANCE_HIGH_PERCENT: u32 = 12, "%";
+    /// By so much the power into the coil may differ from the DC link's, where a sensor is fitted.
+    POWER_BALANCE_PERCENT: u32 = 12, "%";
+    /// Mean of the coil current over whole periods: the capacitor lets none through.
+    CURRENT_OFFSET_MA: u32 = 3_000, "mA";
+    /// Mean of the coil voltage over whole periods: the winding holds none.
+    VOLTAGE_OFFSET_DV: u32 = 200, "dV";
+    /// Blocks in a row that are alike to the last bit.
+    FROZEN_BLOCKS: u8 = 4, "blocks";
+    /// Heat sink from which power is taken back.
+    SINK_DERATE_C: i16 = 85, "°C";
+    /// Heat sink at which none is left.
+    SINK_OFF_C: i16 = 105, "°C";
+    /// Glass from which power is taken back.
+    GLASS_DERATE_C: i16 = 260, "°C";
+    /// Glass at which none is left.
+    GLASS_OFF_C: i16 = 300, "°C";
+    /// Coil from which power is taken back.
+    COIL_DERATE_C: i16 = 140, "°C";
+    /// Coil at which none is left.
+    COIL_OFF_C: i16 = 180, "°C";
+    /// Heat sink from which the fan runs.
+    FAN_ON_C: i16 = 50, "°C";
+    /// Heat sink below which it stops.
+    FAN_OFF_C: i16 = 42, "°C";
+    /// Largest dither of the switching frequency that can be set.
+    DITHER_MAX_PERMILLE: u8 = 10, "permille";
+}
+
+// The steps of each quantity are in order.
+const _: () = assert!(
+    PLANNED_CURRENT_MA < SOFT_CURRENT_MA
+        && SOFT_CURRENT_MA < TRIP_CURRENT_MA
+        && PLANNED_COIL_VOLTAGE_DV < SOFT_COIL_VOLTAGE_DV
+        && (SOFT_RESONANCE_PERCENT as i64) < RESONANCE_MARGIN_PERCENT
+        && SOFT_TURN_OFF_PERCENT < TURN_OFF_PERCENT
+        && BURST_FLOOR_W < BURST_POWER_W
+);

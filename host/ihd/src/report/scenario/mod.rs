@@ -1,0 +1,105 @@
+//! A scenario's record for a person.
+
+pub mod figure;
+
+use std::fmt::Write;
+
+use ihd_sim::scenario::record::{HalfCycle, Record};
+
+use super::table::Table;
+
+/// Power steps, faults, what the edges were like, and the energy.
+pub fn text(record: &Record) -> String {
+    let summary = &record.summary;
+    let mut text = String::new();
+    let number = |value: Option<f64>, digits: usize| match value {
+        Some(value) => format!("{value:.digits$}"),
+        None => "-".to_owned(),
+    };
+    if !summary.steps.is_empty() {
+        let mut table = Table::new(&["at/s", "asked/W", "settled/s", "overshoot/%", "error/%"]);
+        for step in &summary.steps {
+            table.row([
+                format!("{:.3}", step.at_s),
+                format!("{:.0}", step.power_w),
+                number(step.settled_after_s, 3),
+                number(step.overshoot_pct, 1),
+                number(step.error_pct, 2),
+            ]);
+        }
+        text += &table.render();
+        text.push('\n');
+    }
+    let mut table = Table::new(&[
+        "from/s",
+        "state",
+        "pot",
+        "fault",
+        "asked/W",
+        "power/W",
+        "f_sw/kHz",
+        "i_peak/A",
+        "v_coil/V",
+        "hard edges",
+    ]);
+    for stretch in record.half_cycles.chunk_by(alike) {
+        let mean =
+            |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).sum::<f64>() / stretch.len() as f64;
+        let most = |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).fold(0.0, f64::max);
+        let (first, last) = (&stretch[0], &stretch[stretch.len() - 1]);
+        let hard: u32 = stretch.iter().map(|h| h.hard_edges).sum();
+        table.row([
+            format!("{:.3}", first.t_s),
+            first.state.clone(),
+            first.pot.clone(),
+            first.fault.clone(),
+            format!("{:.0}", first.asked_w),
+            format!("{:.0}", mean(|h| h.power_w)),
+            format!("{:.2}", last.f_sw_hz * 1e-3),
+            format!("{:.1}", most(|h| h.i_peak_a)),
+            format!("{:.0}", most(|h| h.v_coil_peak_v)),
+            hard.to_string(),
+        ]);
+    }
+    text += &table.render();
+    text.push('\n');
+    for fault in &record.faults {
+        let _ = writeln!(
+            text,
+            "fault {} at {:.4} s, both switches open {} s later",
+            fault.name,
+            fault.t_s,
+            number(fault.off_after_s, 4)
+        );
+    }
+    for recovery in &summary.recoveries {
+        let _ = writeln!(
+            text,
+            "mains or pot changed at {:.3} s, power as asked {} s later",
+            recovery.at_s,
+            number(recovery.after_s, 3)
+        );
+    }
+    if summary.watchdog_bites > 0 {
+        let bites = summary.watchdog_bites;
+        let _ = writeln!(
+            text,
+            "the watchdog would have reset the controller {bites} times"
+        );
+    }
+    let latched = match summary.latched {
+        true => ", switched off for good although power is asked for",
+        false => "",
+    };
+    let _ = writeln!(
+        text,
+        "{:.1} kJ into the load{latched}",
+        summary.energy_j * 1e-3
+    );
+    text
+}
+
+/// Half-cycles that share a row.
+fn alike(a: &HalfCycle, b: &HalfCycle) -> bool {
+    a.state == b.state && a.pot == b.pot && a.fault == b.fault && a.asked_w == b.asked_w
+}

@@ -1,0 +1,30 @@
+//! What instruments on the power stage would read: a true wattmeter, crest meters, a look at the edges.
+
+/// Readings of one half-cycle of the true mains; without mains they go on at its last frequency.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// Its start since the simulation's, in seconds.
+    pub t_s: f64,
+    /// Its duration in seconds.
+    pub duration_s: f64,
+    /// Energy into the load, the winding included, in joule: ∫ v i dt over the integration steps.
+    pub energy_j: f64,
+    /// Largest coil current, in ampere.
+    pub i_peak_a: f64,
+    /// Largest coil voltage, in volt.
+    pub v_coil_peak_v: f64,
+    /// Switches that closed onto more than [`crate::inverter::node::HARD_EDGE_V`].
+    pub hard_edges: u32,
+    /// Smallest current when a switch opened, in ampere, negative in the wrong direction; `None` without
+    /// an edge.
+    pub i_turn_off_min_a: Option<f64>,
+    /// Whether the bridge was switching at any time.
+    pub bridge_on: bool,
+}
+
+impl Reading {
+    /// Mean power in watt.
+    pub fn power_w(&self) -> f64 {
+        self.energy_j / self.duration_s
+    }
+}

@@ -1,0 +1,274 @@
+//! The file of a scenario, as it is written.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Deserializer};
+use toml::Spanned;
+
+use super::{ScenarioError, number};
+use crate::injection::{Channel, InjectionKind};
+use crate::pot::Pot;
+use crate::recording::settings::LoadKind;
+
+/// A scenario. Unknown fields are refused.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScenarioFile {
+    /// Length, in seconds.
+    #[serde(deserialize_with = "number::duration_s")]
+    pub duration_s: f64,
+    /// How the load is modelled.
+    #[serde(default = "reduced")]
+    pub load: LoadKind,
+    /// Seed of the noise.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// The mains at the start.
+    #[serde(default)]
+    pub mains: MainsField,
+    /// What stands on the coil at the start.
+    #[serde(default)]
+    pub pot: PotField,
+    /// Whether the pot warms up.
+    #[serde(default)]
+    pub warming: bool,
+    /// Bus capacitance in microfarad, 0 for none.
+    #[serde(default, deserialize_with = "number::bus_uf")]
+    pub bus_capacitance_uf: f64,
+    /// Corner of the anti-alias filters in hertz, 0 for none.
+    #[serde(default, deserialize_with = "number::some_corner_hz")]
+    pub anti_alias_hz: Option<f64>,
+    /// Noise of the fast channels; without it half a code.
+    #[serde(default)]
+    pub noise: Option<NoiseField>,
+    /// How long the device looks for a pot, in seconds; without it the device's default.
+    #[serde(default, deserialize_with = "number::some_give_up_s")]
+    pub give_up_s: Option<f64>,
+    /// How far the frequency is moved from half-cycle to half-cycle, in permille; without it not at all.
+    #[serde(default, deserialize_with = "number::some_permille")]
+    pub dither_permille: Option<f64>,
+    /// What happens, in any order.
+    #[serde(default)]
+    pub event: Vec<Spanned<EventField>>,
+    /// Limits that `cargo xtask scenarios` checks; a run does not look at them.
+    #[serde(default)]
+    pub limits: Option<toml::Table>,
+    /// Variants that `cargo xtask scenarios` runs; a run does not look at them.
+    #[serde(default)]
+    pub matrix: Option<toml::Value>,
+}
+
+fn reduced() -> LoadKind {
+    LoadKind::Surrogate
+}
+
+fn one() -> u64 {
+    1
+}
+
+/// White noise, standard deviations.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseField {
+    /// Of the voltage channel, in volt.
+    #[serde(default, deserialize_with = "number::noise_v")]
+    pub v_v: f64,
+    /// Of the current channel, in ampere.
+    #[serde(default, deserialize_with = "number::noise_a")]
+    pub i_a: f64,
+}
+
+/// The mains; what is not given stays as it is.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MainsField {
+    /// Voltage in volt rms; 0 is a dropout.
+    #[serde(default, deserialize_with = "number::some_v_rms")]
+    pub v_rms: Option<f64>,
+    /// Frequency in hertz.
+    #[serde(default, deserialize_with = "number::some_hz")]
+    pub hz: Option<f64>,
+    /// In an event: for how long, in seconds; then as before.
+    #[serde(default, deserialize_with = "number::some_time_s")]
+    pub for_s: Option<f64>,
+}
+
+/// A pot and its place: a table, or just its name.
+#[derive(Clone, Copy, Debug)]
+pub struct PotField {
+    /// The pot.
+    pub pot: Pot,
+    /// In an event: for how long, in seconds; then as before.
+    pub for_s: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PotTable {
+    #[serde(deserialize_with = "named_pot")]
+    name: Pot,
+    #[serde(default, deserialize_with = "number::lift_mm")]
+    lift_mm: f64,
+    #[serde(default, deserialize_with = "number::offset_mm")]
+    offset_mm: f64,
+    #[serde(default, deserialize_with = "number::some_temperature_c")]
+    temperature_c: Option<f64>,
+    #[serde(default, deserialize_with = "number::some_time_s")]
+    for_s: Option<f64>,
+}
+
+fn named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Pot, D::Error> {
+    let name = String::deserialize(from)?;
+    name.parse().map_err(serde::de::Error::custom)
+}
+
+impl Default for PotField {
+    fn default() -> Self {
+        Self {
+            pot: Pot::new(crate::pot::Metal::Ferritic, 0.21),
+            for_s: None,
+        }
+    }
+}
+
+impl From<PotTable> for PotField {
+    fn from(table: PotTable) -> Self {
+        let pot = Pot {
+            lift_m: table.lift_mm * 1e-3,
+            offset_m: table.offset_mm * 1e-3,
+            temperature_c: table.temperature_c.unwrap_or(table.name.temperature_c),
+            ..table.name
+        };
+        Self {
+            pot,
+            for_s: table.for_s,
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for PotField {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Either;
+        impl<'de> Visitor<'de> for Either {
+            type Value = PotField;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a pot's name, or a table of name, lift_mm, offset_mm and for_s")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<PotField, E> {
+                let pot = name.parse().map_err(E::custom)?;
+                Ok(PotField { pot, for_s: None })
+            }
+            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<PotField, M::Error> {
+                PotTable::deserialize(MapAccessDeserializer::new(map)).map(PotField::from)
+            }
+        }
+        from.deserialize_any(Either)
+    }
+}
+
+/// What the host does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HostWord {
+    /// Sends nothing any more, until the next event that makes it.
+    Silent,
+    /// Clears the fault.
+    ClearFault,
+    /// Clears the fault again and again, every `every_s`.
+    ClearFaultEvery,
+    /// Pushes a lookup from `file`, or one of a constant `r_ohm` and `l_uh`.
+    PushLookup,
+    /// Sends the device back to its built-in lookup.
+    ResetLookup,
+    /// Asks for `power_w` again and again, every `every_s`; with `toggle` for 0 in between.
+    SetPowerEvery,
+}
+
+/// Something that happens: a time and at least one more field.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EventField {
+    /// When, in seconds after the start.
+    #[serde(deserialize_with = "number::time_s")]
+    pub at_s: f64,
+    /// For how long, of mains, pot, inject and what a host repeats; then as before.
+    #[serde(default, deserialize_with = "number::some_time_s")]
+    pub for_s: Option<f64>,
+    /// The host asks for power, in watt.
+    #[serde(default, deserialize_with = "number::some_power_w")]
+    pub power_w: Option<f64>,
+    /// Another pot, or the same elsewhere.
+    pub pot: Option<PotField>,
+    /// Another mains.
+    pub mains: Option<MainsField>,
+    /// A fault of sensors or sampling.
+    pub inject: Option<InjectionKind>,
+    /// Its number.
+    pub value: Option<f64>,
+    /// Its channel.
+    pub channel: Option<Channel>,
+    /// What the host does.
+    pub host: Option<HostWord>,
+    /// Period of what the host repeats, in seconds.
+    #[serde(default, deserialize_with = "number::some_time_s")]
+    pub every_s: Option<f64>,
+    /// Whether a repeated power alternates with 0 W.
+    #[serde(default)]
+    pub toggle: bool,
+    /// A lookup's file, relative to the scenario's.
+    pub file: Option<PathBuf>,
+    /// Resistance of a lookup, in ohm.
+    #[serde(default, deserialize_with = "number::some_r_ohm")]
+    pub r_ohm: Option<f64>,
+    /// Inductance of a lookup, in microhenry.
+    #[serde(default, deserialize_with = "number::some_l_uh")]
+    pub l_uh: Option<f64>,
+    /// Version of a lookup; without it the number of pushes so far, plus 1.
+    pub version: Option<u32>,
+}
+
+/// A file read.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// Its content.
+    pub file: ScenarioFile,
+    /// Line on which each event begins.
+    pub lines: Vec<usize>,
+    /// Where files are relative to.
+    pub directory: PathBuf,
+}
+
+impl Scenario {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Read`] and [`ScenarioError::Syntax`].
+    pub fn read(path: &std::path::Path) -> Result<Self, ScenarioError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let directory = path.parent().map(PathBuf::from).unwrap_or_default();
+        Self::parse(&text, directory)
+    }
+
+    /// Reads text; files that it names are relative to a directory.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Syntax`].
+    pub fn parse(text: &str, directory: PathBuf) -> Result<Self, ScenarioError> {
+        let file: ScenarioFile =
+            toml::from_str(text).map_err(|e| ScenarioError::Syntax(Box::new(e)))?;
+        let line = |event: &Spanned<EventField>| {
+            let before = text.as_bytes().iter().take(event.span().start);
+            1 + before.filter(|b| **b == b'\n').count()
+        };
+        Ok(Self {
+            lines: file.event.iter().map(line).collect(),
+            file,
+            directory,
+        })
+    }
+}

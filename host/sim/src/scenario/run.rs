@@ -1,0 +1,241 @@
+//! Runs a scenario block by block.
+
+use std::collections::BTreeMap;
+
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Configure, State};
+
+use super::ScenarioError;
+use super::file::{MainsField, Scenario};
+use super::host::Host;
+use super::record::{FaultRecord, HalfCycle, Record};
+use super::summary::{self, Kind, Mark};
+use super::timeline::{Change, Repeated, Timed, timeline};
+use crate::adc::Noise;
+use crate::hob::{HobConfig, SimHob};
+use crate::pot::Pot;
+
+/// Runs it; `progress` hears the finished share, 0 to 1, once a half-cycle.
+///
+/// # Errors
+/// [`ScenarioError`] for events and settings that cannot be, before anything runs.
+pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record, ScenarioError> {
+    let events = timeline(scenario)?;
+    let mut run = Run::new(scenario)?;
+    for timed in &events {
+        if let Change::Pot(pot) = &timed.change {
+            run.hob.prepare(pot)?;
+        }
+    }
+    let duration_s = scenario.file.duration_s;
+    let mut next = events.iter().peekable();
+    while run.hob.t_s() < duration_s {
+        while let Some(timed) = next.next_if(|e| e.at_s <= run.hob.t_s()) {
+            run.apply(timed)?;
+        }
+        run.hob.step();
+        run.host.turn(&mut run.hob);
+        run.watch_fault();
+        if run.take_half_cycle() {
+            progress((run.hob.t_s() / duration_s).min(1.0));
+        }
+    }
+    progress(1.0);
+    Ok(run.finish(duration_s))
+}
+
+/// A scenario under way.
+struct Run {
+    hob: SimHob,
+    host: Host,
+    half_cycles: Vec<HalfCycle>,
+    faults: Vec<FaultRecord>,
+    active_fault: Fault,
+    /// When what may lead to the next fault was injected.
+    cause_s: Option<f64>,
+    /// Fault whose bridge is not open yet, and since when its time counts.
+    opening: Option<(usize, f64)>,
+    marks: Vec<Mark>,
+    pots_before: BTreeMap<usize, Pot>,
+    mains_before: BTreeMap<usize, (f64, f64)>,
+    injected: BTreeMap<usize, u32>,
+    energy_j: f64,
+}
+
+impl Run {
+    fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let file = &scenario.file;
+        let usual = HobConfig::default();
+        let config = HobConfig {
+            mains_hz: file.mains.hz.unwrap_or(usual.mains_hz),
+            mains_v: file.mains.v_rms.unwrap_or(usual.mains_v),
+            bus_capacitance_f: file.bus_capacitance_uf * 1e-6,
+            pot: file.pot.pot,
+            load: file.load,
+            warming: file.warming,
+            anti_alias_hz: file.anti_alias_hz.unwrap_or(usual.anti_alias_hz),
+            noise: file.noise.map_or(usual.noise, |n| Noise {
+                v_v: n.v_v,
+                i_a: n.i_a,
+            }),
+            seed: file.seed,
+            ..usual
+        };
+        let mut hob = SimHob::assemble(&config)?;
+        let mut host = Host::new(&mut hob);
+        if file.give_up_s.is_some() || file.dither_permille.is_some() {
+            let usual = Configure::DEFAULT;
+            host.configure(
+                &mut hob,
+                &Configure {
+                    give_up_s: file.give_up_s.map_or(usual.give_up_s, |s| s as u16),
+                    dither_permille: file
+                        .dither_permille
+                        .map_or(usual.dither_permille, |p| p as u8),
+                },
+            );
+        }
+        Ok(Self {
+            hob,
+            host,
+            half_cycles: Vec::new(),
+            faults: Vec::new(),
+            active_fault: Fault::NONE,
+            cause_s: None,
+            opening: None,
+            marks: Vec::new(),
+            pots_before: BTreeMap::new(),
+            mains_before: BTreeMap::new(),
+            injected: BTreeMap::new(),
+            energy_j: 0.0,
+        })
+    }
+
+    fn apply(&mut self, timed: &Timed) -> Result<(), ScenarioError> {
+        let (hob, host, event) = (&mut self.hob, &mut self.host, timed.event);
+        let now_s = hob.t_s();
+        let mut kind = Kind::Other;
+        match &timed.change {
+            Change::Power(power_w) => {
+                kind = Kind::Power(*power_w);
+                host.set_power(hob, *power_w);
+            }
+            Change::Pot(pot) => {
+                kind = Kind::Disturbed;
+                self.pots_before.insert(event, hob.pot());
+                hob.set_pot(*pot)?;
+            }
+            Change::PotBack(event) => {
+                kind = Kind::Disturbed;
+                if let Some(pot) = self.pots_before.get(event) {
+                    hob.set_pot(*pot)?;
+                }
+            }
+            Change::Mains(MainsField { v_rms, hz, .. }) => {
+                kind = Kind::Disturbed;
+                let before = (hob.mains().v_rms_v(), hob.mains().frequency_hz);
+                self.mains_before.insert(event, before);
+                hob.set_mains(v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
+            }
+            Change::MainsBack(event) => {
+                kind = Kind::Disturbed;
+                if let Some(&(v_rms, hz)) = self.mains_before.get(event) {
+                    hob.set_mains(v_rms, hz);
+                }
+            }
+            Change::Inject(injection) => {
+                self.cause_s = Some(now_s);
+                let injected = &mut self.injected;
+                hob.inject(|all| {
+                    injected.insert(event, all.start(*injection));
+                });
+            }
+            Change::InjectEnd(event) => {
+                if let Some(number) = self.injected.remove(event) {
+                    hob.inject(|all| all.end(number));
+                }
+            }
+            Change::Silent => host.fall_silent(),
+            Change::ClearFault => host.clear_fault(hob),
+            Change::ResetLookup => host.reset_lookup(hob),
+            Change::PushLookup(lookup) => host.push_lookup(hob, lookup),
+            Change::Repeat {
+                what,
+                every_s,
+                until_s,
+            } => {
+                if let Repeated::Power(power_w, false) = what {
+                    kind = Kind::Power(*power_w);
+                }
+                host.repeat(*what, *every_s, *until_s, now_s);
+            }
+        }
+        self.marks.push(Mark { at_s: now_s, kind });
+        Ok(())
+    }
+
+    /// Notes a fault that has become active, and when its bridge opens.
+    fn watch_fault(&mut self) {
+        let fault = self.hob.realtime().fault();
+        let now_s = self.hob.t_s();
+        if fault != self.active_fault && fault != Fault::NONE {
+            self.opening = Some((self.faults.len(), self.cause_s.take().unwrap_or(now_s)));
+            self.faults.push(FaultRecord {
+                t_s: now_s,
+                name: format!("{fault:?}"),
+                off_after_s: None,
+            });
+        }
+        self.active_fault = fault;
+        if let (Some((fault, since_s)), Some(open_s)) = (self.opening, self.hob.open_since_s()) {
+            self.faults[fault].off_after_s = Some((open_s - since_s).max(0.0));
+            self.opening = None;
+        }
+    }
+
+    /// Records the half-cycle that has ended in this block, if one has.
+    fn take_half_cycle(&mut self) -> bool {
+        let Some(reading) = self.hob.take_reading() else {
+            return false;
+        };
+        self.energy_j += reading.energy_j;
+        let drive = self.hob.realtime().drive();
+        let f_sw_hz = match drive.is_switching() {
+            true => f64::from(drive.f_sw_hz),
+            false => 0.0,
+        };
+        let housekeeping = self.hob.housekeeping();
+        let (seen, control) = (housekeeping.summary(), housekeeping.control());
+        self.half_cycles.push(HalfCycle {
+            t_s: reading.t_s,
+            asked_w: f64::from(self.host.asked_w()),
+            power_w: reading.power_w(),
+            measured_w: f64::from(seen.power_mw) * 1e-3,
+            f_sw_hz,
+            state: format!("{:?}", control.state()),
+            fault: format!("{:?}", self.active_fault),
+            pot: format!("{:?}", control.pot()),
+            r_ohm: seen.r.ohm(),
+            l_uh: seen.l.henry() * 1e6,
+            i_peak_a: reading.i_peak_a,
+            v_coil_peak_v: reading.v_coil_peak_v,
+            i_turn_off_min_a: reading.i_turn_off_min_a,
+            hard_edges: reading.hard_edges,
+            bridge_on: reading.bridge_on,
+        });
+        true
+    }
+
+    fn finish(self, duration_s: f64) -> Record {
+        let locked = self.hob.housekeeping().control().state() == State::LockedOut;
+        let mut summary = summary::of(&self.half_cycles, &self.marks, duration_s);
+        summary.latched = locked && self.host.asked_w() > 0;
+        summary.energy_j = self.energy_j;
+        summary.watchdog_bites = self.hob.watchdog_bites();
+        Record {
+            half_cycles: self.half_cycles,
+            faults: self.faults,
+            summary,
+        }
+    }
+}

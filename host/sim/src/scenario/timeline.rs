@@ -1,0 +1,233 @@
+//! The events of a file in order of time, what ends after a while included.
+
+use std::path::Path;
+
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
+
+use super::ScenarioError;
+use super::file::{EventField, HostWord, MainsField, Scenario};
+use crate::injection::Injection;
+use crate::pot::Pot;
+
+/// Something that changes.
+#[derive(Clone, Debug)]
+pub enum Change {
+    /// The host asks for power, in watt.
+    Power(u16),
+    /// Another pot.
+    Pot(Pot),
+    /// The pot as it was before the event of this number.
+    PotBack(usize),
+    /// Another voltage or frequency.
+    Mains(MainsField),
+    /// The mains as it was before the event of this number.
+    MainsBack(usize),
+    /// A fault begins.
+    Inject(Injection),
+    /// The fault of the event of this number ends.
+    InjectEnd(usize),
+    /// The host falls silent.
+    Silent,
+    /// The host clears the fault.
+    ClearFault,
+    /// The host sends the device back to its built-in lookup.
+    ResetLookup,
+    /// The host pushes a lookup.
+    PushLookup(Box<RlLookup>),
+    /// The host sends the same every so many seconds, until a time in seconds.
+    Repeat {
+        /// What.
+        what: Repeated,
+        /// How often, in seconds.
+        every_s: f64,
+        /// Until when, in seconds.
+        until_s: f64,
+    },
+}
+
+/// What a host repeats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repeated {
+    /// A power in watt; alternating with 0 if so.
+    Power(u16, bool),
+    /// Clearing the fault.
+    ClearFault,
+}
+
+/// A change with its time.
+#[derive(Clone, Debug)]
+pub struct Timed {
+    /// When, in seconds.
+    pub at_s: f64,
+    /// Number of its event in the file, from 0.
+    pub event: usize,
+    /// What.
+    pub change: Change,
+}
+
+/// Everything that happens, in order of time and, at one time, of the file.
+///
+/// # Errors
+/// [`ScenarioError::Event`] for fields that do not go together.
+pub fn timeline(scenario: &Scenario) -> Result<Vec<Timed>, ScenarioError> {
+    let mut all = Vec::new();
+    let mut versions = 0;
+    for (event, field) in scenario.file.event.iter().enumerate() {
+        let field = field.get_ref();
+        let wrong = |why: String| ScenarioError::Event {
+            number: event + 1,
+            line: scenario.lines[event],
+            why,
+        };
+        let mut changes = Changes {
+            event,
+            field,
+            all: &mut all,
+        };
+        let before = changes.all.len();
+        changes.of_plant().map_err(wrong)?;
+        changes
+            .of_host(&scenario.directory, &mut versions)
+            .map_err(wrong)?;
+        if all.len() == before {
+            return Err(wrong(
+                "nothing happens: give power_w, pot, mains, inject or host".to_owned(),
+            ));
+        }
+    }
+    all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s).then(a.event.cmp(&b.event)));
+    Ok(all)
+}
+
+/// The changes of one event.
+struct Changes<'a> {
+    event: usize,
+    field: &'a EventField,
+    all: &'a mut Vec<Timed>,
+}
+
+impl Changes<'_> {
+    fn push(&mut self, at_s: f64, change: Change) {
+        self.all.push(Timed {
+            at_s,
+            event: self.event,
+            change,
+        });
+    }
+
+    fn of_plant(&mut self) -> Result<(), String> {
+        let (event, field) = (self.event, self.field);
+        let end_s = |own: Option<f64>| own.or(field.for_s).map(|for_s| field.at_s + for_s);
+        if let Some(pot) = field.pot {
+            pot.pot
+                .field_settings(0.0)
+                .map_err(|e| format!("pot {}: {e}", pot.pot))?;
+            self.push(field.at_s, Change::Pot(pot.pot));
+            if let Some(end_s) = end_s(pot.for_s) {
+                self.push(end_s, Change::PotBack(event));
+            }
+        }
+        if let Some(mains) = field.mains {
+            if mains.v_rms.is_none() && mains.hz.is_none() {
+                return Err("mains: give v_rms, hz or both".to_owned());
+            }
+            self.push(field.at_s, Change::Mains(mains));
+            if let Some(end_s) = end_s(mains.for_s) {
+                self.push(end_s, Change::MainsBack(event));
+            }
+        }
+        let Some(kind) = field.inject else {
+            return match (field.value, field.channel) {
+                (None, None) => Ok(()),
+                _ => Err("value and channel belong to inject".to_owned()),
+            };
+        };
+        let value = match (kind.range(), field.value) {
+            (None, None) => 0.0,
+            (None, Some(_)) => return Err(format!("{kind} takes no value")),
+            (Some((min, max, _)), Some(v)) if (min..=max).contains(&v) => v,
+            (Some((_, _, allowed)), _) => return Err(format!("{kind} needs value = {allowed}")),
+        };
+        let channel = field.channel.unwrap_or(kind.default_channel());
+        self.push(
+            field.at_s,
+            Change::Inject(Injection {
+                kind,
+                value,
+                channel,
+            }),
+        );
+        if let Some(end_s) = end_s(None) {
+            self.push(end_s, Change::InjectEnd(event));
+        }
+        Ok(())
+    }
+
+    fn of_host(&mut self, directory: &Path, versions: &mut u32) -> Result<(), String> {
+        let field = self.field;
+        let power_w = field.power_w.map(|w| w.round() as u16);
+        let until_s = field.at_s + field.for_s.unwrap_or(f64::INFINITY);
+        let every_s = || {
+            let given = field.every_s.filter(|s| *s >= 1e-3);
+            given.ok_or("give every_s = 0.001 s or more".to_owned())
+        };
+        let change = match field.host {
+            None => match power_w {
+                Some(power_w) => Change::Power(power_w),
+                None => return Ok(()),
+            },
+            Some(HostWord::Silent) => Change::Silent,
+            Some(HostWord::ClearFault) => Change::ClearFault,
+            Some(HostWord::ResetLookup) => Change::ResetLookup,
+            Some(HostWord::ClearFaultEvery) => Change::Repeat {
+                what: Repeated::ClearFault,
+                every_s: every_s()?,
+                until_s,
+            },
+            Some(HostWord::SetPowerEvery) => {
+                let power_w = power_w.ok_or(format!("give power_w = 0 to {RATED_POWER_W}"))?;
+                Change::Repeat {
+                    what: Repeated::Power(power_w, field.toggle),
+                    every_s: every_s()?,
+                    until_s,
+                }
+            }
+            Some(HostWord::PushLookup) => {
+                *versions += 1;
+                Change::PushLookup(Box::new(lookup(field, directory, *versions)?))
+            }
+        };
+        self.push(field.at_s, change);
+        Ok(())
+    }
+}
+
+/// The lookup of an event: the constant one is observed everywhere.
+fn lookup(field: &EventField, directory: &Path, version: u32) -> Result<RlLookup, String> {
+    let mut lookup = match (&field.file, field.r_ohm, field.l_uh) {
+        (Some(file), None, None) => {
+            let path = directory.join(file);
+            let bytes = std::fs::read(&path)
+                .map_err(|e| format!("cannot read lookup {}: {e}", path.display()))?;
+            RlLookup::from_bytes(&bytes).map_err(|e| format!("lookup {}: {e}", path.display()))?
+        }
+        (None, Some(r_ohm), Some(l_uh)) => {
+            let code = |value: f64, unit: f64| (value / unit).round().min(65_535.0) as u16;
+            let prior = ihd_shared::lookup::prior::prior();
+            RlLookup {
+                r: prior.r.map(|row| row.map(|_| code(r_ohm, OHM_PER_CODE))),
+                l: prior
+                    .l
+                    .map(|row| row.map(|_| code(l_uh * 1e-6, HENRY_PER_CODE))),
+                observed: prior.observed.map(|_| 0xFF),
+                ..prior
+            }
+        }
+        _ => return Err("push-lookup: give file, or both r_ohm and l_uh".to_owned()),
+    };
+    if let Some(version) = field.version.or(field.file.is_none().then_some(version)) {
+        lookup.version = version;
+    }
+    Ok(lookup)
+}
