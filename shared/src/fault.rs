@@ -1,7 +1,7 @@
 //! The table of faults: number, name, meaning, and what to do about it. There is no other.
 //!
 //! A fault travels as its number, a varint of a `u16`, so a host decodes numbers that its table does
-//! not know, shows "fault 23", and loses nothing else of the message. Therefore a new fault raises
+//! not know, shows "fault 120", and loses nothing else of the message. Therefore a new fault raises
 //! only [`crate::wire::PROTOCOL_MINOR`]. Its number is the next free one: a number, once given, keeps
 //! its meaning for ever.
 
@@ -46,16 +46,19 @@ fault_table! {
     /// No fault.
     NONE = 0 "None":
         "no fault";
-    /// No pot on the coil when heating was asked for.
+    /// No pot on the coil when heating was asked for. Protocol 1.x alone: since 2.0 this is the state
+    /// WaitingForPot.
     NO_POT = 1 "NoPot":
-        "no pot on the coil; put one on and start again";
-    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless).
+        "no pot on the coil (a controller of protocol 1.x, which did not wait for one); put one on and start again";
+    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless). Protocol 1.x
+    /// alone, like NoPot.
     UNSUITABLE_POT = 2 "UnsuitablePot":
-        "the load cannot be heated by induction (aluminium, copper, bare stainless); \
-         use a ferromagnetic pot";
-    /// The pot was taken away while heating.
+        "the load cannot be heated by induction (aluminium, copper, bare stainless; a controller of protocol \
+         1.x, which did not wait for another); use a ferromagnetic pot";
+    /// The pot was taken away while heating. Protocol 1.x alone, like NoPot.
     POT_REMOVED = 3 "PotRemoved":
-        "the pot was taken away while heating; put it back and start again";
+        "the pot was taken away while heating (a controller of protocol 1.x, which did not wait for it); put \
+         it back and start again";
     /// Coil current reached the trip level, seen in the samples.
     OVER_CURRENT = 4 "OverCurrent":
         "coil current at the trip level; ask for less power, or check the current sensor";
@@ -200,13 +203,13 @@ mod tests {
 
     #[test]
     fn an_unknown_number_is_shown_as_its_number() {
-        let fault = Fault::from_number(23);
+        let fault = Fault::from_number(120);
         assert_eq!(
             fault.to_string(),
-            "fault 23 (unknown to this version: update ihd)"
+            "fault 120 (unknown to this version: update ihd)"
         );
-        assert_eq!(format!("{fault:?}"), "fault 23");
-        assert_eq!((fault.name(), fault.number()), (None, 23));
+        assert_eq!(format!("{fault:?}"), "fault 120");
+        assert_eq!((fault.name(), fault.number()), (None, 120));
     }
 
     #[test]
