@@ -16,4 +16,4 @@ pub mod timing;
 pub const PROTOCOL_MAJOR: u16 = 1;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 3;
+pub const PROTOCOL_MINOR: u16 = 4;
