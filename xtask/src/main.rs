@@ -9,6 +9,7 @@ mod fuzz;
 mod guest;
 mod images;
 mod licences;
+mod seal;
 mod setup;
 mod steps;
 mod toolchain;
