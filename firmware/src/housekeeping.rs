@@ -19,6 +19,7 @@ use crate::half_cycle::Summary;
 use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
+use crate::self_test::guarded::GuardedLookup;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
@@ -28,7 +29,7 @@ pub struct Housekeeping {
     control: Control,
     paired: bool,
     telemetry_every: u8,
-    active: RlLookup,
+    active: GuardedLookup,
     pending: Option<RlLookup>,
     reported_fault: Fault,
     half_cycles_unheard: u32,
@@ -45,7 +46,7 @@ impl Housekeeping {
             control: Control::default(),
             paired: false,
             telemetry_every: 0,
-            active: prior(),
+            active: GuardedLookup::new(prior()),
             pending: None,
             reported_fault: Fault::NONE,
             half_cycles_unheard: 0,
@@ -56,7 +57,12 @@ impl Housekeeping {
 
     /// Starts from a lookup that was kept, in place of the prior.
     pub fn restore(&mut self, lookup: RlLookup) {
-        self.active = lookup;
+        self.active = GuardedLookup::new(lookup);
+    }
+
+    /// Whether the lookup in use is still what it was when it became that (a self-test).
+    pub fn is_lookup_intact(&self) -> bool {
+        self.active.is_intact()
     }
 
     /// The lookup in use.
@@ -232,7 +238,7 @@ impl Housekeeping {
         if let Some(summary) = summary {
             if let Some(lookup) = self.pending.take() {
                 access.with(|rt| rt.set_lookup_version(lookup.version));
-                self.active = lookup;
+                self.active = GuardedLookup::new(lookup);
             }
             self.watch_host(access);
             self.last = summary;

@@ -37,5 +37,6 @@ pub mod recorder;
 pub mod replay;
 pub mod reset;
 pub mod ring;
+pub mod self_test;
 pub mod transmit_queue;
 pub mod utilisation;
