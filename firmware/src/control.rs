@@ -47,7 +47,7 @@ const GOOD_HALF_CYCLES: u8 = 3;
 const FLOOR_HALF_CYCLES: u8 = 2;
 
 /// How much is too much.
-const TOO_MUCH_PERCENT: u64 = 3;
+const TOO_MUCH_PERCENT: u64 = 1;
 
 /// What the half-cycle asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
