@@ -51,6 +51,8 @@ pub struct Summary {
     pub limit: Limit,
     /// The drive changed within it: R, L and power are of no one frequency.
     pub disturbed: bool,
+    /// A look for a pot, from the zero crossing to before the crest.
+    pub glance: bool,
     /// Mean of the coil voltage, in decivolt.
     pub v_offset_dv: i32,
     /// Mean of the coil current, in milliampere.
@@ -79,6 +81,7 @@ impl Summary {
         i_turn_off_min_ma: 0,
         limit: Limit::None,
         disturbed: false,
+        glance: false,
         v_offset_dv: 0,
         i_offset_ma: 0,
         dc_link_mw: None,
