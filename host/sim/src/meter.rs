@@ -11,6 +11,10 @@ pub struct Reading {
     pub energy_j: f64,
     /// Largest coil current, in ampere.
     pub i_peak_a: f64,
+    /// Mean of the coil current's magnitude, in ampere.
+    pub i_mean_a: f64,
+    /// Mean of its square, in ampere squared.
+    pub i_square_a2: f64,
     /// Largest coil voltage, in volt.
     pub v_coil_peak_v: f64,
     /// Switches that closed onto more than [`crate::inverter::node::HARD_EDGE_V`].
