@@ -43,8 +43,11 @@ use crate::temperature::{TemperatureCodes, Temperatures};
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
 const GOOD_HALF_CYCLES: u8 = 3;
 
-/// Half-cycles at the highest frequency with too much power before bursts begin.
-const FLOOR_HALF_CYCLES: u8 = 5;
+/// Half-cycles in a row at the highest frequency with too much power before bursts begin.
+const FLOOR_HALF_CYCLES: u8 = 2;
+
+/// How much is too much.
+const TOO_MUCH_PERCENT: u64 = 3;
 
 /// What the half-cycle asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -428,7 +431,7 @@ impl Control {
         if summary.f_sw_hz == 0 || summary.disturbed {
             return Action::Keep;
         }
-        match classify(summary) {
+        match classify(summary, self.pot) {
             pot @ (Pot::Ferromagnetic | Pot::Small) => {
                 self.pot = pot;
                 self.enter(State::Heating);
@@ -440,7 +443,7 @@ impl Control {
 
     fn heat(&mut self, summary: &Summary, now: &Now) -> Action {
         if summary.f_sw_hz > 0 && !summary.disturbed {
-            match classify(summary) {
+            match classify(summary, self.pot) {
                 pot @ (Pot::Ferromagnetic | Pot::Small) => {
                     self.pot = pot;
                     self.without_pot = 0;
@@ -460,15 +463,14 @@ impl Control {
         }
         self.restart.heating(now.ms);
         let granted_w = self.granted_w();
-        if Burst::is_for(granted_w) || granted_w == self.floor_w {
+        self.watch_floor(summary, granted_w);
+        if granted_w == self.floor_w {
             return self.give_bursts(summary, granted_w, now);
         }
-        self.floor_w = 0;
         if core::mem::take(&mut self.bursting) && !now.wanted.is_switching() {
             return Action::Drive(Drive::switching(self.heated_hz));
         }
         self.regulate(summary, granted_w, now);
-        self.watch_floor(summary, granted_w);
         Action::Keep
     }
 
@@ -484,11 +486,15 @@ impl Control {
         }
     }
 
-    /// More power than was asked for, and no higher frequency: bursts, as long as no other power is
+    /// More power than was asked for, and no higher frequency: bursts, as long as the same power is
     /// asked for.
     fn watch_floor(&mut self, summary: &Summary, granted_w: u16) {
+        if granted_w == self.floor_w {
+            return;
+        }
+        self.floor_w = 0;
         let too_much = summary.f_sw_hz == pwm::HIGHEST_HZ
-            && u64::from(summary.power_mw) > u64::from(granted_w) * 1_030;
+            && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + TOO_MUCH_PERCENT);
         self.at_floor = if too_much { self.at_floor + 1 } else { 0 };
         if self.at_floor >= FLOOR_HALF_CYCLES {
             self.at_floor = 0;

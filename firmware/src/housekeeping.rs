@@ -20,6 +20,7 @@ use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
 use crate::request::PanelEvent;
+use crate::self_test::guarded::GuardedLookup;
 use crate::temperature::TemperatureCodes;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
@@ -30,7 +31,7 @@ pub struct Housekeeping {
     control: Control,
     paired: bool,
     telemetry_every: u8,
-    active: RlLookup,
+    active: GuardedLookup,
     pending: Option<RlLookup>,
     /// Lookups that became active since boot.
     lookup_changes: u32,
@@ -50,7 +51,7 @@ impl Housekeeping {
             control: Control::default(),
             paired: false,
             telemetry_every: 0,
-            active: prior(),
+            active: GuardedLookup::new(prior()),
             pending: None,
             lookup_changes: 0,
             settings: Configure::DEFAULT,
@@ -65,8 +66,13 @@ impl Housekeeping {
     /// reset: this build's prior stays, which may be a newer one.
     pub fn restore(&mut self, lookup: RlLookup) {
         if lookup.version > 0 {
-            self.active = lookup;
+            self.active = GuardedLookup::new(lookup);
         }
+    }
+
+    /// Whether the lookup in use is still what it was when it became that (a self-test).
+    pub fn is_lookup_intact(&self) -> bool {
+        self.active.is_intact()
     }
 
     /// The lookup in use.
@@ -309,7 +315,7 @@ impl Housekeeping {
         if let Some(summary) = summary {
             if let Some(lookup) = self.pending.take() {
                 access.with(|rt| rt.set_lookup_version(lookup.version));
-                self.active = lookup;
+                self.active = GuardedLookup::new(lookup);
                 self.lookup_changes = self.lookup_changes.wrapping_add(1);
             }
             self.watch_host(access);

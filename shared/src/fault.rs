@@ -131,6 +131,32 @@ fault_table! {
     /// Zero crossings come and the bus has no voltage.
     BUS_RANGE = 26 "BusRange":
         "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
+    /// The CRC of the program in flash is wrong, at start or while it runs. Clearing does not end it.
+    FLASH_CRC = 40 "FlashCrc":
+        "the program in the controller's flash is damaged, or was not flashed as built; flash \
+         target/firmware/images/stm32g474.elf again, and replace the controller if it comes back";
+    /// A cell of the RAM does not keep what is written to it. Found at start, nothing runs until a start finds none.
+    RAM_TEST = 41 "RamTest":
+        "the controller's RAM is broken; replace the controller";
+    /// The processor's clock and the watchdog's do not agree. Clearing does not end it.
+    CLOCK = 42 "Clock":
+        "the controller's two clocks disagree by more than their tolerances; replace the controller";
+    /// The watchdog did not bite when it was tried at start. Clearing does not end it.
+    WATCHDOG_TEST = 43 "WatchdogTest":
+        "the controller's watchdog does not work; replace the controller";
+    /// The end of the stack was written to. Clearing does not end it.
+    STACK_CANARY = 44 "StackCanary":
+        "the controller's stack was used to its end; switch it off and on, and report it if it comes back";
+    /// A task runs too often or too seldom. Clearing does not end it.
+    PROGRAM_FLOW = 45 "ProgramFlow":
+        "a task of the controller runs at the wrong rate; switch it off and on, and report it if it comes back";
+    /// The active lookup, a table, or the program's copy in RAM has changed by itself. Clearing does not end it.
+    DATA_CRC = 46 "DataCrc":
+        "data in the controller's RAM has changed by itself; switch it off and on, and replace the controller if \
+         it comes back";
+    /// A comparator did not trip when it was tried at start, or trips without a reason. Clearing does not end it.
+    COMPARATOR_TEST = 47 "ComparatorTest":
+        "the trip of the coil current in hardware does not work; check the front end at PA1 and PA7";
 }
 
 /// Text of a number that [`Fault::TABLE`] lacks.

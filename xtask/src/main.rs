@@ -9,6 +9,8 @@ mod fuzz;
 mod guest;
 mod images;
 mod licences;
+mod scenarios;
+mod seal;
 mod setup;
 mod steps;
 mod toolchain;
@@ -102,6 +104,23 @@ enum Chore {
         #[arg(last = true, value_name = "OPTIONS")]
         options: Vec<String>,
     },
+    /// Run every scenario of tests/scenarios and check what came of it against the limits in its file.
+    ///
+    /// Writes the table into docs/control.md and a figure a family beside it. Fails when a limit is missed.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask scenarios\n  \
+        cargo xtask scenarios --quick sags\n  \
+        cargo xtask scenarios --check")]
+    Scenarios {
+        /// Only families or files whose path contains this; nothing is written then
+        only: Option<String>,
+        /// Only the first variant of each matrix; nothing is written then
+        #[arg(long)]
+        quick: bool,
+        /// Write nothing; fail when docs/control.md has another table
+        #[arg(long)]
+        check: bool,
+    },
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
     /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
@@ -143,6 +162,9 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Board => session.board(),
         Chore::Hob { image, options } => session.hob(image, &options),
         Chore::Usb => session.usb(),
+        Chore::Scenarios { only, quick, check } => {
+            scenarios::run(&session.workspace, only.as_deref(), quick, check)
+        }
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),

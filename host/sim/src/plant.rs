@@ -265,6 +265,14 @@ impl Plant {
         };
         self.meter.running.bridge_on |= bridge == Bridge::Switching;
         let mut crest = (0f64, 0f64);
+        if bridge == Bridge::Open && self.inverter.is_at_rest() {
+            let now = self.inverter.rest(STEPS_PER_SAMPLE);
+            let dt_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
+            self.adc.advance(now.coil_v, now.i_a, dt_s);
+            current(now.i_a);
+            self.read_meter(crest);
+            return pair;
+        }
         for _ in 0..STEPS_PER_SAMPLE {
             let now = match self.tripped_s {
                 None => self.step(bridge),

@@ -78,12 +78,14 @@ impl Bus {
 
     fn rectified_v(&mut self, t_s: f64) -> f64 {
         let at = t_s / MAINS_STEP_S;
-        let number = at.floor();
-        if number != self.piece.0 {
+        let (number, ..) = self.piece;
+        // Faster than asking for the floor at every step.
+        if !(number..number + 1.0).contains(&at) {
+            let number = at.floor();
             let v = |n: f64| self.mains.mains_v(n * MAINS_STEP_S);
             self.piece = (number, v(number), v(number + 1.0));
         }
-        let (_, from, to) = self.piece;
+        let (number, from, to) = self.piece;
         (from + (at - number) * (to - from)).abs()
     }
 }

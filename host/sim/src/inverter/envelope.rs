@@ -9,6 +9,8 @@ pub struct Envelope {
     cos_sin: Vec<(f64, f64)>,
     ring: Vec<(f64, f64)>,
     sum: (f64, f64),
+    /// Currents of zero in a row.
+    zeros: usize,
 }
 
 impl Envelope {
@@ -21,6 +23,7 @@ impl Envelope {
                 .collect(),
             ring: vec![(0.0, 0.0); steps],
             sum: (0.0, 0.0),
+            zeros: 0,
         }
     }
 
@@ -38,6 +41,7 @@ impl Envelope {
 
     /// Takes the current in ampere at step `n` of the period.
     pub fn push(&mut self, n: usize, i_a: f64) {
+        self.zeros = if i_a == 0.0 { self.zeros + 1 } else { 0 };
         let (c, s) = self.cos_sin[n];
         let new = (i_a * c, i_a * s);
         let old = std::mem::replace(&mut self.ring[n], new);
@@ -50,6 +54,11 @@ impl Envelope {
                 .iter()
                 .fold((0.0, 0.0), |sum, v| (sum.0 + v.0, sum.1 + v.1));
         }
+    }
+
+    /// Whether no current has flowed for a whole period.
+    pub fn is_empty(&self) -> bool {
+        self.zeros >= self.ring.len()
     }
 
     /// Amplitude in ampere.
@@ -71,5 +80,17 @@ mod tests {
         }
         assert!((e.amplitude_a() - 7.0).abs() < 1e-9);
         assert!((e.resized(413).amplitude_a() - 7.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn it_is_empty_after_a_period_without_current() {
+        let mut e = Envelope::new(10);
+        e.push(3, 1.0);
+        for n in 4..13 {
+            e.push(n % 10, 0.0);
+            assert!(!e.is_empty());
+        }
+        e.push(3, 0.0);
+        assert!(e.is_empty() && e.amplitude_a() == 0.0);
     }
 }

@@ -7,8 +7,12 @@
 //! stands below ground, a diode conducts again: so the capacitor follows the mains to its next zero.
 //! The ringing of the coil with the node's few nanofarad is not modelled.
 
-use super::Inverter;
 use super::load::FluxStep;
+use super::{Instant, Inverter};
+
+/// How far below the bus the capacitor must be for the upper diode to block for a microsecond, in volt: the
+/// steepest mains falls by 0.15 V.
+const REST_MARGIN_V: f64 = 1.0;
 
 impl Inverter {
     /// One step with both switches open.
@@ -30,6 +34,26 @@ impl Inverter {
             None => self.float(open_v, to_s),
         }
         self.finish(&flux);
+    }
+
+    /// Whether the power stage is at rest and stays so for a microsecond: both switches open, no current within the
+    /// last period, and a capacitor that no diode lets go. Only a law can be: a field goes on moving.
+    pub fn is_at_rest(&self) -> bool {
+        let v_c_v = self.circuit.v_c_v;
+        let blocks = (0.0..self.bus.v() - REST_MARGIN_V).contains(&v_c_v);
+        self.floating_v.is_some() && self.circuit.i_a == 0.0 && blocks && self.load.is_at_rest()
+    }
+
+    /// As many steps at rest as one; only while [`Inverter::is_at_rest`].
+    pub fn rest(&mut self, steps: usize) -> Instant {
+        let to_s = self.period_start_s + (self.step + steps) as f64 * self.dt_s;
+        self.float(self.circuit.v_c_v, to_s);
+        self.step += steps;
+        while self.step >= self.steps {
+            self.period_start_s += self.steps as f64 * self.dt_s;
+            self.step -= self.steps;
+        }
+        self.instant()
     }
 
     fn conduct(&mut self, flux: &FluxStep, upper: bool, to_s: f64) {

@@ -171,6 +171,11 @@ impl LoadState {
         matches!(self, Self::Field { .. })
     }
 
+    /// Whether no current has flowed for a period; never so for the field model.
+    pub fn is_at_rest(&self) -> bool {
+        matches!(self, Self::Law { envelope, .. } if envelope.is_empty())
+    }
+
     /// R in ohm, L in henry and the amplitude in ampere that give them; `None` for the field model,
     /// which has no such numbers.
     pub fn law_point(&self) -> Option<(f64, f64, f64)> {

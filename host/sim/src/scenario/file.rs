@@ -16,6 +16,9 @@ use crate::recording::settings::LoadKind;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioFile {
+    /// What it shows, for a table of scenarios.
+    #[serde(default)]
+    pub title: String,
     /// Length, in seconds.
     #[serde(deserialize_with = "number::duration_s")]
     pub duration_s: f64,
