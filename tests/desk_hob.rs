@@ -13,7 +13,7 @@ use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Block, Drive, RealTime};
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::sampling::{
-    ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, block_ns,
+    ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::frame::MAX_ENCODED;
@@ -25,6 +25,8 @@ pub const HALF_CYCLE_NS: u64 = 10_000_000;
 
 const BUS_PEAK_V: f64 = 325.0;
 const LOAD_L_H: f64 = 26e-6;
+/// R at 45 kHz and L of the coil alone.
+const EMPTY: (f64, f64) = (0.1, 70e-6);
 const C_F: f64 = 1080e-9;
 
 /// What the link does to a frame on its way to the host: the bytes that arrive.
@@ -35,10 +37,8 @@ pub struct DeskHob {
     housekeeping: Housekeeping,
     realtime: Box<RealTime>,
     time_ns: u64,
-    /// R of the load at 45 kHz, in ohm; 0 for no pot: no current flows.
+    /// R of the load at 45 kHz, in ohm; 0 for no pot: the empty coil.
     pub load_ohm: f64,
-    /// Every so many blocks, one voltage sample stands at the end of the ADC's range; 0 for never.
-    pub clip_every: u32,
     blocks: u32,
     /// Bytes the link carries per block; what is more waits in the device.
     pub bytes_per_block: usize,
@@ -64,7 +64,6 @@ impl DeskHob {
             realtime: Box::new(RealTime::new(r, l)),
             time_ns: 0,
             load_ohm: 4.5,
-            clip_every: 0,
             blocks: 0,
             bytes_per_block: usize::MAX,
             turn_every: 1,
@@ -147,27 +146,33 @@ impl DeskHob {
             .abs()
     }
 
-    /// Steady alternating current at the switching frequency: I = V1 / |Z|, V = (R + jωL) I.
+    /// Steady alternating current at the switching frequency: I = V1 / Z, V = (R + jωL) I, the upper switch
+    /// closing as the block begins; and a code of noise, without which a converter counts as frozen.
     fn pairs(&self, drive: Drive) -> [Pair; ADC_LOCK_P] {
-        if !drive.is_switching() || self.load_ohm == 0.0 {
-            return [Pair::default(); ADC_LOCK_P];
+        let noise = |n: usize| (self.blocks.wrapping_mul(2_654_435_761) >> (n % 29)) as i16 & 1;
+        if !drive.is_switching() {
+            return std::array::from_fn(|n| Pair {
+                v: noise(n),
+                i: noise(n + 7),
+            });
         }
         let f = f64::from(drive.f_sw_hz);
-        let (r, x) = (self.load_ohm * (f / 45e3).sqrt(), TAU * f * LOAD_L_H);
+        let (load_ohm, load_h) = if self.load_ohm > 0.0 {
+            (self.load_ohm, LOAD_L_H)
+        } else {
+            EMPTY
+        };
+        let (r, x) = (load_ohm * (f / 45e3).sqrt(), TAU * f * load_h);
         let v1 = 2.0 / PI * BUS_PEAK_V * self.envelope();
-        let i = v1 / r.hypot(x - (TAU * f * C_F).recip());
-        let (v, lead) = (i * r.hypot(x), x.atan2(r));
-        let clipped = self.clip_every > 0 && self.blocks.is_multiple_of(self.clip_every);
+        let x_tank = x - (TAU * f * C_F).recip();
+        let (i, at_i) = (v1 / r.hypot(x_tank), -0.5 * PI - x_tank.atan2(r));
+        let (v, at_v) = (i * r.hypot(x), at_i + x.atan2(r));
         std::array::from_fn(|n| {
             let turns = n as f64 * f64::from(ADC_LOCK_Q) / ADC_LOCK_P as f64;
             let code = |x: f64, per_code: f64| (x / per_code).round() as i16;
             Pair {
-                v: if n == 0 && clipped {
-                    CODE_MAX
-                } else {
-                    code(v * (TAU * turns + lead).cos(), VOLT_PER_CODE)
-                },
-                i: code(i * (TAU * turns).cos(), AMPERE_PER_CODE),
+                v: code(v * (TAU * turns + at_v).cos(), VOLT_PER_CODE) + noise(n),
+                i: code(i * (TAU * turns + at_i).cos(), AMPERE_PER_CODE) + noise(n + 7),
             }
         })
     }

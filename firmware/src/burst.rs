@@ -1,11 +1,11 @@
-//! Power below the floor: bursts of whole mains cycles.
+//! Power below the floor, which the highest frequency gives: bursts of whole mains cycles.
 //!
-//! Every [`BURST_PERIOD_MS`] the energy that is due is given at [`BURST_POWER_W`]; what a burst gives
+//! Every [`BURST_PERIOD_MS`] the energy that is due is given at [`crate::limits::BURST_POWER_W`]; what a burst gives
 //! too much or too little, because it has whole cycles, the next one makes good. So the mean follows
 //! the measured energy exactly, and no direct current is drawn from the mains.
 
 use crate::half_cycle::Summary;
-use crate::limits::{BURST_FLOOR_W, BURST_PERIOD_MS};
+use crate::limits::BURST_PERIOD_MS;
 use crate::restart::is_reached;
 
 /// What the bridge is to do.
@@ -32,11 +32,6 @@ pub struct Burst {
 }
 
 impl Burst {
-    /// Whether so much power, in watt, is given in bursts.
-    pub fn is_for(asked_w: u16) -> bool {
-        asked_w > 0 && asked_w < BURST_FLOOR_W
-    }
-
     /// Begins with the bridge on, `half_cycles` of which are over.
     pub fn begin(&mut self, asked_w: u16, now_ms: u32, half_cycles: u32) {
         *self = Self {

@@ -20,6 +20,7 @@ use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
 use crate::request::PanelEvent;
+use crate::self_test::guarded::GuardedLookup;
 use crate::temperature::TemperatureCodes;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
@@ -30,7 +31,7 @@ pub struct Housekeeping {
     control: Control,
     paired: bool,
     telemetry_every: u8,
-    active: RlLookup,
+    active: GuardedLookup,
     pending: Option<RlLookup>,
     /// Lookups that became active since boot.
     lookup_changes: u32,
@@ -50,7 +51,7 @@ impl Housekeeping {
             control: Control::default(),
             paired: false,
             telemetry_every: 0,
-            active: prior(),
+            active: GuardedLookup::new(prior()),
             pending: None,
             lookup_changes: 0,
             settings: Configure::DEFAULT,
@@ -65,8 +66,13 @@ impl Housekeeping {
     /// reset: this build's prior stays, which may be a newer one.
     pub fn restore(&mut self, lookup: RlLookup) {
         if lookup.version > 0 {
-            self.active = lookup;
+            self.active = GuardedLookup::new(lookup);
         }
+    }
+
+    /// Whether the lookup in use is still what it was when it became that (a self-test).
+    pub fn is_lookup_intact(&self) -> bool {
+        self.active.is_intact()
     }
 
     /// The lookup in use.
@@ -306,21 +312,12 @@ impl Housekeeping {
             rt.note_turn();
             (rt.take_summary(), Now::of(rt))
         });
-        if let Some(summary) = summary {
-            if let Some(lookup) = self.pending.take() {
-                access.with(|rt| rt.set_lookup_version(lookup.version));
-                self.active = lookup;
-                self.lookup_changes = self.lookup_changes.wrapping_add(1);
-            }
-            self.watch_host(access);
-            self.last = summary;
-            let action = self.control.on_half_cycle(&summary, &now);
-            self.act(access, action);
-            self.send_telemetry(access, &summary);
-        } else {
-            let action = self.control.advance(&self.active, &now);
-            self.act(access, action);
-        }
+        let action = match summary {
+            Some(glance) if glance.glance => self.control.on_half_cycle(&glance, &now),
+            Some(summary) => self.on_half_cycle(access, &summary, &now),
+            None => self.control.advance(&self.active, &now),
+        };
+        self.act(access, action);
         // What the bridge was just asked for counts.
         let now = access.with(|rt| Now::of(rt));
         let action = self.control.tick(&now);
@@ -331,6 +328,19 @@ impl Housekeeping {
             self.queue
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
         }
+    }
+
+    fn on_half_cycle(&mut self, access: &mut impl Access, summary: &Summary, now: &Now) -> Action {
+        if let Some(lookup) = self.pending.take() {
+            access.with(|rt| rt.set_lookup_version(lookup.version));
+            self.active = GuardedLookup::new(lookup);
+            self.lookup_changes = self.lookup_changes.wrapping_add(1);
+        }
+        self.watch_host(access);
+        self.last = *summary;
+        let action = self.control.on_half_cycle(summary, now);
+        self.send_telemetry(access, summary);
+        action
     }
 
     /// Power that was asked for over the link lapses with the link.
@@ -348,6 +358,7 @@ impl Housekeeping {
         match action {
             Action::Keep => {}
             Action::Drive(drive) => access.with(|rt| rt.request(drive)),
+            Action::Look => access.with(RealTime::request_look),
             Action::OffAtCrossing => access.with(RealTime::request_off_at_crossing),
             Action::Fault(fault) => access.with(|rt| rt.raise(fault)),
             Action::ClearFault => access.with(RealTime::clear_fault),

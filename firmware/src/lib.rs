@@ -42,6 +42,7 @@ pub mod request;
 pub mod reset;
 pub mod restart;
 pub mod ring;
+pub mod self_test;
 pub mod soft_limit;
 pub mod temperature;
 pub mod transmit_queue;

@@ -4,7 +4,8 @@
 //! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 1.4-0.84 / 52-49, aluminium
 //! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
 //! to the prior at the same frequency and current separate them: R below half of the expected is
-//! no full pot, and then L separates air (above) from a non-magnetic plate (below).
+//! no full pot, and below 30 % L separates air (above) from a non-magnetic plate (below). A steel that
+//! covers half of the coil lies between.
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -19,14 +20,22 @@ pub static PRIOR: RlLookup = prior();
 /// R of a full-size pot, at least this percentage of the prior's.
 const FULL_R_PERCENT: i64 = 50;
 
+/// The same for a pot that was small before, so that one at the border does not change its class with
+/// its power.
+const FULL_AFTER_SMALL_R_PERCENT: i64 = 56;
+
+/// R of steel that covers a part of the coil; a non-magnetic plate has at most 20 %.
+const PART_R_PERCENT: i64 = 30;
+
 /// R of any ferromagnetic pot worth heating, at least this percentage of the prior's.
 const SMALL_R_PERCENT: i64 = 10;
 
 /// L above this percentage of the prior's means that the coil looks into air.
 const AIR_L_PERCENT: i64 = 125;
 
-/// What stands on the coil, by the last half-cycle; unknown with too little current or mains to say.
-pub fn classify(summary: &Summary) -> Pot {
+/// What stands on the coil, by the last half-cycle, where `before` was seen before; unknown with too
+/// little current or mains to say.
+pub fn classify(summary: &Summary, before: Pot) -> Pot {
     if summary.f_sw_hz == 0
         || summary.i_crest_ma < POT_CURRENT_MIN_MA
         || summary.bus_peak_dv < BUS_MIN_DV
@@ -36,11 +45,19 @@ pub fn classify(summary: &Summary) -> Pot {
     let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
     let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
     let (r, l) = (percent(summary.r.0, r.0), percent(summary.l.0, l.0));
-    match (r, l) {
-        (FULL_R_PERCENT.., _) => Pot::Ferromagnetic,
-        (_, ..AIR_L_PERCENT) => Pot::Unsuitable,
-        (SMALL_R_PERCENT.., _) => Pot::Small,
-        _ => Pot::Absent,
+    let full = if before == Pot::Small {
+        FULL_AFTER_SMALL_R_PERCENT
+    } else {
+        FULL_R_PERCENT
+    };
+    if r >= full {
+        Pot::Ferromagnetic
+    } else if r >= PART_R_PERCENT || (l >= AIR_L_PERCENT && r >= SMALL_R_PERCENT) {
+        Pot::Small
+    } else if l < AIR_L_PERCENT {
+        Pot::Unsuitable
+    } else {
+        Pot::Absent
     }
 }
 
@@ -60,7 +77,7 @@ mod tests {
             bus_peak_dv: 3_253,
             ..Summary::default()
         };
-        classify(&summary)
+        classify(&summary, Pot::Unknown)
     }
 
     #[test]

@@ -215,8 +215,8 @@ mod tests {
     #[test]
     fn large_samples_act_before_they_trip() {
         let seen = |i_a, l_h| check(60_000, &block(60e3, 1.0, l_h, i_a, 0.2), 0).limit;
-        assert_eq!(seen(64.0, 12e-6), Limit::None);
-        assert_eq!(seen(68.0, 12e-6), Limit::Current);
+        assert_eq!(seen(71.0, 12e-6), Limit::None);
+        assert_eq!(seen(73.0, 12e-6), Limit::Current);
         assert_eq!(seen(40.0, 40e-6), Limit::CoilVoltage);
     }
 
@@ -224,7 +224,7 @@ mod tests {
     fn a_new_frequency_is_given_time() {
         let mut soft = SoftLimits::default();
         soft.set_frequency(60_000);
-        let pairs = block(60e3, 1.0, 12e-6, 70.0, 0.2);
+        let pairs = block(60e3, 1.0, 12e-6, 74.0, 0.2);
         for _ in 0..SOFT_HOLD_BLOCKS {
             assert_eq!(soft.check(&correlate(&pairs), &pairs, 0).limit, Limit::None);
         }

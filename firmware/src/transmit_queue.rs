@@ -49,7 +49,7 @@ pub enum Answer {
 }
 
 /// What the codes of this firmware's channels stand for.
-fn front_end() -> FrontEnd {
+pub fn front_end() -> FrontEnd {
     FrontEnd {
         v_full_scale_mv: V_FULL_SCALE_MV,
         i_full_scale_ma: I_FULL_SCALE_MA,

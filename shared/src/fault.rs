@@ -1,7 +1,7 @@
 //! The table of faults: number, name, meaning, and what to do about it. There is no other.
 //!
 //! A fault travels as its number, a varint of a `u16`, so a host decodes numbers that its table does
-//! not know, shows "fault 23", and loses nothing else of the message. Therefore a new fault raises
+//! not know, shows "fault 120", and loses nothing else of the message. Therefore a new fault raises
 //! only [`crate::wire::PROTOCOL_MINOR`]. Its number is the next free one: a number, once given, keeps
 //! its meaning for ever.
 
@@ -46,16 +46,19 @@ fault_table! {
     /// No fault.
     NONE = 0 "None":
         "no fault";
-    /// No pot on the coil when heating was asked for.
+    /// No pot on the coil when heating was asked for. Protocol 1.x alone: since 2.0 this is the state
+    /// WaitingForPot.
     NO_POT = 1 "NoPot":
-        "no pot on the coil; put one on and start again";
-    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless).
+        "no pot on the coil (a controller of protocol 1.x, which did not wait for one); put one on and start again";
+    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless). Protocol 1.x
+    /// alone, like NoPot.
     UNSUITABLE_POT = 2 "UnsuitablePot":
-        "the load cannot be heated by induction (aluminium, copper, bare stainless); \
-         use a ferromagnetic pot";
-    /// The pot was taken away while heating.
+        "the load cannot be heated by induction (aluminium, copper, bare stainless; a controller of protocol \
+         1.x, which did not wait for another); use a ferromagnetic pot";
+    /// The pot was taken away while heating. Protocol 1.x alone, like NoPot.
     POT_REMOVED = 3 "PotRemoved":
-        "the pot was taken away while heating; put it back and start again";
+        "the pot was taken away while heating (a controller of protocol 1.x, which did not wait for it); put \
+         it back and start again";
     /// Coil current reached the trip level, seen in the samples.
     OVER_CURRENT = 4 "OverCurrent":
         "coil current at the trip level; ask for less power, or check the current sensor";
@@ -128,6 +131,32 @@ fault_table! {
     /// Zero crossings come and the bus has no voltage.
     BUS_RANGE = 26 "BusRange":
         "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
+    /// The CRC of the program in flash is wrong, at start or while it runs. Clearing does not end it.
+    FLASH_CRC = 40 "FlashCrc":
+        "the program in the controller's flash is damaged, or was not flashed as built; flash \
+         target/firmware/images/stm32g474.elf again, and replace the controller if it comes back";
+    /// A cell of the RAM does not keep what is written to it. Found at start, nothing runs until a start finds none.
+    RAM_TEST = 41 "RamTest":
+        "the controller's RAM is broken; replace the controller";
+    /// The processor's clock and the watchdog's do not agree. Clearing does not end it.
+    CLOCK = 42 "Clock":
+        "the controller's two clocks disagree by more than their tolerances; replace the controller";
+    /// The watchdog did not bite when it was tried at start. Clearing does not end it.
+    WATCHDOG_TEST = 43 "WatchdogTest":
+        "the controller's watchdog does not work; replace the controller";
+    /// The end of the stack was written to. Clearing does not end it.
+    STACK_CANARY = 44 "StackCanary":
+        "the controller's stack was used to its end; switch it off and on, and report it if it comes back";
+    /// A task runs too often or too seldom. Clearing does not end it.
+    PROGRAM_FLOW = 45 "ProgramFlow":
+        "a task of the controller runs at the wrong rate; switch it off and on, and report it if it comes back";
+    /// The active lookup, a table, or the program's copy in RAM has changed by itself. Clearing does not end it.
+    DATA_CRC = 46 "DataCrc":
+        "data in the controller's RAM has changed by itself; switch it off and on, and replace the controller if \
+         it comes back";
+    /// A comparator did not trip when it was tried at start, or trips without a reason. Clearing does not end it.
+    COMPARATOR_TEST = 47 "ComparatorTest":
+        "the trip of the coil current in hardware does not work; check the front end at PA1 and PA7";
 }
 
 /// Text of a number that [`Fault::TABLE`] lacks.
@@ -200,13 +229,13 @@ mod tests {
 
     #[test]
     fn an_unknown_number_is_shown_as_its_number() {
-        let fault = Fault::from_number(23);
+        let fault = Fault::from_number(120);
         assert_eq!(
             fault.to_string(),
-            "fault 23 (unknown to this version: update ihd)"
+            "fault 120 (unknown to this version: update ihd)"
         );
-        assert_eq!(format!("{fault:?}"), "fault 23");
-        assert_eq!((fault.name(), fault.number()), (None, 23));
+        assert_eq!(format!("{fault:?}"), "fault 120");
+        assert_eq!((fault.name(), fault.number()), (None, 120));
     }
 
     #[test]

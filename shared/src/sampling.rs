@@ -36,11 +36,66 @@ pub const CODE_MAX: i16 = CODE_HALF_RANGE - 1;
 /// Smallest code; a sample at this code or below is saturated.
 pub const CODE_MIN: i16 = -CODE_HALF_RANGE;
 
-/// Volt per code of the voltage channel.
+/// Volt per code of the voltage channel of this build.
 pub const VOLT_PER_CODE: f64 = V_FULL_SCALE_V / CODE_HALF_RANGE as f64;
 
-/// Ampere per code of the current channel.
+/// Ampere per code of the current channel of this build.
 pub const AMPERE_PER_CODE: f64 = I_FULL_SCALE_A / CODE_HALF_RANGE as f64;
+
+/// What the codes of a pair's two channels stand for. They travel with the data: boards and their
+/// recordings differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scales {
+    /// Half the input range of the voltage channel, in millivolt.
+    pub v_full_scale_mv: u32,
+    /// Half the input range of the current channel, in milliampere.
+    pub i_full_scale_ma: u32,
+}
+
+impl Scales {
+    /// Those that this build of the firmware reads by.
+    pub const OF_THIS_BUILD: Self = Self {
+        v_full_scale_mv: V_FULL_SCALE_MV,
+        i_full_scale_ma: I_FULL_SCALE_MA,
+    };
+
+    /// Those of protocol 1.x, which did not carry them.
+    pub const OF_PROTOCOL_1: Self = Self {
+        v_full_scale_mv: 400_000,
+        i_full_scale_ma: 80_000,
+    };
+
+    /// Half the input range of the voltage channel, in volt.
+    pub fn v_full_scale_v(self) -> f64 {
+        f64::from(self.v_full_scale_mv) / 1e3
+    }
+
+    /// Half the input range of the current channel, in ampere.
+    pub fn i_full_scale_a(self) -> f64 {
+        f64::from(self.i_full_scale_ma) / 1e3
+    }
+
+    /// Volt per code of the voltage channel.
+    pub fn volt_per_code(self) -> f64 {
+        self.v_full_scale_v() / f64::from(CODE_HALF_RANGE)
+    }
+
+    /// Ampere per code of the current channel.
+    pub fn ampere_per_code(self) -> f64 {
+        self.i_full_scale_a() / f64::from(CODE_HALF_RANGE)
+    }
+}
+
+/// For people: "±640 V, ±80 A".
+impl core::fmt::Display for Scales {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let (v, i) = (self.v_full_scale_v(), self.i_full_scale_a());
+        write!(f, "±{v} V, ±{i} A")
+    }
+}
+
+/// Corner of the first-order anti-alias filter of both channels, in hertz.
+pub const ANTI_ALIAS_HZ: u32 = 500_000;
 
 /// Sampling rate in hertz at a switching frequency in hertz.
 pub fn f_adc_hz(f_sw_hz: u32) -> f64 {
@@ -58,9 +113,9 @@ pub fn block_ns(f_sw_hz: u32) -> u32 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(4))]
 pub struct Pair {
-    /// Voltage code, [`VOLT_PER_CODE`] each.
+    /// Voltage code, [`Scales::volt_per_code`] each.
     pub v: i16,
-    /// Current code, [`AMPERE_PER_CODE`] each.
+    /// Current code, [`Scales::ampere_per_code`] each.
     pub i: i16,
 }
 

@@ -28,7 +28,6 @@ use ihd_tests::regression_captures;
 use ihd_train::lookup::builder::LookupBuilder;
 use ihd_train::lookup::curve::{LoadCurve, LoadPoint};
 use ihd_train::replay;
-use ihd_train::replay::Stretch;
 use ihd_train::{NetworkConfig, Recorded, Settings, Source};
 
 /// Bus voltage that the replays state, in decivolt.
@@ -331,17 +330,16 @@ fn a_capture_replays_with_the_same_bits_windows_and_states() {
     let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
     let survey = Survey::of(&capture, &Hints::default()).unwrap();
     let segments = survey.segments(&capture);
-    let stretches: Vec<_> = segments.iter().filter_map(Stretch::of).collect();
     let settings = replay::Settings {
         // A busy machine emulates slowly.
         patience: Some(Duration::from_secs(20)),
         ..replay::Settings::default()
     };
     let outcome = replay::run(
-        &stretches,
+        &segments,
         settings,
         &mut || Ok(board.connect()),
-        &mut |_| (),
+        &mut |_, _| (),
     );
     let outcome = outcome.unwrap();
     assert!(outcome.is_identical(), "{:?}", outcome.first);

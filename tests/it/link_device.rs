@@ -13,7 +13,8 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_raw};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Reply, State,
+    AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Pot, Reply,
+    State,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
@@ -41,9 +42,10 @@ fn refusal(result: Result<(), LinkError>) -> (Outcome, u32) {
 
 #[test]
 fn a_device_says_what_it_is_and_takes_commands() {
-    let (mut client, _) = connected();
+    let (mut client, link) = connected();
     assert_eq!(client.hello(), &desk_hello());
     client.set_power(1_000).unwrap();
+    link.hob().step();
     let status = client.status().unwrap();
     assert_eq!((status.state, status.asked_w), (State::Probing, 1_000));
     assert_eq!(client.counters().frames_bad, 0);
@@ -137,12 +139,9 @@ fn a_standing_fault_is_reported_and_cannot_be_cleared() {
         );
         assert_eq!(
             refusal(client.set_power(1_000)),
-            (Outcome::FaultActive, number)
+            (Outcome::LockedOut, number)
         );
-        assert_eq!(
-            refusal(client.clear_fault()),
-            (Outcome::FaultActive, number)
-        );
+        assert_eq!(refusal(client.clear_fault()), (Outcome::LockedOut, number));
         link.hob().run(1);
     }
 }
@@ -363,25 +362,25 @@ fn power_above_the_rating_is_refused() {
     assert_eq!(client.status().unwrap().asked_w, 0);
 }
 
+/// Nothing has to be cleared or asked for again: the pot comes, and is heated.
 #[test]
-fn a_missing_pot_is_a_fault_that_blocks_until_cleared() {
+fn a_missing_pot_is_waited_for() {
     let (mut client, link) = connected();
     link.hob().load_ohm = 0.0;
     client.set_power(1_000).unwrap();
-    let event = client.next_event(Duration::from_millis(200)).unwrap();
-    let Some(Event::Fault(fault)) = event else {
-        panic!("no fault: {event:?}");
-    };
-    assert_eq!(fault.fault, Fault::NO_POT);
-    let refused = refusal(client.set_power(1_000));
-    assert_eq!(
-        refused,
-        (Outcome::FaultActive, Fault::NO_POT.number().into())
-    );
-    client.clear_fault().unwrap();
+    link.hob().run(300);
+    let status = client.status().unwrap();
+    let seen = (status.state, status.pot, status.fault, status.asked_w);
+    let waiting = State::WaitingForPot;
+    assert_eq!(seen, (waiting, Pot::Absent, Fault::NONE, 1_000));
+    assert!(client.next_event(Duration::ZERO).unwrap().is_none());
     link.hob().load_ohm = 4.5;
-    client.set_power(1_000).unwrap();
-    assert_eq!(client.status().unwrap().state, State::Probing);
+    link.hob().run(150);
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.pot),
+        (State::Heating, Pot::Ferromagnetic)
+    );
 }
 
 #[test]
@@ -519,9 +518,9 @@ fn a_host_that_falls_silent_no_longer_heats() {
 #[test]
 fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
     let (mut client, link) = connected();
-    link.hob().load_ohm = 0.0;
     client.set_power(1_000).unwrap();
     link.hob().run(10);
+    link.hob().realtime().raise_standing(Fault::FLASH_ECC);
     for _ in 0..100 {
         client.status().unwrap();
     }
@@ -530,7 +529,7 @@ fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
     link.hob().run(2);
     let event = second.next_event(Duration::from_millis(50)).unwrap();
     assert!(
-        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::NO_POT),
+        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::FLASH_ECC),
         "{event:?}"
     );
     assert_eq!(second.status().unwrap().frames_lost, 0);

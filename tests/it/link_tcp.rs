@@ -88,7 +88,7 @@ fn local() -> (TcpListener, String) {
 fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<Event> {
     let mut client = Client::connect(transport).unwrap();
     client.set_timeout(Duration::from_secs(60));
-    client.record_to(SessionRecorder::create(path, client.hello()).unwrap());
+    client.record_to(SessionRecorder::create(path, client.hello(), client.front_end()).unwrap());
     client.set_power(1_000).unwrap();
     client.stream(1, 1).unwrap();
     for _ in 0..5 {

@@ -1,16 +1,20 @@
 //! Windows over a damaged link: every one is delivered as it was recorded, or rejected with its
 //! reason, or shows as a gap.
 
+use std::f64::consts::TAU;
 use std::time::Duration;
 
 use ihd_link::{Client, Event, Window};
-use ihd_shared::sampling::f_adc_hz;
+use ihd_shared::sampling::{
+    ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, f_adc_hz,
+};
+use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::MAX_PAIRS;
 use ihd_shared::wire::frame::{Frame, MAX_ENCODED, decode, encode};
 use ihd_shared::wire::messages::{
     AnyMessage, Message, Raw, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
-use ihd_tests::desk_hob::{DeskLink, heating};
+use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating};
 
 /// What the client sees of the next half-cycles.
 fn watch(client: &mut Client, link: &DeskLink, half_cycles: u64) -> Vec<Event> {
@@ -251,21 +255,43 @@ fn what_a_frame_crc_cannot_see_the_window_does() {
     );
 }
 
+/// A replay, because a bridge that switches answers a sample at the end of the range with another
+/// frequency, which no window outlives.
 #[test]
 fn saturated_pairs_reject_the_window() {
-    let (mut client, link) = heating();
-    // 0.4 % of the pairs: the estimator gets over it, and so does the device.
-    link.hob().clip_every = 4;
-    let events = watch(&mut client, &link, 8);
-    assert!(!events.is_empty());
-    for event in events {
+    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    let mut client = Client::connect(Box::new(link)).unwrap();
+    client.stream(0, 1).unwrap();
+    let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+    let mut replay = client.start_replay(45_000, r, l).unwrap();
+    // 20 A through that load, in phase with the block; |Z| = 8.12 ohm at a phase of 60.5°.
+    let wave = |amplitude: f64, n: usize, lead: f64| {
+        let turns = n as f64 * f64::from(ADC_LOCK_Q) / ADC_LOCK_P as f64;
+        (amplitude * (TAU * turns + lead).cos()).round() as i16
+    };
+    // 150 blocks are a half-cycle, of which 0.4 % of the pairs are clipped; the second run ends the first.
+    for block in 0..310 {
+        let mut pairs: [Pair; ADC_LOCK_P] = std::array::from_fn(|n| Pair {
+            v: wave(8.12 * 20.0 / VOLT_PER_CODE, n, 1.056) + (block & 1) as i16,
+            i: wave(20.0 / AMPERE_PER_CODE, n, 0.0),
+        });
+        if block % 4 == 0 {
+            pairs[0].v = CODE_MAX;
+        }
+        let crossing = (block % 150 == 0).then_some(0);
+        replay.blocks(&pairs, crossing, 3_000).unwrap();
+    }
+    let mut rejected = 0;
+    while let Some(event) = replay.client().next_event(Duration::ZERO).unwrap() {
         let Event::WindowRejected { reason, .. } = event else {
             panic!("unexpected {event:?}");
         };
         assert_eq!(reason.label(), "saturated");
         assert!(reason.to_string().contains("end of the ADC's range"));
+        rejected += 1;
     }
-    assert!(client.status().unwrap().saturated_pairs > 0);
+    assert!(rejected > 0);
+    assert!(replay.client().status().unwrap().saturated_pairs > 0);
 }
 
 #[test]

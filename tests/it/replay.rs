@@ -3,16 +3,19 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ihd_firmware::transmit_queue::front_end;
 use ihd_link::{Client, Event as LinkEvent, LinkError, Transport};
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode};
 use ihd_shared::wire::hello::CAP_REPLAYING;
 use ihd_shared::wire::messages::{
-    AnyMessage, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry, WindowEnd,
+    AnyMessage, FrontEnd, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry,
+    WindowEnd,
 };
+use ihd_signal::Segment;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
@@ -21,10 +24,10 @@ use ihd_sim::recording::settings::{Change, Event, LoadKind};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
-use ihd_train::replay::{Outcome, Settings, Stretch, run};
+use ihd_train::replay::{Outcome, Settings, run};
 
 /// 25 ms with a frequency step, sampled by an oscilloscope.
-fn stretches() -> Vec<Stretch> {
+fn segments() -> Vec<Segment> {
     let mut settings = settings::Settings {
         load: LoadKind::Behavioural,
         duration_s: 25e-3,
@@ -38,13 +41,12 @@ fn stretches() -> Vec<Stretch> {
     let recording = record(&settings, |_| ()).unwrap();
     let capture = recording.capture("a test");
     let survey = Survey::of(&capture, &Hints::default()).unwrap();
-    let segments = survey.segments(&capture);
-    segments.iter().filter_map(Stretch::of).collect()
+    survey.segments(&capture)
 }
 
 /// Replays on whatever `connect` reaches.
 fn replayed(settings: Settings, connect: &mut dyn FnMut() -> Result<Client, LinkError>) -> Outcome {
-    let outcome = run(&stretches(), settings, connect, &mut |_| ()).unwrap();
+    let outcome = run(&segments(), settings, connect, &mut |_, _| ()).unwrap();
     Outcome {
         seconds: 0.0,
         ..outcome
@@ -97,6 +99,33 @@ fn speed_does_not_change_the_answer() {
         };
         assert_eq!(replayed(settings, &mut || client(paced.clone())), fastest);
     }
+}
+
+/// The same codes are other volts there: what it makes of them cannot be compared.
+#[test]
+fn a_device_of_other_scales_is_not_compared() {
+    let mut connect = || {
+        let link = DeskLink::new(DeskHob::new(desk_hello()));
+        link.hob().mangle = Box::new(|sent: &[u8]| {
+            let mut stuffed = sent.to_vec();
+            let end = stuffed.len() - 1;
+            let frame = decode(&mut stuffed[1..end]).unwrap();
+            if frame.id != FrontEnd::ID {
+                return sent.to_vec();
+            }
+            let other = FrontEnd {
+                v_full_scale_mv: 500_000,
+                ..front_end()
+            };
+            let mut out = [0; MAX_ENCODED];
+            let length = encode(&other, frame.seq, &mut out).unwrap();
+            out[..length].to_vec()
+        });
+        client(link)
+    };
+    let error = run(&segments(), QUICK, &mut connect, &mut |_, _| ()).unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("±500 V, ±80 A, this build's"), "{text}");
 }
 
 /// A small generator, so that each seed damages in its own way.
@@ -171,7 +200,7 @@ fn a_link_that_drops_repeats_and_cuts_never_changes_the_result() {
             *dice.lock().unwrap() = Some(Dice(seed + 1_000));
             Ok(client)
         };
-        let outcome = run(&stretches(), QUICK, &mut connect, &mut |_| ());
+        let outcome = run(&segments(), QUICK, &mut connect, &mut |_, _| ());
         let outcome = outcome.unwrap_or_else(|why| panic!("seed {seed}: {why}"));
         assert!(outcome.is_identical(), "seed {seed}: {:?}", outcome.first);
         assert_eq!(outcome.estimates, outcome.blocks, "seed {seed}");
@@ -351,13 +380,14 @@ fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
         .start_replay(45_000, MicroOhm(4_000_000), PicoHenry(25_000_000))
         .unwrap();
     // 150 blocks of three periods are 10 ms; each crossing begins a half-cycle.
-    let quiet = [Pair { v: 0, i: 0 }; ADC_LOCK_P];
+    // A code of noise: a converter that repeats itself counts as frozen.
+    let quiet = |block: i16| [Pair { v: block & 1, i: 0 }; ADC_LOCK_P];
     let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
     for half_cycle in 0..3 {
-        replay.blocks(&quiet, Some(0), 0).unwrap();
+        replay.blocks(&quiet(0), Some(0), 0).unwrap();
         let blocks = if half_cycle < 2 { 149 } else { 20 };
-        for _ in 0..blocks {
-            replay.blocks(&quiet, None, 3_000).unwrap();
+        for block in 1..=blocks {
+            replay.blocks(&quiet(block), None, 3_000).unwrap();
         }
     }
     replay.blocks(&loud, None, 3_000).unwrap();

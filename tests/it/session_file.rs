@@ -7,10 +7,13 @@ use std::time::Duration;
 
 use ihd_capture::mcap;
 use ihd_capture::mcap::{McapFileError, SessionReader, SessionRecorder};
+use ihd_firmware::transmit_queue::front_end;
 use ihd_link::{Client, Counters, Event, FrameSink, LinkError, Window};
-use ihd_shared::sampling::VOLT_PER_CODE;
+use ihd_shared::fault::Fault;
+use ihd_shared::sampling::{Scales, VOLT_PER_CODE};
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
+use ihd_shared::wire::messages::Limit;
 use ihd_signal::TimeBase;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use proptest::prelude::*;
@@ -25,7 +28,7 @@ fn record(path: &Path) -> (Vec<Event>, Counters) {
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     client.set_power(1_000).unwrap();
     link.hob().run(60);
-    client.record_to(SessionRecorder::create(path, client.hello()).unwrap());
+    client.record_to(SessionRecorder::create(path, client.hello(), client.front_end()).unwrap());
     client.stream(1, 20).unwrap();
     let mut events = Vec::new();
     while events.len() < HALF_CYCLES {
@@ -54,7 +57,7 @@ static RECORDING: LazyLock<(Vec<u8>, Vec<Event>, usize)> = LazyLock::new(|| {
     let path = dir.path().join("whole.mcap");
     let (events, _) = record(&path);
     let begun = dir.path().join("begun.mcap");
-    let recorder = SessionRecorder::create(&begun, &desk_hello()).unwrap();
+    let recorder = SessionRecorder::create(&begun, &desk_hello(), &front_end()).unwrap();
     let beginning = fs::metadata(&begun).unwrap().len() as usize;
     drop(recorder);
     (fs::read(path).unwrap(), events, beginning)
@@ -126,11 +129,66 @@ fn the_windows_of_a_session_are_a_capture() {
     assert_eq!(capture.metadata["device_board"], "desk");
 }
 
+/// `ihd record --device sim --power 1500 --duration 0.45 --windows-every 30` of protocol 1.3, whose windows
+/// had no scales, and every hundredth pair in volt and ampere as that program gave them.
+#[test]
+fn a_session_of_protocol_1_gives_the_volts_that_it_gave_then() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/sessions");
+    let path = folder.join("protocol-1.3.mcap");
+    let (events, reader) = read(&path);
+    let hello = reader.hello();
+    assert_eq!((hello.protocol_major, hello.protocol_minor), (1, 3));
+    let counters = reader.counters();
+    let unread = counters.messages_malformed + counters.messages_unknown;
+    assert_eq!(
+        (unread, counters.frames_bad, counters.frames_lost),
+        (0, 0, 0)
+    );
+    assert_eq!(
+        (counters.telemetry.received, counters.windows.received),
+        (46, 1)
+    );
+    let windows = windows(&events);
+    let (v_v, i_a) = (windows[0].v_volt(), windows[0].i_ampere());
+    assert_eq!(windows[0].scales, Scales::OF_PROTOCOL_1);
+    let capture = mcap::read(&path).unwrap();
+    assert_eq!(
+        (capture.v_full_scale_v, capture.i_full_scale_a),
+        (Some(400.0), Some(80.0))
+    );
+    let then = fs::read_to_string(folder.join("protocol-1.3.csv")).unwrap();
+    let mut rows = 0;
+    for line in then.lines().skip(1) {
+        let numbers: Vec<f64> = line.split(',').map(|x| x.parse().unwrap()).collect();
+        let k = 100 * rows;
+        assert_eq!(
+            [v_v[k], i_a[k]].map(|x| x as f32),
+            [numbers[1] as f32, numbers[2] as f32]
+        );
+        assert_eq!(
+            [capture.v_v[k], capture.i_a[k]],
+            [v_v[k] as f32, i_a[k] as f32]
+        );
+        rows += 1;
+    }
+    assert_eq!(rows, v_v.len().div_ceil(100));
+    let Some(Event::Telemetry(last)) = events.iter().rfind(|e| matches!(e, Event::Telemetry(_)))
+    else {
+        panic!("46 of them");
+    };
+    // What 1.3 told is there, what it did not is empty.
+    assert!((1_450_000..1_550_000).contains(&last.power_mw), "{last:?}");
+    assert_eq!(
+        (last.fault, last.limit, last.asked_w),
+        (Fault::NONE, Limit::None, 0)
+    );
+}
+
 #[test]
 fn a_recording_is_never_overwritten() {
     let dir = TempDir::new().unwrap();
     let path = file(&dir, b"precious");
-    let Err(error) = SessionRecorder::create(&path, &desk_hello()) else {
+    let Err(error) = SessionRecorder::create(&path, &desk_hello(), &front_end()) else {
         panic!("it must not be created");
     };
     assert!(matches!(error, McapFileError::Exists { .. }));
@@ -202,11 +260,11 @@ fn a_recording_of_another_major_or_of_a_host_is_refused() {
     let path = dir.path().join("other");
     let mut hello = desk_hello();
     hello.protocol_major = PROTOCOL_MAJOR + 1;
-    drop(SessionRecorder::create(&path, &hello).unwrap());
+    drop(SessionRecorder::create(&path, &hello, &front_end()).unwrap());
     let error = SessionReader::open(&path).err().unwrap();
     assert!(matches!(error, McapFileError::Mismatch { .. }), "{error}");
     let path = dir.path().join("host");
-    drop(SessionRecorder::create(&path, &ours(ROLE_HOST, 0, 0, "", "")).unwrap());
+    drop(SessionRecorder::create(&path, &ours(ROLE_HOST, 0, 0, "", ""), &front_end()).unwrap());
     let error = SessionReader::open(&path).err().unwrap();
     assert!(matches!(error, McapFileError::Missing { .. }), "{error}");
 }

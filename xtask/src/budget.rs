@@ -13,13 +13,15 @@ use crate::call_graph::CallGraph;
 use crate::workspace::Workspace;
 
 /// Sections that are in flash, and those that are in RAM; what is in both is copied at start.
-const FLASH: [&str; 6] = [
+const FLASH: [&str; 8] = [
     ".vector_table",
     ".text",
     ".rodata",
     ".ccm",
     ".data",
     ".tables",
+    ".flash_filler",
+    ".image_crc",
 ];
 const RAM: [&str; 5] = [".data", ".tables", ".bss", ".uninit", ".crash_record"];
 /// Sections in the CCM SRAM.

@@ -6,6 +6,7 @@ use std::process::Command;
 
 use anyhow::Context;
 
+use crate::seal;
 use crate::toolchain::{FirmwareToolchain, TARGET};
 use crate::workspace::{Workspace, run};
 
@@ -43,7 +44,7 @@ impl Image {
         run(clippy.args(["--", "-D", "warnings"]))
     }
 
-    /// Builds it; returns where the ELF file is.
+    /// Builds it; returns where the ELF file is: what is to be flashed. What cargo leaves elsewhere has no CRC.
     pub fn build(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<PathBuf> {
         let mut build = self.cargo("build", on, toolchain);
         run(build.args(["--profile", "firmware"]))?;
@@ -54,6 +55,7 @@ impl Image {
         let kept = kept.with_extension("elf");
         fs::create_dir_all(target.join("images"))?;
         fs::copy(&built, &kept).with_context(|| format!("could not copy {}", built.display()))?;
+        seal::seal(&kept)?;
         Ok(kept)
     }
 }

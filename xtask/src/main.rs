@@ -10,6 +10,7 @@ mod guest;
 mod images;
 mod licences;
 mod scenarios;
+mod seal;
 mod setup;
 mod steps;
 mod toolchain;

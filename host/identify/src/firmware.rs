@@ -8,7 +8,7 @@ use ihd_firmware::demod::{Demodulator, correlate};
 use ihd_firmware::ekf::{Ekf, Noise};
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::sampling::{ADC_LOCK_P, I_FULL_SCALE_A, V_FULL_SCALE_V};
+use ihd_shared::sampling::{ADC_LOCK_P, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_signal::Segment;
 use ihd_signal::SegmentError;
@@ -42,7 +42,13 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
         f_sw_hz: segment.f_sw_hz,
         t0_s: segment.t0_s,
     };
-    let pairs = adc_pairs(&time, &segment.v_v, &segment.i_a, grid);
+    let pairs = adc_pairs(
+        &time,
+        &segment.v_v,
+        &segment.i_a,
+        grid,
+        Scales::OF_THIS_BUILD,
+    );
     let (r, l) = start(settings, f_sw_hz);
     let omega = TAU * segment.f_sw_hz;
     let mut demod = Demodulator::new(f_sw_hz);
@@ -74,7 +80,8 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     }
     if saturated > 0 {
         estimate.notes.push(format!(
-            "{saturated} sample pairs beyond the ADC's ±{V_FULL_SCALE_V} V and ±{I_FULL_SCALE_A} A"
+            "{saturated} sample pairs beyond the ADC's {}",
+            Scales::OF_THIS_BUILD
         ));
     }
     if at_bound {

@@ -115,7 +115,8 @@ impl Assembler {
                 trajectory: start.trajectory,
             });
         }
-        if start.pairs == 0 || start.f_sw_hz == 0 || start.half_cycle_ns == 0 {
+        let scale = start.v_full_scale_mv.min(start.i_full_scale_ma);
+        if start.pairs == 0 || start.f_sw_hz == 0 || start.half_cycle_ns == 0 || scale == 0 {
             return Err(WindowDefect::Empty);
         }
         self.building = Some(Building {
@@ -211,6 +212,7 @@ impl Building {
             trajectory: std::mem::take(&mut self.trajectory),
             saturated,
             lookup_version: start.lookup_version,
+            scales: start.scales(),
         })
     }
 }

@@ -1,5 +1,6 @@
 //! From bytes to answers and events: deframer, decoding, window assembler and their counts.
 
+use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use ihd_shared::wire::deframer::Deframer;
@@ -11,6 +12,7 @@ use ihd_shared::wire::messages::{
 
 use super::Counters;
 use super::assembler::{Assembler, Rejected};
+use super::protocol_1;
 use super::window::{Window, WindowDefect};
 
 /// What a device sends of its own accord.
@@ -58,6 +60,8 @@ pub struct Incoming {
     deframer: Deframer,
     assembler: Assembler,
     counters: Counters,
+    /// What comes is of protocol 1.x.
+    from_protocol_1: bool,
     /// Events in the order of their last byte.
     pub events: VecDeque<Event>,
     /// Answers in the order of their last byte.
@@ -77,6 +81,11 @@ impl Incoming {
         }
     }
 
+    /// What comes from now on is of another major version: of [`protocol_1::MAJOR`], or else of ours.
+    pub fn set_major(&mut self, major: u16) {
+        self.from_protocol_1 = major == protocol_1::MAJOR;
+    }
+
     /// Takes one byte; what it completes is found in `events` and `answers`.
     ///
     /// # Errors
@@ -89,7 +98,12 @@ impl Incoming {
         };
         let frame = frame?;
         let counters = &mut self.counters;
-        match AnyMessage::decode(frame.id, frame.payload) {
+        let payload = if self.from_protocol_1 {
+            protocol_1::completed(frame.id, frame.payload)
+        } else {
+            Cow::Borrowed(frame.payload)
+        };
+        match AnyMessage::decode(frame.id, &payload) {
             Ok(AnyMessage::Hello(m)) => self.answers.push_back(Answer::Hello(m)),
             Ok(AnyMessage::Reply(m)) => self.answers.push_back(Answer::Reply(m)),
             Ok(AnyMessage::Status(m)) => self.answers.push_back(Answer::Status(m)),

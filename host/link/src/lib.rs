@@ -16,6 +16,7 @@ pub mod counters;
 pub mod device_spec;
 pub mod error;
 pub mod incoming;
+pub mod protocol_1;
 pub mod protocol_doc;
 pub mod replay;
 pub mod serial;

@@ -153,7 +153,7 @@ fn faults(doc: &mut String) {
 ## Faults
 
 The number, as `u16`. The list is open: a number that a host does not know decodes like any other, and
-is shown as \"fault 23 (unknown to this version: update ihd)\". The table is `shared/src/fault.rs`.
+is shown as \"fault 120 (unknown to this version: update ihd)\". The table is `shared/src/fault.rs`.
 
 | number | name | meaning | what a person reads |
 |---|---|---|---|",

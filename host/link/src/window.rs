@@ -1,6 +1,6 @@
 //! A window as the host uses it, and what can be wrong with one.
 
-use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, f_adc_hz};
+use ihd_shared::sampling::{ADC_LOCK_Q, Pair, Scales, f_adc_hz};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_signal::Segment;
 
@@ -34,6 +34,8 @@ pub struct Window {
     pub saturated: u16,
     /// Version of the lookup that was active.
     pub lookup_version: u32,
+    /// What the pairs' codes stand for.
+    pub scales: Scales,
 }
 
 impl Window {
@@ -62,13 +64,15 @@ impl Window {
 
     /// Coil voltage, in volt.
     pub fn v_volt(&self) -> Vec<f64> {
-        let volt = |p: &Pair| f64::from(p.v) * VOLT_PER_CODE;
+        let volt_per_code = self.scales.volt_per_code();
+        let volt = |p: &Pair| f64::from(p.v) * volt_per_code;
         self.pairs.iter().map(volt).collect()
     }
 
     /// Coil current, in ampere.
     pub fn i_ampere(&self) -> Vec<f64> {
-        let ampere = |p: &Pair| f64::from(p.i) * AMPERE_PER_CODE;
+        let ampere_per_code = self.scales.ampere_per_code();
+        let ampere = |p: &Pair| f64::from(p.i) * ampere_per_code;
         self.pairs.iter().map(ampere).collect()
     }
 
@@ -106,8 +110,8 @@ pub enum WindowDefect {
         /// Trajectory entries declared.
         trajectory: u16,
     },
-    /// The start declares no pairs, or a frequency or duration of zero.
-    #[error("it declares no pairs, no frequency or no duration")]
+    /// The start declares no pairs, or a frequency, duration or scale of zero.
+    #[error("it declares no pairs, no frequency, no duration or no scale")]
     Empty,
     /// Pairs or trajectory entries are missing before `offset`.
     #[error("a chunk is missing before {of} {offset}")]

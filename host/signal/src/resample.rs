@@ -5,15 +5,13 @@
 //! Between the capture's samples the waveform is the cubic through the four nearest (Catmull-Rom),
 //! which is exact on samples that lie on the grid and has -60 dB of error at ten samples a period.
 
-use ihd_shared::sampling::{
-    ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE,
-};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_BITS, Pair, Scales};
 
 use super::TimeBase;
 use crate::quantise::code;
 
 /// Bits of the board's converters.
-const BITS: u32 = CODE_HALF_RANGE.ilog2() + 1;
+const BITS: u32 = CODE_BITS as u32;
 
 /// The instants of the ADC: f_sw · 61/3 from a first one on.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,14 +29,16 @@ impl AdcGrid {
     }
 }
 
-/// Pairs of 12-bit codes on the grid, from its first instant to the last sample of the capture; what
-/// is beyond the ranges saturates. `time` holds when the samples were taken.
+/// Pairs of 12-bit codes of the given scales on the grid, from its first instant to the last sample of the
+/// capture; what is beyond the ranges saturates. `time` holds when the samples were taken.
 pub fn adc_pairs<T: Copy + Into<f64>>(
     time: &TimeBase,
     v_v: &[T],
     i_a: &[T],
     grid: AdcGrid,
+    scales: Scales,
 ) -> Vec<Pair> {
+    let (volt_per_code, ampere_per_code) = (scales.volt_per_code(), scales.ampere_per_code());
     let samples = v_v.len().min(i_a.len());
     let Some((last, end_s)) = samples.checked_sub(1).and_then(|k| Some((k, time.at(k)?))) else {
         return Vec::new();
@@ -51,8 +51,8 @@ pub fn adc_pairs<T: Copy + Into<f64>>(
             let t_s = grid.t0_s + n as f64 * grid.dt_s();
             let (k, w) = position(time, t_s, &mut at, last);
             Pair {
-                v: code(cubic(v_v, k, w) / VOLT_PER_CODE, BITS),
-                i: code(cubic(i_a, k, w) / AMPERE_PER_CODE, BITS),
+                v: code(cubic(v_v, k, w) / volt_per_code, BITS),
+                i: code(cubic(i_a, k, w) / ampere_per_code, BITS),
             }
         })
         .collect()
@@ -100,6 +100,9 @@ mod tests {
 
     use super::*;
 
+    /// Not this build's.
+    const SCALES: Scales = Scales::OF_PROTOCOL_1;
+
     #[test]
     fn samples_on_the_grid_are_taken_as_they_are() {
         let grid = AdcGrid {
@@ -119,10 +122,10 @@ mod tests {
                     .collect(),
             ),
         ] {
-            let pairs = adc_pairs(&time, &v, &i, grid);
+            let pairs = adc_pairs(&time, &v, &i, grid, SCALES);
             assert_eq!(pairs.len(), 500);
             for (pair, v) in pairs.iter().zip(&v) {
-                assert_eq!(f64::from(pair.v), (v / VOLT_PER_CODE).round());
+                assert_eq!(f64::from(pair.v), (v / SCALES.volt_per_code()).round());
             }
         }
     }
@@ -140,11 +143,13 @@ mod tests {
             t0_s: 0.0,
             dt_s: 100e-9,
         };
-        let pairs = adc_pairs(&time, &v, &i, grid);
+        let pairs = adc_pairs(&time, &v, &i, grid, SCALES);
         assert_eq!(pairs.len(), 1 + (1.9999e-3 / grid.dt_s()) as usize);
         for (n, pair) in pairs.iter().enumerate() {
             let right = wave(n as f64 * grid.dt_s());
-            assert!((f64::from(pair.v) * VOLT_PER_CODE - right).abs() < VOLT_PER_CODE);
+            assert!(
+                (f64::from(pair.v) * SCALES.volt_per_code() - right).abs() < SCALES.volt_per_code()
+            );
         }
     }
 
@@ -158,8 +163,8 @@ mod tests {
             t0_s: 0.0,
             dt_s: grid.dt_s(),
         };
-        let pairs = adc_pairs(&time, &[1e9, -1e9], &[0.0, 0.0], grid);
+        let pairs = adc_pairs(&time, &[1e9, -1e9], &[0.0, 0.0], grid, SCALES);
         assert!(pairs.iter().all(|p| p.is_saturated()) && pairs.len() == 2);
-        assert!(adc_pairs::<f64>(&time, &[], &[], grid).is_empty());
+        assert!(adc_pairs::<f64>(&time, &[], &[], grid, SCALES).is_empty());
     }
 }

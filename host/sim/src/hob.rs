@@ -95,7 +95,7 @@ impl Default for HobConfig {
             pot: PotKind::Ferromagnetic.into(),
             load: LoadKind::Behavioural,
             warming: false,
-            anti_alias_hz: 500e3,
+            anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
                 v_v: 0.16,

@@ -264,7 +264,9 @@ impl Plant {
             None => self.drive.bridge,
             Some(_) => Bridge::Open,
         };
-        self.meter.running.bridge_on |= bridge == Bridge::Switching;
+        if bridge == Bridge::Switching {
+            self.meter.running.switching_s += STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
+        }
         let mut crest = (0f64, 0f64);
         if bridge == Bridge::Open && self.inverter.is_at_rest() {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);

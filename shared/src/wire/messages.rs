@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::schema::{Entry, FNV_BASIS, Item, fold_entry, wire_enum};
 use crate::fault::Fault;
+use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
 
 /// Bytes that travel as they are: a varint length, then the bytes.
@@ -500,10 +501,30 @@ message_table! { 'a;
     }
 }
 
+impl WindowStart {
+    /// What its codes stand for.
+    pub fn scales(&self) -> Scales {
+        Scales {
+            v_full_scale_mv: self.v_full_scale_mv,
+            i_full_scale_ma: self.i_full_scale_ma,
+        }
+    }
+}
+
+impl FrontEnd {
+    /// What the codes of coil voltage and current stand for.
+    pub fn scales(&self) -> Scales {
+        Scales {
+            v_full_scale_mv: self.v_full_scale_mv,
+            i_full_scale_ma: self.i_full_scale_ma,
+        }
+    }
+}
+
 impl Configure {
-    /// What a device begins with: five minutes, and a frequency that stays.
+    /// What a device begins with: a minute, and a frequency that stays.
     pub const DEFAULT: Self = Self {
-        give_up_s: 300,
+        give_up_s: 60,
         dither_permille: 0,
     };
 

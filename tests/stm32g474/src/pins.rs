@@ -59,6 +59,10 @@ pub struct Pins {
     pub comparators: [Option<Comparator>; 2],
     /// Time for which each comparator has been above its threshold, in seconds.
     above_s: [f64; 2],
+    /// Comparators that never trip: a test's interference.
+    pub dead_comparators: [bool; 2],
+    /// Temperatures of heat sink, glass and coil in °C, at thermistors on PB12, PB14 and PB15.
+    pub temperatures_c: [f64; 3],
     /// Added to what the current sensor shows, in ampere: a test's surge.
     pub surge_a: f64,
     /// Pairs that the converters find in place of the power stage's, while there are any.
@@ -78,6 +82,8 @@ impl Pins {
             bridge: Bridge::Open,
             comparators: [None; 2],
             above_s: [0.0; 2],
+            dead_comparators: [false; 2],
+            temperatures_c: [25.0; 3],
             surge_a: 0.0,
             fed: VecDeque::new(),
             wattmeter: (0.0, 0.0),
@@ -99,6 +105,20 @@ impl Pins {
         });
     }
 
+    /// The 12-bit code of a channel of ADC4: a thermistor to ground, of 10 kΩ at 25 °C with B = 3950 K, below 10 kΩ to
+    /// the reference (docs/wiring.md).
+    pub fn thermistor_code(&self, channel: u32) -> u32 {
+        let place = match channel {
+            3 => 0,
+            4 => 1,
+            5 => 2,
+            _ => return 0,
+        };
+        let inverse = |celsius: f64| 1.0 / (celsius + 273.15);
+        let ratio = (3950.0 * (inverse(self.temperatures_c[place]) - inverse(25.0))).exp();
+        (CODES * ratio / (ratio + 1.0)).round().min(CODES - 1.0) as u32
+    }
+
     /// What the bridge does.
     pub fn bridge(&self) -> Bridge {
         self.bridge
@@ -113,13 +133,14 @@ impl Pins {
             self.plant.mains().mains_v(t_s),
         );
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
+        let dead = self.dead_comparators;
         let mut tripped = [None; 2];
         let mut step = 0;
         let dt_s = self.plant.dt_s();
         let pair = self.plant.sample(|i_a| {
             step += 1;
             for (k, sign) in [(0, 1.0), (1, -1.0)] {
-                let Some(comparator) = comparators[k] else {
+                let Some(comparator) = comparators[k].filter(|_| !dead[k]) else {
                     continue;
                 };
                 let code = MIDDLE + sign * (i_a + surge_a) / AMPERE_PER_CODE;

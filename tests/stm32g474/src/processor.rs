@@ -54,6 +54,7 @@ pub(crate) fn processor(
         sleeping: false,
         run_until: 0,
         stopped_at: None,
+        stuck: Vec::new(),
         written: Vec::new(),
         read_unwritten: Vec::new(),
     };
@@ -160,6 +161,17 @@ pub(crate) fn ram_bytes(image: &Image) -> usize {
     }
 }
 
+/// Cells that are stuck have their value again, whatever was written; seen by the next block of code.
+fn hold_stuck_bits(cpu: &mut Unicorn<'_, State>) {
+    for k in 0..cpu.get_data().stuck.len() {
+        let (address, mask) = cpu.get_data().stuck[k];
+        let mut byte = [0];
+        if cpu.mem_read(u64::from(address), &mut byte).is_ok() && byte[0] & mask != mask {
+            let _ = cpu.mem_write(u64::from(address), &[byte[0] | mask]);
+        }
+    }
+}
+
 /// Before each block of code: its time passes, and what is due meanwhile happens.
 fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let address = address as u32;
@@ -167,6 +179,7 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     if cpu.get_data_mut().stopped_at.take() == Some(address) {
         return;
     }
+    hold_stuck_bits(cpu);
     let known = cpu.get_data().timing.known(address, bytes);
     let block = match known {
         Some(block) => block,

@@ -33,6 +33,11 @@ pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
         power_w: f64::from(t.power_mw) * 1e-3,
         phase_rad: f64::from(t.phase_mrad) * 1e-3,
         lookup_version: t.lookup_version,
+        asked_w: t.asked_w,
+        limit: format!("{:?}", t.limit),
+        bus_peak_v: f64::from(t.bus_peak_dv) * 0.1,
+        v_coil_peak_v: f64::from(t.v_coil_peak_dv) * 0.1,
+        i_turn_off_min_a: f64::from(t.i_turn_off_min_ma) * 1e-3,
     }
 }
 

@@ -10,12 +10,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use ihd_link::incoming::{Answer, Incoming};
-use ihd_link::{Counters, Event, FrameSink, Window};
-use ihd_shared::sampling::{AMPERE_PER_CODE, I_FULL_SCALE_A, V_FULL_SCALE_V, VOLT_PER_CODE};
+use ihd_link::{Counters, Event, FrameSink, Window, protocol_1};
+use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{FrameError, MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ROLE_HOST, check, ours};
-use ihd_shared::wire::messages::{AnyMessage, Hello};
+use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello};
 use ihd_signal::TimeBase;
 
 use super::McapFileError;
@@ -50,14 +50,15 @@ struct Grid {
 }
 
 impl SessionRecorder {
-    /// Begins a recording of the device that sent `hello`.
+    /// Begins a recording of the device that sent `hello` and `front_end`.
     ///
     /// # Errors
     /// [`McapFileError::Exists`] when there is such a file, else what the operating system reports.
-    pub fn create(path: &Path, hello: &Hello) -> Result<Self, McapFileError> {
+    pub fn create(path: &Path, hello: &Hello, front_end: &FrontEnd) -> Result<Self, McapFileError> {
         let mut writer = Writer::create(path, Existing::Keep, false)?;
         let name = format!("{} ({})", hello.board, hello.build);
-        let full_scale = [Some(V_FULL_SCALE_V), Some(I_FULL_SCALE_A)];
+        let scales = front_end.scales();
+        let full_scale = [Some(scales.v_full_scale_v()), Some(scales.i_full_scale_a())];
         writer.metadata(META_CAPTURE, describe(&name, full_scale))?;
         let note = |key: &str, value: String| (key.to_owned(), value);
         let simulated = hello.capabilities & CAP_SIMULATED != 0;
@@ -174,12 +175,14 @@ impl SessionRecorder {
             t0_s: zero_crossing_s + window.pair_time_s(0),
             dt_s: window.dt_s(),
         };
+        let scales = window.scales;
+        let per_code = [scales.volt_per_code(), scales.ampere_per_code()];
         for batch in batches(&time, window.pairs.len()) {
             let pairs = window.pairs[batch.from..batch.to]
                 .iter()
                 .map(|p| [p.v, p.i]);
             let t0_s = batch.when.t0_s();
-            let message = cdr::codes(&batch.when, [VOLT_PER_CODE, AMPERE_PER_CODE], pairs);
+            let message = cdr::codes(&batch.when, per_code, pairs);
             self.writer.message(Topic::Samples, t0_s, &message)?;
         }
         let note = notes::window(window, zero_crossing_s);
@@ -258,7 +261,7 @@ impl SessionReader {
     ///
     /// # Errors
     /// [`McapFileError`] when the file cannot be read, holds no session, or comes from a device of
-    /// another major protocol version.
+    /// another major protocol version than ours and 1.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let us = ours(ROLE_HOST, 0, 0, "", "");
         let mut session = Self {
@@ -286,7 +289,12 @@ impl SessionReader {
             Some(Answer::Hello(hello)) if hello.role == ROLE_DEVICE => session.hello = hello,
             _ => return Err(none()),
         }
-        check(&us, &session.hello).map_err(|why| McapFileError::Mismatch {
+        let mut readable = session.hello.clone();
+        if readable.protocol_major == protocol_1::MAJOR {
+            session.incoming.set_major(protocol_1::MAJOR);
+            (readable.protocol_major, readable.schema_hash) = (PROTOCOL_MAJOR, us.schema_hash);
+        }
+        check(&us, &readable).map_err(|why| McapFileError::Mismatch {
             path: path.into(),
             why,
         })?;

@@ -201,6 +201,21 @@ pub struct Telemetry {
     pub phase_rad: f64,
     /// Version of the active lookup.
     pub lookup_version: u32,
+    /// Power asked for, in watt; since protocol 2.0, like what follows.
+    #[serde(default)]
+    pub asked_w: u16,
+    /// What holds the power below what was asked for.
+    #[serde(default)]
+    pub limit: String,
+    /// Highest bus voltage of the half-cycle, in volt.
+    #[serde(default)]
+    pub bus_peak_v: f64,
+    /// Largest coil voltage of the half-cycle, in volt.
+    #[serde(default)]
+    pub v_coil_peak_v: f64,
+    /// Smallest current at a turn-off, in ampere; negative where it flows the wrong way.
+    #[serde(default)]
+    pub i_turn_off_min_a: f64,
 }
 
 /// A window that arrived whole, or why it was rejected. Its pairs are in `/samples`.

@@ -70,7 +70,7 @@ impl Cli {
     }
 }
 
-/// The exit code of an error: 3 device or link, 4 fault on the device, 5 nothing fit for the lookup,
+/// The exit code of an error: 3 device or link, 4 the device does not heat, 5 nothing fit for the lookup,
 /// 6 a replay that differs, 7 a capture unfit for identification, 1 anything else. Wrong usage is 2,
 /// by clap; so is the name of a preset that there is not.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
@@ -83,7 +83,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         use ihd_train::TrainerError as E;
         return match error {
             E::Link(_) | E::Silent { .. } => 3,
-            E::Fault { .. } => 4,
+            E::Fault { .. } | E::NoPot { .. } | E::SwitchedOff { .. } => 4,
             E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
             E::Store(_) | E::Write { .. } => 1,
         };

@@ -71,6 +71,9 @@ pub struct RecordArgs {
 struct Report {
     file: PathBuf,
     device: String,
+    v_full_scale_v: f64,
+    i_full_scale_a: f64,
+    bits: u8,
     ended_by: &'static str,
     seconds: f64,
     bytes: u64,
@@ -95,7 +98,7 @@ impl RecordArgs {
         let config = self.simulated.config()?;
         let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
         let mut client = Client::connect(self.device.open(sim)?)?;
-        let recorder = SessionRecorder::create(&self.out, client.hello())?;
+        let recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
         let size = recorder.size();
         client.record_to(recorder);
         let bar = spinner()?;
@@ -164,9 +167,13 @@ impl RecordArgs {
             }
             show(bar, elapsed, bytes, client);
         };
+        let front_end = client.front_end();
         Ok(Report {
             file: self.out.clone(),
             device: format!("{} ({})", client.describe(), client.hello().build),
+            v_full_scale_v: front_end.scales().v_full_scale_v(),
+            i_full_scale_a: front_end.scales().i_full_scale_a(),
+            bits: front_end.bits,
             ended_by,
             seconds: client.clock().saturating_sub(began).as_secs_f64(),
             bytes: 0,
@@ -201,6 +208,10 @@ impl RecordArgs {
             r.bytes, r.seconds, r.ended_by
         );
         println!("device     {}", r.device);
+        println!(
+            "scales     ±{} V, ±{} A, {} bits",
+            r.v_full_scale_v, r.i_full_scale_a, r.bits
+        );
         println!(
             "telemetry  {} received, {} missing, {} dropped by the device",
             l.telemetry, l.telemetry_missing, r.device_telemetry_dropped

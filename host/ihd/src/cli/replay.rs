@@ -8,7 +8,7 @@ use ihd_link::{Client, DeviceSpec};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
-use ihd_train::replay::{Outcome, Settings, Stretch, run};
+use ihd_train::replay::{Outcome, Settings, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
@@ -75,7 +75,6 @@ impl ReplayArgs {
         };
         let survey = Survey::of(&capture, &hints)?;
         let segments = survey.segments(&capture);
-        let stretches: Vec<_> = segments.iter().filter_map(Stretch::of).collect();
         let settings = Settings {
             speed: self.speed,
             ..Settings::default()
@@ -88,10 +87,11 @@ impl ReplayArgs {
             client.set_timeout(Duration::from_secs(1));
             Ok(client)
         };
-        let bar = ProgressBar::new(stretches.iter().map(|s| s.blocks() as u64).sum());
+        let bar = ProgressBar::new(0);
         let style = ProgressStyle::with_template("{bar:40} {pos}/{len} blocks, {eta} left");
         bar.set_style(style.context("progress bar")?);
-        let outcome = run(&stretches, settings, &mut connect, &mut |blocks| {
+        let outcome = run(&segments, settings, &mut connect, &mut |blocks, of| {
+            bar.set_length(of as u64);
             bar.set_position(blocks as u64);
         });
         bar.finish_and_clear();

@@ -9,7 +9,10 @@ use clap::Args;
 use ihd_capture::{OpenOptions, open};
 use ihd_link::{Client, DeviceSpec};
 use ihd_pinn::{Backend, Config};
+use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::sampling::Scales;
+use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
@@ -32,7 +35,7 @@ const MAX_RUNS: u32 = 9_999;
     ihd trainer --power 1500 --backend ndarray --json\n  \
     ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
     ihd trainer --replay capture.mcap\n\n\
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 fault on the device,\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 the device does not heat (fault, no pot),\n\
     5 nothing fit for the lookup")]
 pub struct TrainerArgs {
     /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH.
@@ -98,8 +101,9 @@ impl TrainerArgs {
             Box::new(hob)
         })?;
         let client = Client::connect(transport)?;
+        let scales = client.front_end().scales();
         let settings = Settings {
-            source: self.source()?,
+            source: self.source(scales)?,
             pinn,
             store: if self.no_store {
                 None
@@ -133,14 +137,17 @@ impl TrainerArgs {
         Ok(())
     }
 
-    fn source(&self) -> Result<Source> {
+    fn source(&self, scales: Scales) -> Result<Source> {
         let Some(path) = &self.replay else {
             return Ok(Source::Powers(self.power.clone()));
         };
         let capture = open(path, &OpenOptions::default())?;
         let survey = Survey::of(&capture, &Hints::default())?;
         let segments = survey.segments(&capture);
-        let half_cycles: Vec<_> = segments.iter().flat_map(Recorded::half_cycles).collect();
+        let half_cycles: Vec<_> = segments
+            .iter()
+            .flat_map(|segment| Recorded::half_cycles(segment, scales))
+            .collect();
         ensure!(
             !half_cycles.is_empty(),
             "{} holds no whole mains half-cycle to replay",
@@ -195,6 +202,18 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
+/// Why the device does not heat, for a person.
+fn waiting(t: &Telemetry) -> String {
+    match (t.state, t.pot, t.fault) {
+        (State::WaitingForPot, Pot::Unsuitable, _) => {
+            "waiting: this pot cannot be heated, put a ferromagnetic one on".into()
+        }
+        (State::WaitingForPot, ..) => "waiting: put a pot on".into(),
+        (_, _, Fault::NONE) => "pausing; it starts again by itself".into(),
+        (_, _, fault) => format!("pausing, it starts again by itself ({fault})"),
+    }
+}
+
 fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
     match progress {
         Progress::Settling {
@@ -207,6 +226,10 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             f64::from(t.f_sw_hz) * 1e-3,
             t.pot
         )),
+        Progress::Waiting {
+            asked_w,
+            telemetry: t,
+        } => bar.println(format!("{asked_w} W: {}", waiting(t))),
         Progress::AwaitingWindow { point } => {
             bar.set_message(format!("{point}: waiting for a window"));
         }

@@ -242,7 +242,7 @@ impl Run {
             v_coil_peak_v: reading.v_coil_peak_v,
             i_turn_off_min_a: reading.i_turn_off_min_a,
             hard_edges: reading.hard_edges,
-            bridge_on: reading.bridge_on,
+            bridge_on: reading.bridge_on(),
         });
         true
     }

@@ -8,8 +8,9 @@ use ihd_link::replay::{PAIRS_PER_MESSAGE, persist};
 use ihd_link::{Client, Event, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::sampling::{ADC_LOCK_P, Pair, Scales};
 use ihd_shared::window::TrajectoryEntry;
+use ihd_signal::Segment;
 
 use super::compare::Outcome;
 use super::reference::ReferenceDevice;
@@ -50,6 +51,18 @@ pub enum ReplayError {
         /// What it switches at, in hertz.
         f_sw_hz: u32,
     },
+    /// The device's codes mean something else than this build's, so that the same codes give other R and L.
+    #[error(
+        "{device} has a front end of {theirs}, this build's firmware one of {}: only a device of the same \
+         scales can be compared bit for bit",
+        Scales::OF_THIS_BUILD
+    )]
+    OtherScales {
+        /// The device.
+        device: String,
+        /// Its scales.
+        theirs: Scales,
+    },
     /// There is nothing to replay.
     #[error(
         "nothing to replay: no stretch of the capture is a block long (three switching periods) at a \
@@ -77,22 +90,32 @@ struct Run<'a> {
     half_cycles: Option<u32>,
 }
 
-/// Replays the stretches on the device that `connect` reaches, again whenever the link ends;
-/// `progress` hears how many blocks are done.
+/// Replays the segments on the device that `connect` reaches, again whenever the link ends, in codes of its
+/// scales; `progress` hears how many blocks are done, and of how many.
 ///
 /// # Errors
 /// [`ReplayError`] when there is no whole result; a difference is no error.
 pub fn run(
-    stretches: &[Stretch],
+    segments: &[Segment],
     settings: Settings,
     connect: &mut dyn FnMut() -> Result<Client, LinkError>,
-    progress: &mut dyn FnMut(usize),
+    progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Outcome, ReplayError> {
+    let started = Instant::now();
+    let device = connect()?;
+    let scales = device.front_end().scales();
+    let stretches = segments.iter().filter_map(|s| Stretch::of(s, scales));
+    let stretches: Vec<_> = stretches.collect();
     if stretches.is_empty() {
         return Err(ReplayError::Nothing);
     }
-    let started = Instant::now();
-    let device = connect()?;
+    if scales != Scales::OF_THIS_BUILD {
+        return Err(ReplayError::OtherScales {
+            device: device.describe(),
+            theirs: scales,
+        });
+    }
+    let all = stretches.iter().map(Stretch::blocks).sum();
     let mut run = Run {
         outcome: Outcome {
             device: format!("{} ({})", device.describe(), device.hello().build),
@@ -110,7 +133,7 @@ pub fn run(
         if k > 0 {
             run.clear_faults()?;
         }
-        let outcome = run.stretch(stretch, progress);
+        let outcome = run.stretch(stretch, &mut |done| progress(done, all));
         if outcome.is_err() {
             // Whatever failed, the device gets its power outputs back only through this.
             let _ = run.device.continue_replay(0).end();

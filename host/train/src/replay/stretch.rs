@@ -1,7 +1,7 @@
 //! A capture as blocks for a device: one stretch of pairs on the ADC's grid for every frequency.
 
 use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ};
-use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair, Scales};
 use ihd_signal::Segment;
 use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
@@ -26,8 +26,8 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Resamples a segment; `None` for less than a block, or a frequency outside the hob's ratings.
-    pub fn of(segment: &Segment) -> Option<Self> {
+    /// Resamples a segment, in codes of the given scales, those of the device that gets them; `None` for less than a block, or a frequency outside the hob's ratings.
+    pub fn of(segment: &Segment, scales: Scales) -> Option<Self> {
         let f_sw_hz = segment.f_sw_hz.round() as u32;
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
             return None;
@@ -42,7 +42,7 @@ impl Stretch {
             t0_s: segment.t0_s,
             dt_s: segment.dt_s,
         };
-        let mut pairs = adc_pairs(&time, &segment.v_v, &segment.i_a, grid);
+        let mut pairs = adc_pairs(&time, &segment.v_v, &segment.i_a, grid, scales);
         pairs.truncate(pairs.len() - pairs.len() % ADC_LOCK_P);
         let dt_s = grid.dt_s();
         let half_s = segment.half_cycle_s();
@@ -86,9 +86,11 @@ pub const BUS_DV: u16 = (BUS_PEAK_V * 10.0) as u16;
 
 #[cfg(test)]
 mod tests {
-    use ihd_shared::sampling::{AMPERE_PER_CODE, VOLT_PER_CODE, f_adc_hz};
+    use ihd_shared::sampling::f_adc_hz;
 
     use super::*;
+
+    const SCALES: Scales = Scales::OF_PROTOCOL_1;
 
     fn segment(dt_s: f64, samples: usize) -> Segment {
         let code = |k: usize| f64::from((k % 100) as i16 - 50);
@@ -98,14 +100,18 @@ mod tests {
             zero_crossing_s: -3e-3,
             t0_s: 1e-3,
             dt_s,
-            v_v: (0..samples).map(|k| code(k) * VOLT_PER_CODE).collect(),
-            i_a: (0..samples).map(|k| -code(k) * AMPERE_PER_CODE).collect(),
+            v_v: (0..samples)
+                .map(|k| code(k) * SCALES.volt_per_code())
+                .collect(),
+            i_a: (0..samples)
+                .map(|k| -code(k) * SCALES.ampere_per_code())
+                .collect(),
         }
     }
 
     #[test]
     fn a_boards_own_samples_are_sent_as_they_are() {
-        let stretch = Stretch::of(&segment(1.0 / f_adc_hz(45_000), 20_000)).unwrap();
+        let stretch = Stretch::of(&segment(1.0 / f_adc_hz(45_000), 20_000), SCALES).unwrap();
         assert_eq!(stretch.blocks(), 20_000 / 61);
         for (k, pair) in stretch.pairs.iter().enumerate() {
             let code = (k % 100) as i16 - 50;
@@ -113,9 +119,32 @@ mod tests {
         }
     }
 
+    /// A recording of one front end for a device with another: within half a code of the same volts.
+    #[test]
+    fn another_scale_gives_the_same_volts_in_its_own_codes() {
+        let own = segment(1.0 / f_adc_hz(45_000), 20_000);
+        let wider = Scales {
+            v_full_scale_mv: 640_000,
+            i_full_scale_ma: 100_000,
+        };
+        let stretch = Stretch::of(&own, wider).unwrap();
+        let mut codes = 0;
+        for (k, pair) in stretch.pairs.iter().enumerate() {
+            let off_v = f64::from(pair.v) - own.v_v[k] / wider.volt_per_code();
+            let off_a = f64::from(pair.i) - own.i_a[k] / wider.ampere_per_code();
+            assert!(
+                off_v.abs() <= 0.5 + 1e-9 && off_a.abs() <= 0.5 + 1e-9,
+                "{k}"
+            );
+            codes = codes.max(pair.v);
+        }
+        // 49 codes of 400 V.
+        assert_eq!(codes, 31);
+    }
+
     #[test]
     fn crossings_lie_where_the_mains_puts_them() {
-        let stretch = Stretch::of(&segment(0.2e-6, 120_000)).unwrap();
+        let stretch = Stretch::of(&segment(0.2e-6, 120_000), SCALES).unwrap();
         // Crossings at 7 and 17 ms; the stretch begins at 1 ms.
         let at_s = |k: usize| 1e-3 + k as f64 * stretch.dt_s;
         assert_eq!(stretch.crossings.len(), 2);
@@ -133,7 +162,7 @@ mod tests {
             f_sw_hz: 20e3,
             ..segment(0.2e-6, 120_000)
         };
-        assert_eq!(Stretch::of(&slow), None);
-        assert_eq!(Stretch::of(&segment(0.2e-6, 30)), None);
+        assert_eq!(Stretch::of(&slow, SCALES), None);
+        assert_eq!(Stretch::of(&segment(0.2e-6, 30), SCALES), None);
     }
 }

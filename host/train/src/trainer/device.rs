@@ -39,6 +39,19 @@ pub struct Device<'a> {
     truth: TruthSource,
     progress: &'a mut dyn FnMut(Progress<'_>),
     pub(super) last: Option<Telemetry>,
+    /// Half-cycles show the power that was asked for last: what they say is about it.
+    is_asked: bool,
+    /// The device waits, and whoever watches knows.
+    is_waiting: bool,
+}
+
+/// What a half-cycle's state means to the trainer.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Heats {
+    /// It heats, or is about to.
+    Yes,
+    /// Not now, but it will by itself.
+    Later,
 }
 
 impl<'a> Device<'a> {
@@ -54,7 +67,48 @@ impl<'a> Device<'a> {
             truth,
             progress,
             last: None,
+            is_asked: false,
+            is_waiting: false,
         })
+    }
+
+    /// What a half-cycle of an operating point says beside its numbers. Where the device only waits, this
+    /// is reported once.
+    fn heed(&mut self, t: &Telemetry, point: OperatingPoint) -> Result<Heats, TrainerError> {
+        let seen_before = self.last.replace(t.clone());
+        let Some(asked_w) = point.asked_w() else {
+            return Ok(Heats::Yes);
+        };
+        self.is_asked |= t.asked_w == asked_w;
+        match t.state {
+            State::LockedOut => Err(TrainerError::Fault {
+                fault: t.fault,
+                point,
+            }),
+            State::WaitingForPot | State::Pausing => {
+                if !self.is_waiting {
+                    self.is_waiting = true;
+                    self.report(Progress::Waiting {
+                        asked_w,
+                        telemetry: t,
+                    });
+                }
+                Ok(Heats::Later)
+            }
+            // Half-cycles from before the power was asked for may still be on their way.
+            State::Idle if self.is_asked && t.asked_w == 0 => Err(match seen_before {
+                Some(Telemetry {
+                    state: State::WaitingForPot,
+                    pot,
+                    ..
+                }) => TrainerError::NoPot { pot, point },
+                _ => TrainerError::SwitchedOff { point },
+            }),
+            State::Idle | State::Probing | State::Heating => {
+                self.is_waiting = false;
+                Ok(Heats::Yes)
+            }
+        }
     }
 
     /// Reports to whoever watches.
@@ -67,19 +121,32 @@ impl<'a> Device<'a> {
         self.truth.as_ref()?(window.half_cycle)
     }
 
-    /// Asks for power and waits until it stays; returns the half-cycle since which it does.
+    /// Asks for power and waits until it stays; returns the half-cycle since which it does. Half-cycles
+    /// in which the device waits do not count.
     pub fn settle(&mut self, asked_w: u16) -> Result<u32, TrainerError> {
         self.client.set_power(asked_w)?;
+        self.is_asked = false;
+        let point = OperatingPoint::Heating { asked_w };
         let mut steady = 0;
         let mut f_sw_hz = 0;
-        for _ in 0..SETTLE_WITHIN {
-            let Some(telemetry) = self.next_telemetry(asked_w)? else {
+        let mut half_cycles = 0;
+        while half_cycles < SETTLE_WITHIN {
+            let Some(telemetry) = self.next_telemetry(point)? else {
                 continue;
             };
+            if self.heed(&telemetry, point)? == Heats::Later {
+                steady = 0;
+                continue;
+            }
+            half_cycles += 1;
             self.report(Progress::Settling {
                 asked_w,
                 telemetry: &telemetry,
             });
+            // Between two bursts of a low power.
+            if telemetry.state == State::Heating && telemetry.f_sw_hz == 0 {
+                continue;
+            }
             let same = telemetry.f_sw_hz == f_sw_hz && telemetry.state == State::Heating;
             steady = if same { steady + 1 } else { 0 };
             f_sw_hz = telemetry.f_sw_hz;
@@ -103,25 +170,12 @@ impl<'a> Device<'a> {
         })
     }
 
-    /// The next telemetry, `None` for another event; faults and silence are errors.
-    fn next_telemetry(&mut self, asked_w: u16) -> Result<Option<Telemetry>, TrainerError> {
-        let point = OperatingPoint::Heating { asked_w };
+    /// The next telemetry, `None` for another event; silence is an error.
+    fn next_telemetry(&mut self, point: OperatingPoint) -> Result<Option<Telemetry>, TrainerError> {
         match self.next_event("telemetry")? {
-            Event::Telemetry(t) => {
-                self.last = Some(t.clone());
-                if t.fault != Fault::NONE {
-                    return Err(TrainerError::Fault {
-                        fault: t.fault,
-                        point,
-                    });
-                }
-                Ok(Some(t))
-            }
-            Event::Fault(f) if f.fault != Fault::NONE => Err(TrainerError::Fault {
-                fault: f.fault,
-                point,
-            }),
-            Event::Fault(_) | Event::Window(_) => Ok(None),
+            Event::Telemetry(t) => Ok(Some(t)),
+            Event::Fault(f) => self.note_fault(f.fault, point).map(|()| None),
+            Event::Window(_) => Ok(None),
             Event::WindowRejected { seq, reason } => {
                 self.report(Progress::Rejected {
                     seq,
@@ -132,6 +186,15 @@ impl<'a> Device<'a> {
         }
     }
 
+    /// Heating begins again by itself after most faults, and the half-cycles' state says when not; a
+    /// replay ends with any.
+    fn note_fault(&self, fault: Fault, point: OperatingPoint) -> Result<(), TrainerError> {
+        if fault != Fault::NONE && point.asked_w().is_none() {
+            return Err(TrainerError::Fault { fault, point });
+        }
+        Ok(())
+    }
+
     /// The next whole window that began after a half-cycle.
     pub fn window_after(
         &mut self,
@@ -140,7 +203,9 @@ impl<'a> Device<'a> {
     ) -> Result<Box<Window>, TrainerError> {
         self.report(Progress::AwaitingWindow { point });
         let limit = PATIENCE_S * 100;
-        for _ in 0..limit {
+        let mut events = 0;
+        while events < limit {
+            events += 1;
             match self.next_event("a window")? {
                 Event::Window(window) if window.half_cycle > half_cycle => return Ok(window),
                 Event::Window(_) => {}
@@ -150,14 +215,10 @@ impl<'a> Device<'a> {
                         why: &reason.to_string(),
                     });
                 }
-                Event::Telemetry(t) => self.last = Some(t),
-                Event::Fault(f) if f.fault != Fault::NONE => {
-                    return Err(TrainerError::Fault {
-                        fault: f.fault,
-                        point,
-                    });
-                }
-                Event::Fault(_) => {}
+                // What the device waits for does not count.
+                Event::Telemetry(t) if self.heed(&t, point)? == Heats::Later => events = 0,
+                Event::Telemetry(_) => {}
+                Event::Fault(f) => self.note_fault(f.fault, point)?,
             }
         }
         Err(self.silent("a window"))

@@ -3,6 +3,7 @@
 use ihd_capture::mcap::McapFileError;
 use ihd_link::LinkError;
 use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::Pot;
 
 use super::OperatingPoint;
 
@@ -12,11 +13,28 @@ pub enum TrainerError {
     /// The link failed, or the device refused a command.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The device went to its safe state.
+    /// The device is off until a person switches it off and on.
     #[error("fault {number} on the device at {point}: {text}", number = .fault.number(), text = .fault.text())]
     Fault {
         /// The fault.
         fault: Fault,
+        /// Where it happened.
+        point: OperatingPoint,
+    },
+    /// The device waited for a pot, and gave up.
+    #[error(
+        "no pot that can be heated at {point}: the device looked for one until it gave up (pot: {pot:?}); put a \
+         ferromagnetic one on and start again"
+    )]
+    NoPot {
+        /// What it saw last.
+        pot: Pot,
+        /// Where it happened.
+        point: OperatingPoint,
+    },
+    /// Somebody else switched the device off.
+    #[error("the device was switched off at {point}, at its panel or by another host")]
+    SwitchedOff {
         /// Where it happened.
         point: OperatingPoint,
     },

@@ -14,6 +14,14 @@ pub enum Progress<'a> {
         /// The half-cycle.
         telemetry: &'a Telemetry,
     },
+    /// The device does not heat now and will by itself: it waits for a pot, or pauses after a trip or for
+    /// the mains. Reported once each time.
+    Waiting {
+        /// Power asked for, in watt.
+        asked_w: u16,
+        /// The half-cycle in which it began.
+        telemetry: &'a Telemetry,
+    },
     /// Settled; a window is on its way.
     AwaitingWindow {
         /// Where.

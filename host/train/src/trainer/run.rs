@@ -81,7 +81,11 @@ pub fn run(
     let started = Instant::now();
     if let Some(store) = &settings.store {
         let path = store.join("session.mcap");
-        client.record_to(SessionRecorder::create(&path, client.hello())?);
+        client.record_to(SessionRecorder::create(
+            &path,
+            client.hello(),
+            client.front_end(),
+        )?);
     }
     let name = format!("{} ({})", client.describe(), client.hello().build);
     let status = client.status()?;

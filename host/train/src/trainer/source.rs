@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use ihd_shared::sampling::Pair;
+use ihd_shared::sampling::{Pair, Scales};
 use ihd_signal::Segment;
 
 use crate::replay::stretch::{BUS_DV, Stretch};
@@ -32,13 +32,13 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid.
-    pub fn half_cycles(segment: &Segment) -> Vec<Self> {
+    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid in codes of the device's scales.
+    pub fn half_cycles(segment: &Segment, scales: Scales) -> Vec<Self> {
         let whole = WHOLE * segment.half_cycle_s() / segment.dt_s;
         let bounds = segment.half_cycles().into_iter();
         bounds
             .filter(|(from, to)| (to - from) as f64 >= whole)
-            .filter_map(|(from, to)| Stretch::of(&segment.part(from, to)))
+            .filter_map(|(from, to)| Stretch::of(&segment.part(from, to), scales))
             .map(|stretch| Self {
                 f_sw_hz: stretch.f_sw_hz,
                 pairs: stretch.pairs,

@@ -32,8 +32,10 @@ impl Chip {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
+            reg::crc::dr::ADDRESS => self.checksum.read(&self.file),
+            a if in_block(a, reg::tim16::BASE, 0x400) => self.read_timer(a),
             a => match converter(a) {
-                Some(k) => self.adcs[k].read(a, &self.file, now),
+                Some(k) => self.adcs[k].read(a, &mut self.file, now),
                 None => self.file.word(a),
             },
         };
@@ -65,7 +67,7 @@ impl Chip {
         if !self.file.check_access(aligned, Some(value), &mut self.log) {
             return;
         }
-        self.write_word(aligned, before, value);
+        self.write_word(aligned, bytes, before, value);
         self.update_lines();
     }
 
@@ -78,7 +80,17 @@ impl Chip {
         }
     }
 
-    fn write_word(&mut self, address: u32, before: u32, value: u32) {
+    /// TIM16: what it has captured by now. Reading CCR1 clears CC1IF (RM0440 29.6.5).
+    fn read_timer(&mut self, address: u32) -> u32 {
+        let (lsi, file, now) = (&self.lsi, &mut self.file, self.log.now);
+        self.capture.advance(lsi, self.ticks_per_cycle, file, now);
+        if address == reg::tim16::tim16_ccr1::ADDRESS {
+            file.set(reg::tim16::tim16_sr::CC1IF, 0);
+        }
+        file.word(address)
+    }
+
+    fn write_word(&mut self, address: u32, bytes: usize, before: u32, value: u32) {
         let (file, log) = (&mut self.file, &mut self.log);
         let hclk_hz = clocks::hclk_hz(file);
         let stored = match address {
@@ -92,10 +104,18 @@ impl Chip {
                 value
             }
             a if in_block(a, reg::iwdg::BASE, 0x400) => {
-                if !self.watchdog.write(a, value, file, log) {
+                if !self.watchdog.write(a, value, self.lsi.hz(), file, log) {
                     return;
                 }
                 value
+            }
+            a if in_block(a, reg::crc::BASE, 0x400) => {
+                self.checksum.write(a, bytes, value, file, log)
+            }
+            a if in_block(a, reg::tim16::BASE, 0x400) => {
+                self.capture
+                    .advance(&self.lsi, self.ticks_per_cycle, file, log.now);
+                self.capture.write(a, value, &self.lsi, file, log)
             }
             a => match converter(a) {
                 Some(k) => self.adcs[k].write(a, value, hclk_hz, file, log),
@@ -115,6 +135,14 @@ impl Chip {
             a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
+        }
+        let starts = |word: u32| reg::adc1::cr::ADSTART.of(word) == 1;
+        if address == reg::adc4::cr::ADDRESS
+            && starts(self.file.word(address))
+            && !starts(before)
+            && reg::adc1::cfgr::EXTEN.of(self.file.word(reg::adc4::cfgr::ADDRESS)) == 0
+        {
+            self.start_adc4();
         }
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
         if in_block(address, reg::hrtim_master::BASE, 0x400)
@@ -182,9 +210,14 @@ fn in_block(address: u32, base: u32, bytes: u32) -> bool {
 }
 
 fn converter(address: u32) -> Option<usize> {
-    [reg::adc1::BASE, reg::adc2::BASE, reg::adc3::BASE]
-        .iter()
-        .position(|&base| in_block(address, base, 0x100))
+    [
+        reg::adc1::BASE,
+        reg::adc2::BASE,
+        reg::adc3::BASE,
+        reg::adc4::BASE,
+    ]
+    .iter()
+    .position(|&base| in_block(address, base, 0x100))
 }
 
 /// Registers without a life of their own, but for locks and bits that are written to act.

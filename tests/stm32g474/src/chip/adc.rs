@@ -1,6 +1,6 @@
 //! ADC1 to 3: start-up in its order, regular conversions triggered by HRTIM (RM0440, 21).
 
-use crate::registers::{Field, adc1, adc2, adc3, adc12_common, adc345_common};
+use crate::registers::{Field, adc1, adc2, adc3, adc4, adc12_common, adc345_common};
 use crate::time::{TICKS_PER_S, Ticks, us};
 use crate::violation::Log;
 
@@ -46,12 +46,13 @@ pub struct Converter {
 }
 
 impl Converter {
-    /// ADC1, 2 or 3, by number from 0.
+    /// ADC1, 2, 3 or 4, by number from 0.
     pub fn new(number: usize) -> Self {
         let (base, name, common_clock) = [
             (adc1::BASE, "ADC1", adc12_common::ccr::CKMODE),
             (adc2::BASE, "ADC2", adc12_common::ccr::CKMODE),
             (adc3::BASE, "ADC3", adc345_common::ccr::CKMODE),
+            (adc4::BASE, "ADC4", adc345_common::ccr::CKMODE),
         ][number];
         Self {
             base,
@@ -90,13 +91,17 @@ impl Converter {
         (cycles * TICKS_PER_S as f64 / self.clock_hz(hclk_hz, file).max(1) as f64).round() as Ticks
     }
 
-    /// Reads a register whose content is computed.
-    pub fn read(&self, address: u32, file: &RegisterFile, now: Ticks) -> u32 {
+    /// Reads a register whose content is computed. Reading DR clears EOC (RM0440 21.7.1).
+    pub fn read(&self, address: u32, file: &mut RegisterFile, now: Ticks) -> u32 {
         let word = file.word(address);
         match address - self.base {
             0x00 => {
                 let ready = self.enabled_at.is_some_and(|at| now >= at + us(1));
                 if ready { word | 1 } else { word & !1 }
+            }
+            0x40 => {
+                file.set(self.field(adc1::isr::EOC), 0);
+                word
             }
             0x08 if now < self.calibrating_until => word,
             0x08 => adc1::cr::ADCAL.put(word, 0),
@@ -213,6 +218,14 @@ impl Converter {
         value
     }
 
+    /// A conversion that software started has ended: its result is there, and ADSTART falls (RM0440 21.4.17).
+    pub fn finish(&self, value: u32, file: &mut RegisterFile) {
+        file.set_word(self.base + 0x40, value);
+        file.set(self.field(adc1::isr::EOC), 1);
+        file.set(self.field(adc1::isr::EOS), 1);
+        file.set(self.field(adc1::cr::ADSTART), 0);
+    }
+
     /// Whether this converter takes HRTIM's first trigger now.
     pub fn takes_trigger(&self, file: &RegisterFile) -> bool {
         self.get(adc1::cr::ADSTART, file) == 1
@@ -294,7 +307,7 @@ mod tests {
             let stored = adc.write(adc1::cr::ADDRESS, value, HCLK_HZ, file, log);
             file.set_word(adc1::cr::ADDRESS, stored);
             log.now += us(25);
-            let read = adc.read(adc1::cr::ADDRESS, file, log.now);
+            let read = adc.read(adc1::cr::ADDRESS, &mut *file, log.now);
             file.set_word(adc1::cr::ADDRESS, read);
         };
         if !one_write {

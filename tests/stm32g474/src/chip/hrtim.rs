@@ -154,9 +154,23 @@ impl Hrtim {
         }
     }
 
+    /// Whether the bridge's timer counts.
+    pub fn is_running(&self) -> bool {
+        self.a.running
+    }
+
     /// Frequency at which timer A counts, in hertz.
     pub fn f_sw_hz(&self) -> f64 {
         crate::time::TICKS_PER_S as f64 / f64::from(self.a.period.max(1))
+    }
+
+    /// The two dead times in force, before the rising and behind the falling edge of output 1, in seconds: steps of
+    /// 2^DTPRSC / 8 cycles of 170 MHz (RM0440, 27.5.20).
+    pub fn dead_times_s(&self) -> [f64; 2] {
+        use hrtim_tima::dtar::{DTFX, DTPRSC, DTRX};
+        let dead_time = self.in_force(0, hrtim_tima::dtar::ADDRESS);
+        let step_s = f64::from(1u32 << DTPRSC.of(dead_time)) / 8.0 / 170e6;
+        [DTRX, DTFX].map(|steps| f64::from(steps.of(dead_time)) * step_s)
     }
 
     fn switch_off(&mut self, now: Ticks) {

@@ -2,10 +2,12 @@
 
 mod access;
 pub mod adc;
+pub mod checksum;
 pub mod clocks;
 pub mod dma;
 pub mod flash;
 pub mod hrtim;
+pub mod low_speed;
 pub mod register_file;
 pub mod serial;
 pub mod watchdog;
@@ -18,9 +20,11 @@ use crate::usb::peripheral::Usb;
 use crate::violation::Log;
 
 use self::adc::Converter;
+use self::checksum::Checksum;
 use self::dma::{Dma, Transfer};
 use self::flash::FlashController;
 use self::hrtim::{Bridge, Hrtim};
+use self::low_speed::{Capture, Lsi};
 use self::register_file::RegisterFile;
 use self::serial::Serial;
 use self::watchdog::Watchdog;
@@ -50,11 +54,15 @@ pub enum Reset {
     Power,
 }
 
+/// Place of ADC4 among the converters: it is started by software, and no DMA takes what it finds.
+const ADC4: usize = 3;
+
 /// A conversion whose result is due.
 #[derive(Clone, Copy, Debug)]
 struct Conversion {
     at: Ticks,
-    request: u32,
+    /// Of the DMA; none for ADC4, whose result waits in its data register.
+    request: Option<u32>,
     value: u32,
 }
 
@@ -78,8 +86,15 @@ pub struct Chip {
     pub watchdog: Watchdog,
     /// What is wired to the pins.
     pub pins: Pins,
-    /// The converters: ADC1, 2, 3.
-    adcs: [Converter; 3],
+    /// The low-speed oscillator.
+    pub lsi: Lsi,
+    /// A test's interference: every other trigger of the ADCs is lost.
+    pub loses_triggers: bool,
+    trigger_is_lost: bool,
+    /// The converters: ADC1, 2, 3, 4.
+    adcs: [Converter; 4],
+    checksum: Checksum,
+    capture: Capture,
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
@@ -113,7 +128,12 @@ impl Chip {
             flash: FlashController::with(pages),
             watchdog: Watchdog::default(),
             pins,
-            adcs: [0, 1, 2].map(Converter::new),
+            lsi: Lsi::default(),
+            loses_triggers: false,
+            trigger_is_lost: false,
+            adcs: [0, 1, 2, ADC4].map(Converter::new),
+            checksum: Checksum::default(),
+            capture: Capture::default(),
             dma: Dma::default(),
             conversions: Vec::new(),
             next_trigger: None,
@@ -163,13 +183,15 @@ impl Chip {
         };
         self.hrtim = Hrtim::default();
         self.hrtim.off_at = off_at;
-        let sent = std::mem::take(&mut self.serial.sent);
-        self.serial = Serial::default();
-        self.serial.sent = sent;
+        // What is on the line is no part of the chip: what has left it, and what has not reached it.
+        let line = std::mem::take(&mut self.serial);
+        (self.serial.sent, self.serial.inbound) = (line.sent, line.inbound);
         self.usb = Usb::new();
         self.nvic = Nvic::default();
-        self.watchdog = Watchdog::default();
-        self.adcs = [0, 1, 2].map(Converter::new);
+        self.watchdog = self.watchdog.after_reset();
+        self.adcs = [0, 1, 2, ADC4].map(Converter::new);
+        self.checksum = Checksum::default();
+        self.capture = Capture::default();
         self.dma = Dma::default();
         self.conversions.clear();
         self.system.clear();
@@ -234,10 +256,14 @@ impl Chip {
             .position(|conversion| now >= conversion.at)
         {
             let done = self.conversions.swap_remove(k);
-            let moved = self
-                .dma
-                .request(done.request, done.value, &mut self.file, &mut self.log);
-            self.transfers.extend(moved);
+            match done.request {
+                Some(request) => {
+                    let (file, log) = (&mut self.file, &mut self.log);
+                    let moved = self.dma.request(request, done.value, file, log);
+                    self.transfers.extend(moved);
+                }
+                None => self.adcs[ADC4].finish(done.value, &mut self.file),
+            }
         }
         if self
             .hrtim
@@ -280,7 +306,14 @@ impl Chip {
         self.set_comparators();
         let (sample, tripped) = self.pins.sample();
         self.trip(tripped);
-        let [adc1, adc2, adc3] = &mut self.adcs;
+        if self.loses_triggers {
+            self.trigger_is_lost = !self.trigger_is_lost;
+        }
+        if self.loses_triggers && self.trigger_is_lost {
+            self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+            return;
+        }
+        let [adc1, adc2, adc3, _] = &mut self.adcs;
         if adc1.takes_trigger(&self.file)
             && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6
         {
@@ -291,7 +324,7 @@ impl Chip {
                 let high = adc2.data(i_channel, sample.code(2, i_channel), &self.file);
                 self.conversions.push(Conversion {
                     at,
-                    request: REQUEST_ADC1,
+                    request: Some(REQUEST_ADC1),
                     value: high << 16 | low,
                 });
             }
@@ -303,12 +336,26 @@ impl Chip {
             if self.file.is(reg::adc3::cfgr::DMAEN) {
                 self.conversions.push(Conversion {
                     at,
-                    request: REQUEST_ADC3,
+                    request: Some(REQUEST_ADC3),
                     value,
                 });
             }
         }
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+    }
+
+    /// Software starts ADC4: what stands at its pin is taken at once.
+    fn start_adc4(&mut self) {
+        let hclk_hz = clocks::hclk_hz(&self.file);
+        let adc = &mut self.adcs[ADC4];
+        if let Some((channel, at)) = adc.trigger(hclk_hz, &self.file, &mut self.log) {
+            let value = adc.data(channel, self.pins.thermistor_code(channel), &self.file);
+            self.conversions.push(Conversion {
+                at,
+                request: None,
+                value,
+            });
+        }
     }
 
     /// What the comparators compare with, for the pins.

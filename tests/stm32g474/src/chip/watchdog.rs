@@ -6,9 +6,6 @@ use crate::violation::Log;
 
 use super::register_file::RegisterFile;
 
-/// Frequency of the LSI (DS12288: 31.04 to 32.96 kHz; the middle).
-const LSI_HZ: u64 = 32_000;
-
 /// The watchdog.
 #[derive(Clone, Debug, Default)]
 pub struct Watchdog {
@@ -18,22 +15,39 @@ pub struct Watchdog {
     /// Longest time between two feeds.
     pub longest_gap: Ticks,
     unlocked: bool,
+    /// It never bites: a test's interference.
+    pub broken: bool,
 }
 
 impl Watchdog {
-    fn period(file: &RegisterFile) -> Ticks {
+    /// As it is after a reset; what is broken stays so.
+    pub fn after_reset(&self) -> Self {
+        Self {
+            broken: self.broken,
+            ..Self::default()
+        }
+    }
+
+    fn period(lsi_hz: u64, file: &RegisterFile) -> Ticks {
         let prescaler = 4u64 << file.get(iwdg::pr::PR).min(6);
-        (u64::from(file.get(iwdg::rlr::RL)) + 1) * prescaler * TICKS_PER_S / LSI_HZ
+        (u64::from(file.get(iwdg::rlr::RL)) + 1) * prescaler * TICKS_PER_S / lsi_hz.max(1)
     }
 
     /// Takes a write; whether it is stored.
-    pub fn write(&mut self, address: u32, value: u32, file: &RegisterFile, log: &mut Log) -> bool {
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        lsi_hz: u64,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> bool {
         match (address, value) {
-            (iwdg::kr::ADDRESS, 0xCCCC) => self.feed(file, log.now),
+            (iwdg::kr::ADDRESS, 0xCCCC) => self.feed(lsi_hz, file, log.now),
             (iwdg::kr::ADDRESS, 0xAAAA) => {
                 self.unlocked = false;
-                if self.bites_at.is_some() {
-                    self.feed(file, log.now);
+                if self.fed_at.is_some() {
+                    self.feed(lsi_hz, file, log.now);
                 }
             }
             (iwdg::kr::ADDRESS, 0x5555) => self.unlocked = true,
@@ -47,11 +61,11 @@ impl Watchdog {
         false
     }
 
-    fn feed(&mut self, file: &RegisterFile, now: Ticks) {
+    fn feed(&mut self, lsi_hz: u64, file: &RegisterFile, now: Ticks) {
         if let Some(last) = self.fed_at {
             self.longest_gap = self.longest_gap.max(now - last);
         }
         self.fed_at = Some(now);
-        self.bites_at = Some(now + Self::period(file));
+        self.bites_at = (!self.broken).then(|| now + Self::period(lsi_hz, file));
     }
 }

@@ -138,6 +138,8 @@ pub struct State {
     pub run_until: Ticks,
     /// The block before which Unicorn was stopped.
     pub stopped_at: Option<u32>,
+    /// Bits of the RAM that are stuck at 1, as an address and a mask: a test's interference.
+    pub stuck: Vec<(u32, u8)>,
     /// Which bytes of the RAM were written, if that is watched.
     pub written: Vec<bool>,
     /// What was read before that, and by which block of code.

@@ -18,6 +18,17 @@ impl Machine {
         let _ = self.cpu.mem_write(u64::from(address), bytes);
     }
 
+    /// From now on a bit of the RAM is stuck at 1: a test's interference.
+    pub fn stick_bit(&mut self, address: u32, bit: u32) {
+        let stuck = (address + bit / 8, 1 << (bit % 8));
+        self.cpu.get_data_mut().stuck.push(stuck);
+    }
+
+    /// No bit is stuck any more.
+    pub fn release_bits(&mut self) {
+        self.cpu.get_data_mut().stuck.clear();
+    }
+
     /// Program counter.
     pub fn pc(&self) -> u32 {
         self.cpu.pc_read().unwrap_or(0) as u32
