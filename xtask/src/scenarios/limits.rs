@@ -62,8 +62,8 @@ pub enum Measured {
 /// Power below which a half-cycle of a burst counts as off, in watt.
 const OFF_W: f64 = 100.0;
 
-/// Steps to less, in watt, are given in bursts (firmware/src/limits.rs, BURST_FLOOR_W).
-const BURST_BELOW_W: f64 = 650.0;
+/// Steps to less, in watt, may be given in bursts (firmware/src/limits.rs, BURST_POWER_W).
+const BURST_BELOW_W: f64 = 720.0;
 
 /// A half-cycle at most, in seconds, for what ends with it.
 const HALF_CYCLE_S: f64 = 0.01;

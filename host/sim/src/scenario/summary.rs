@@ -1,6 +1,6 @@
 //! Settling, overshoot and error of the power steps (docs/control.md has the definitions).
 
-use ihd_firmware::limits::BURST_PERIOD_MS;
+use ihd_firmware::limits::{BURST_PERIOD_MS, BURST_POWER_W};
 
 use super::record::{HalfCycle, Recovery, Step, Summary};
 
@@ -12,6 +12,9 @@ const SETTLED_LEAST_W: f64 = 5.0;
 
 /// The end of a step over which its error is taken, in seconds.
 const ERROR_OVER_S: f64 = 0.2;
+
+/// Less than this, in watt, may be given in bursts.
+const BURSTS_BELOW_W: f64 = BURST_POWER_W as f64;
 
 /// What counts in bursts is the mean over this, in seconds: two periods.
 const BURSTS_OVER_S: f64 = 2e-3 * BURST_PERIOD_MS as f64;
@@ -45,7 +48,7 @@ fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
 /// The last half-cycle of `span` may reach beyond it and is left out.
 fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     let whole = &span[..span.len().saturating_sub(1)];
-    if asked_w == 0.0 || !is_in_bursts(whole) {
+    if !is_in_bursts(span, asked_w) {
         return whole.iter().map(|h| (h.t_s, h.power_w)).collect();
     }
     let begin_s = whole.first().map_or(0.0, |h| h.t_s);
@@ -57,9 +60,10 @@ fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     .collect()
 }
 
-/// Heating, and off in between.
-fn is_in_bursts(span: &[HalfCycle]) -> bool {
-    span.iter().any(|h| h.state == "Heating" && !h.bridge_on)
+/// Whether the bridge pauses although it heats.
+fn is_in_bursts(span: &[HalfCycle], asked_w: f64) -> bool {
+    let pauses = |pair: &[HalfCycle]| pair[0].bridge_on && !pair[1].bridge_on;
+    asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.windows(2).any(pauses)
 }
 
 fn mean_w(span: &[HalfCycle]) -> Option<f64> {
@@ -78,7 +82,7 @@ fn settled_after_s(counting: &[(f64, f64)], from_s: f64, asked_w: f64) -> Option
 }
 
 fn error_pct(span: &[HalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
-    let bursts = is_in_bursts(span);
+    let bursts = is_in_bursts(span, asked_w);
     let over_s = if bursts { BURSTS_OVER_S } else { ERROR_OVER_S };
     let last = within(span, to_s - over_s, to_s);
     let whole = &last[..last.len().saturating_sub(1)];
