@@ -863,6 +863,10 @@ mod tests {
         let mut bench = Bench::new(POT);
         bench.ask(200);
         bench.run(5);
+        // From the end of the first burst on.
+        while bench.drive.is_switching() {
+            bench.half_cycle();
+        }
         let (mut on, mut length) = (0, 0);
         for _ in 0..1_000 {
             bench.half_cycle();
