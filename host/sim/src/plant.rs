@@ -431,6 +431,60 @@ mod tests {
     }
 
     #[test]
+    fn the_wattmeter_reads_r_i_squared() {
+        let adc = Adc::new(Noise::default(), 1);
+        let mut plant = Plant::new(Mains::new(50.0), PotKind::Aluminium, adc);
+        plant.set_drive(Drive::switching(60_000));
+        let mut readings = Vec::new();
+        while readings.len() < 3 {
+            plant.block(|_| ());
+            readings.extend(plant.take_reading());
+        }
+        let (last, r_ohm) = (readings[2], 0.22 * (60.0f64 / 45.0).sqrt());
+        let expected_w = r_ohm * last.i_square_a2;
+        assert!((last.t_s - 0.02).abs() < 2e-6 && (last.duration_s - 0.01).abs() < 2e-6);
+        assert!(last.i_peak_a > 20.0 && last.bridge_on(), "{last:?}");
+        assert!(
+            (last.power_w() / expected_w - 1.0).abs() < 2e-3,
+            "{last:?} {expected_w}"
+        );
+        // The bus gave what the load took: the capacitor is empty at each zero crossing.
+        let link_c = plant.link_charge_c();
+        assert!(link_c > 0.0, "{link_c}");
+    }
+
+    #[test]
+    fn the_comparator_opens_within_a_step_until_the_drive_has_been_open() {
+        let mut plant = at_full_power(LoadKind::Behavioural);
+        let mut last_a = 40.0f64;
+        while last_a.abs() > 20.0 {
+            plant.sample(|i_a| last_a = i_a);
+        }
+        plant.set_comparator(30.0);
+        let mut most_a: f64 = 0.0;
+        while !plant.is_tripped() {
+            plant.sample(|i_a| most_a = most_a.max(i_a.abs()));
+        }
+        // 400 V on 16 µH for a step of 41 ns are 1 A.
+        assert!((30.0..31.0).contains(&most_a), "{most_a}");
+        let since_s = plant.open_since_s().unwrap();
+        plant.set_comparator(f64::INFINITY);
+        for drive in [Drive::switching(50_000), Drive::switching(60_000)] {
+            plant.set_drive(drive);
+            plant.block(|_| ());
+            assert!(plant.is_tripped());
+            assert_eq!(plant.open_since_s(), Some(since_s));
+        }
+        plant.set_drive(Drive::OFF);
+        assert_eq!(
+            (plant.is_tripped(), plant.open_since_s()),
+            (false, Some(since_s))
+        );
+        plant.set_drive(Drive::switching(50_000));
+        assert_eq!(plant.open_since_s(), None);
+    }
+
+    #[test]
     fn the_table_stands_for_the_field() {
         let field = at_full_power(LoadKind::Field).load_point();
         let table = at_full_power(LoadKind::Surrogate).load_point();

@@ -12,6 +12,8 @@ mod number;
 pub mod record;
 pub mod run;
 mod summary;
+#[cfg(test)]
+mod tests;
 pub mod timeline;
 
 use std::path::PathBuf;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// One half-cycle of the true mains.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HalfCycle {
     /// Its start, in seconds.
     pub t_s: f64,

@@ -60,10 +60,10 @@ fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     .collect()
 }
 
-/// Whether the bridge pauses although it heats.
+/// Whether it heats, and is off in between.
 fn is_in_bursts(span: &[HalfCycle], asked_w: f64) -> bool {
-    let pauses = |pair: &[HalfCycle]| pair[0].bridge_on && !pair[1].bridge_on;
-    asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.windows(2).any(pauses)
+    let pauses = |h: &HalfCycle| h.state == "Heating" && !h.bridge_on;
+    asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.iter().any(pauses)
 }
 
 fn mean_w(span: &[HalfCycle]) -> Option<f64> {
@@ -128,5 +128,81 @@ pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> 
         steps,
         recoveries,
         ..Summary::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn half_cycles(powers: impl IntoIterator<Item = f64>) -> Vec<HalfCycle> {
+        let of = |(n, power_w): (usize, f64)| HalfCycle {
+            t_s: n as f64 * 0.01,
+            power_w,
+            bridge_on: power_w > 0.0,
+            state: "Heating".to_owned(),
+            ..HalfCycle::default()
+        };
+        powers.into_iter().enumerate().map(of).collect()
+    }
+
+    fn mark(at_s: f64, kind: Kind) -> Mark {
+        Mark { at_s, kind }
+    }
+
+    #[test]
+    fn a_step_is_settled_where_it_stays_near() {
+        // 5 half-cycles off, then 900, 1060 (6 % over), and 1020 for good.
+        let powers = [0.0; 5]
+            .into_iter()
+            .chain([900.0, 1060.0])
+            .chain([1020.0; 43]);
+        let all = half_cycles(powers);
+        let summary = of(&all, &[mark(0.0, Kind::Power(1000))], 0.5);
+        let step = &summary.steps[0];
+        assert!(
+            (step.settled_after_s.unwrap() - 0.07).abs() < 1e-9,
+            "{step:?}"
+        );
+        assert!((step.overshoot_pct.unwrap() - 6.0).abs() < 1e-9);
+        assert!((step.error_pct.unwrap() - 2.0).abs() < 1e-9);
+        assert_eq!(summary.settled_after_s, [step.settled_after_s]);
+    }
+
+    #[test]
+    fn a_step_ends_with_the_next_event_and_what_is_too_little_never_settles() {
+        let all = half_cycles([800.0; 50].into_iter().chain([1000.0; 50]));
+        let marks = [
+            mark(0.0, Kind::Power(1000)),
+            mark(0.5, Kind::Disturbed),
+            mark(0.9, Kind::Power(500)),
+        ];
+        let summary = of(&all, &marks, 1.0);
+        assert_eq!(summary.settled_after_s, [None, None]);
+        assert!((summary.error_pct - 100.0).abs() < 1e-9, "{summary:?}");
+        assert_eq!(summary.overshoot_pct, 0.0, "a step down has none");
+        assert_eq!(summary.recoveries[0].after_s, Some(0.0));
+    }
+
+    #[test]
+    fn bursts_count_as_their_mean() {
+        // 200 ms of each second at 700 W are 140 W.
+        let all = half_cycles((0..600).map(|n| if n % 100 < 20 { 700.0 } else { 0.0 }));
+        let summary = of(&all, &[mark(0.0, Kind::Power(140))], 6.0);
+        let step = &summary.steps[0];
+        assert!(step.error_pct.unwrap() < 1.0, "{step:?}");
+        assert!(
+            (1.9..2.2).contains(&step.settled_after_s.unwrap()),
+            "{step:?}"
+        );
+        assert!(step.overshoot_pct.unwrap() < 1.0, "{step:?}");
+    }
+
+    #[test]
+    fn off_is_settled_below_five_watt() {
+        let all = half_cycles([1000.0, 4.0, 0.0, 0.0, 0.0, 0.0]);
+        let summary = of(&all, &[mark(0.0, Kind::Power(0))], 0.06);
+        assert_eq!(summary.settled_after_s, [Some(0.01)]);
+        assert_eq!(summary.steps[0].error_pct, None);
     }
 }
