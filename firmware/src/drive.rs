@@ -2,11 +2,13 @@
 //!
 //! | state | entered by | left when |
 //! |---|---|---|
-//! | Open | start, off, any fault, replay | power is asked for: LowerOn at once |
+//! | Open | start, off, any fault, replay | power is asked for and the tank is at rest: LowerOn |
 //! | LowerOn | power asked for | first zero crossing after 1 ms: Switching |
 //! | Switching | LowerOn | off, fault, replay: Open at once |
 //!
-//! Off, fault and replay lead from LowerOn to Open as well.
+//! Off, fault and replay lead from LowerOn to Open as well. The tank is at rest from the first zero
+//! crossing after the switches opened: until then the resonance capacitor follows the mains through a
+//! diode, and a switch that closed would short what it holds.
 
 use crate::pwm;
 
@@ -56,10 +58,12 @@ impl Drive {
     }
 
     /// What follows on this drive after a block, `wanted` being asked for: what opens both switches
-    /// does so at once; out of open switches the lower one closes, at once; what switches begins or
-    /// changes at a zero crossing. `lower_on_ns` says for how long only the lower one is closed.
-    pub fn next(self, wanted: Self, at_crossing: bool, lower_on_ns: u32) -> Self {
+    /// does so at once; out of open switches the lower one closes, once the tank is `at_rest`; what
+    /// switches begins or changes at a zero crossing. `lower_on_ns` says for how long only the lower one
+    /// is closed.
+    pub fn next(self, wanted: Self, at_crossing: bool, lower_on_ns: u32, at_rest: bool) -> Self {
         match (self.bridge, wanted.bridge) {
+            (Bridge::Open, Bridge::Switching) if !at_rest => self,
             (Bridge::Open, Bridge::Switching) => Self {
                 bridge: Bridge::LowerOn,
                 ..self
@@ -166,11 +170,21 @@ mod tests {
             board.run(blocks);
             board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
             assert_eq!(board.run(3), [Bridge::Open; 3]);
-            // Cleared, it stays open until power is asked for, and charges again.
+            // Cleared, it stays open until power is asked for; then it charges again, once the mains has
+            // passed its zero if it switched.
             board.realtime.clear_fault();
             assert_eq!(board.run(3), [Bridge::Open; 3]);
             board.heat();
-            assert_eq!(board.run(1), [Bridge::LowerOn]);
+            let switched = blocks > HALF_CYCLE;
+            let to_crossing = if switched {
+                HALF_CYCLE - board.block % HALF_CYCLE
+            } else {
+                1
+            };
+            let waited = board.run(to_crossing);
+            let (last, before) = waited.split_last().expect("at least one");
+            assert!(before.iter().all(|b| *b == Bridge::Open));
+            assert_eq!(*last, Bridge::LowerOn);
         }
     }
 }

@@ -312,21 +312,12 @@ impl Housekeeping {
             rt.note_turn();
             (rt.take_summary(), Now::of(rt))
         });
-        if let Some(summary) = summary {
-            if let Some(lookup) = self.pending.take() {
-                access.with(|rt| rt.set_lookup_version(lookup.version));
-                self.active = GuardedLookup::new(lookup);
-                self.lookup_changes = self.lookup_changes.wrapping_add(1);
-            }
-            self.watch_host(access);
-            self.last = summary;
-            let action = self.control.on_half_cycle(&summary, &now);
-            self.act(access, action);
-            self.send_telemetry(access, &summary);
-        } else {
-            let action = self.control.advance(&self.active, &now);
-            self.act(access, action);
-        }
+        let action = match summary {
+            Some(glance) if glance.glance => self.control.on_half_cycle(&glance, &now),
+            Some(summary) => self.on_half_cycle(access, &summary, &now),
+            None => self.control.advance(&self.active, &now),
+        };
+        self.act(access, action);
         // What the bridge was just asked for counts.
         let now = access.with(|rt| Now::of(rt));
         let action = self.control.tick(&now);
@@ -337,6 +328,19 @@ impl Housekeeping {
             self.queue
                 .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
         }
+    }
+
+    fn on_half_cycle(&mut self, access: &mut impl Access, summary: &Summary, now: &Now) -> Action {
+        if let Some(lookup) = self.pending.take() {
+            access.with(|rt| rt.set_lookup_version(lookup.version));
+            self.active = GuardedLookup::new(lookup);
+            self.lookup_changes = self.lookup_changes.wrapping_add(1);
+        }
+        self.watch_host(access);
+        self.last = *summary;
+        let action = self.control.on_half_cycle(summary, now);
+        self.send_telemetry(access, summary);
+        action
     }
 
     /// Power that was asked for over the link lapses with the link.
@@ -354,6 +358,7 @@ impl Housekeeping {
         match action {
             Action::Keep => {}
             Action::Drive(drive) => access.with(|rt| rt.request(drive)),
+            Action::Look => access.with(RealTime::request_look),
             Action::OffAtCrossing => access.with(RealTime::request_off_at_crossing),
             Action::Fault(fault) => access.with(|rt| rt.raise(fault)),
             Action::ClearFault => access.with(RealTime::clear_fault),

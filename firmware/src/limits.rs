@@ -96,6 +96,9 @@ limits! {
     POT_GONE_HALF_CYCLES: u8 = 2, "half-cycles";
     /// Amplitude of the coil current below which no pot can be judged.
     POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
+    /// How long the bridge switches to look for a pot, from a zero crossing on: before the crest, with at
+    /// most 2 J into any load at 265 V.
+    LOOK_NS: u32 = 3_300_000, "ns";
     /// From one look for a pot to the next, in the first time after one was taken away: it may be on
     /// its way back.
     QUICK_LOOK_MS: u32 = 200, "ms";

@@ -64,8 +64,10 @@ impl Plausibility {
     /// Takes a half-cycle; the fault that has lasted long enough.
     pub fn on_half_cycle(&mut self, summary: &Summary) -> Option<Fault> {
         let steady = summary.f_sw_hz > 0 && !summary.disturbed;
-        let on_bus = steady && summary.bus_peak_dv >= RATIO_FROM_DV;
-        let seen = on_bus && summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        // Without current the soft limits disturb every half-cycle.
+        let on_bus = summary.f_sw_hz > 0 && summary.bus_peak_dv >= RATIO_FROM_DV;
+        let flows = summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        let seen = steady && on_bus && flows;
         let checks = [
             (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
             (
@@ -76,7 +78,7 @@ impl Plausibility {
                 self.power.push_if(steady, !is_power_balanced(summary)),
                 Fault::POWER_BALANCE,
             ),
-            (self.current.push_if(on_bus, !seen), Fault::NO_COIL_CURRENT),
+            (self.current.push_if(on_bus, !flows), Fault::NO_COIL_CURRENT),
             (
                 self.bus.push(summary.bus_peak_dv < BUS_MIN_DV),
                 Fault::BUS_RANGE,

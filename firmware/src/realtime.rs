@@ -19,7 +19,7 @@ pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
 use crate::limits::{
-    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, SOFT_STEP_PERMILLE,
+    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, LOOK_NS, SOFT_STEP_PERMILLE,
 };
 use crate::protection::Protection;
 use crate::pwm;
@@ -68,6 +68,8 @@ pub struct RealTime {
     wanted: Drive,
     /// How long the lower switch has been closed, while only it is.
     lower_on_ns: u32,
+    /// The mains has passed its zero since the switches opened after switching.
+    at_rest: bool,
     block_ns: u32,
     demod: Demodulator,
     ekf: Ekf,
@@ -77,6 +79,8 @@ pub struct RealTime {
     bus_down_ns: u32,
     /// The next open bridge waits for a zero crossing.
     off_at_crossing: bool,
+    /// The next half-cycle that the bridge switches is a look for a pot, and ends before its crest.
+    looking: bool,
     dither_permille: u8,
     /// Time since boot: whole milliseconds, and the rest.
     now_ms: u32,
@@ -125,6 +129,7 @@ impl RealTime {
             drive,
             wanted: drive,
             lower_on_ns: 0,
+            at_rest: false,
             block_ns: 0,
             demod: Demodulator::blank(),
             ekf: Ekf::blank(),
@@ -132,6 +137,7 @@ impl RealTime {
             soft: SoftLimits::blank(),
             bus_down_ns: 0,
             off_at_crossing: false,
+            looking: false,
             dither_permille: 0,
             now_ms: 0,
             now_rest_ns: 0,
@@ -158,6 +164,7 @@ impl RealTime {
     pub fn begin(&mut self, r: MicroOhm, l: PicoHenry) {
         self.drive = Drive::OFF;
         self.wanted = Drive::OFF;
+        self.at_rest = true;
         self.block_ns = block_ns(Drive::OFF.f_sw_hz);
         self.demod = Demodulator::new(Drive::OFF.f_sw_hz);
         self.ekf = Ekf::new(Drive::OFF.f_sw_hz, r, l, Noise::TUNED);
@@ -184,10 +191,18 @@ impl RealTime {
     /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive`]). Ignored while a fault is active.
     pub fn request(&mut self, drive: Drive) {
         self.off_at_crossing = false;
+        self.looking = false;
         self.wanted = Drive {
             f_sw_hz: pwm::nearest_hz(drive.f_sw_hz),
             ..drive
         };
+    }
+
+    /// Asks for a look at what stands on the coil: at the highest frequency, from the next zero crossing to
+    /// before the crest. A summary that is a glance tells.
+    pub fn request_look(&mut self) {
+        self.request(Drive::switching(pwm::HIGHEST_HZ));
+        self.looking = true;
     }
 
     /// Asks for both switches to open at the next zero crossing.
@@ -400,11 +415,29 @@ impl RealTime {
             .saturating_add(i64::from(self.block_ns));
         if self.drive.is_switching() {
             self.watch(block, &sums);
+            self.end_look(block.bus_dv);
         } else {
             self.bus_down_ns = 0;
         }
         self.take_drive(crossing.is_some(), block.bus_dv);
         estimate
+    }
+
+    /// Ends a look once it has lasted, and tells what it saw.
+    fn end_look(&mut self, bus_dv: u16) {
+        if !self.looking || self.since_crossing_ns < i64::from(LOOK_NS) {
+            return;
+        }
+        let f_sw_hz = self.f_sw_hz();
+        let seen = self
+            .accumulator
+            .finish(self.half_cycle, f_sw_hz, LOOK_NS, bus_dv);
+        self.summary = Some(Summary {
+            glance: true,
+            ..seen
+        });
+        self.accumulator.disturb();
+        self.request(Drive::OFF);
     }
 
     /// What acts within a block while the bridge switches: the soft limits, and a mains that is away,
@@ -488,9 +521,12 @@ impl RealTime {
         } else {
             Drive::OFF
         };
+        self.at_rest |= at_crossing && self.drive.bridge == Bridge::Open;
         let may_start = bus_dv < BUS_AT_START_DV || self.lower_on_ns > IDLE_LINK_NS;
         let at_crossing = at_crossing && (self.drive.is_switching() || may_start);
-        let next = self.drive.next(wanted, at_crossing, self.lower_on_ns);
+        let next = self
+            .drive
+            .next(wanted, at_crossing, self.lower_on_ns, self.at_rest);
         if next != self.drive {
             if !at_crossing {
                 self.accumulator.disturb();
@@ -523,7 +559,9 @@ impl RealTime {
             self.protection.set_frequency(next.f_sw_hz);
             self.soft.set_frequency(next.f_sw_hz);
         }
-        if !self.drive.is_switching() {
+        if self.drive.is_switching() {
+            self.at_rest &= next.is_switching();
+        } else {
             self.ekf.restart();
             self.soft.set_frequency(next.f_sw_hz);
         }

@@ -52,9 +52,12 @@ pub struct CrashRecord {
 
 impl CrashRecord {
     /// As words; the last one checks the others.
-    pub fn to_words(self) -> [u32; WORDS] {
-        let reason = self.reason.map_or(0xFF, |reason| reason as u32);
-        let counts = u32::from(self.fault) << 16 | u32::from(self.starts);
+    pub const fn to_words(self) -> [u32; WORDS] {
+        let reason = match self.reason {
+            Some(reason) => reason as u32,
+            None => 0xFF,
+        };
+        let counts = (self.fault as u32) << 16 | self.starts as u32;
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
 

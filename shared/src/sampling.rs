@@ -94,6 +94,9 @@ impl core::fmt::Display for Scales {
     }
 }
 
+/// Corner of the first-order anti-alias filter of both channels, in hertz.
+pub const ANTI_ALIAS_HZ: u32 = 500_000;
+
 /// Sampling rate in hertz at a switching frequency in hertz.
 pub fn f_adc_hz(f_sw_hz: u32) -> f64 {
     f64::from(f_sw_hz) * ADC_LOCK_P as f64 / f64::from(ADC_LOCK_Q)

@@ -12,8 +12,9 @@ use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::{Block, RealTime};
+use ihd_firmware::request::PanelEvent;
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::F_SW_MAX_HZ;
+use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::wire::frame::MAX_ENCODED;
@@ -30,6 +31,7 @@ use super::plant::{LoadPoint, Plant};
 use super::pot::Pot;
 use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
+use super::temperatures::{AMBIENT_C, Heat, Temperatures};
 
 /// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
 const TRUTHS_KEPT: usize = 256;
@@ -58,6 +60,12 @@ pub struct HobConfig {
     pub bus_capacitance_f: f64,
     /// What stands on the coil at the start.
     pub pot: Pot,
+    /// Temperature around the hob, in °C.
+    pub ambient_c: f64,
+    /// Whether heat sink, glass and coil have temperature sensors.
+    pub ntc: bool,
+    /// Whether the DC link has a current sensor.
+    pub dc_link: bool,
     /// How the load is modelled.
     pub load: LoadKind,
     /// Whether the pot warms up, so that R and L drift over minutes.
@@ -81,10 +89,13 @@ impl Default for HobConfig {
             mains_hz: 50.0,
             mains_v: 230.0,
             bus_capacitance_f: 0.0,
+            ambient_c: AMBIENT_C,
+            ntc: true,
+            dc_link: false,
             pot: PotKind::Ferromagnetic.into(),
             load: LoadKind::Behavioural,
             warming: false,
-            anti_alias_hz: 500e3,
+            anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
                 v_v: 0.16,
@@ -107,6 +118,10 @@ pub struct SimHob {
     fed_s: f64,
     watchdog_bites: u32,
     injections: Injections,
+    temperatures: Temperatures,
+    ntc: bool,
+    dc_link: bool,
+    reading: Option<Reading>,
     /// Blocks that did not arrive since the last that did.
     lost: u32,
     inbound: VecDeque<u8>,
@@ -154,6 +169,10 @@ impl SimHob {
             fed_s: 0.0,
             watchdog_bites: 0,
             injections: Injections::default(),
+            temperatures: Temperatures::at(config.ambient_c),
+            ntc: config.ntc,
+            dc_link: config.dc_link,
+            reading: None,
             lost: 0,
             inbound: VecDeque::new(),
             outbound: VecDeque::new(),
@@ -167,6 +186,7 @@ impl SimHob {
     /// Simulates one block of 61 samples.
     pub fn step(&mut self) {
         let start_s = self.plant.t_s();
+        let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
         let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
         let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
@@ -177,7 +197,11 @@ impl SimHob {
             pairs: &pairs,
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
             bus_dv: bus_dv(self.injections.on_bus(bus_code)),
-            dc_link_ma: None,
+            dc_link_ma: self.dc_link.then(|| {
+                let charge_c = self.plant.link_charge_c() - link_before_c;
+                // What flows back reads as nothing.
+                (1e3 * charge_c / (end_s - start_s)).round().max(0.0) as u32
+            }),
             lost: self.lost,
         };
         let drive = if self.injections.on_block() {
@@ -229,6 +253,10 @@ impl SimHob {
         if self.plant.is_tripped() && self.realtime.drive().bridge != Bridge::Open {
             self.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
         }
+        if let Some(reading) = self.plant.take_reading() {
+            self.warm_up(&reading);
+            self.reading = Some(reading);
+        }
         let t_s = self.plant.t_s();
         if self.heartbeat.beat(self.realtime.blocks()) {
             self.fed_s = t_s;
@@ -236,6 +264,43 @@ impl SimHob {
             self.watchdog_bites += 1;
             self.fed_s = t_s;
         }
+    }
+
+    /// Once a half-cycle: what it did to the temperatures, and what their sensors say.
+    fn warm_up(&mut self, reading: &Reading) {
+        let pot = self.plant.pot();
+        let bus_v = self.plant.mains().peak_v;
+        let node_f = f64::from(NODE_CAPACITANCE_NF) * 1e-9;
+        let heat = Heat {
+            i_mean_a: reading.i_mean_a,
+            i_square_a2: reading.i_square_a2,
+            // Of a resistor on a sine: the mean current is P·(4/π)/V̂.
+            mains_a: match bus_v > 1.0 {
+                true => reading.power_w() * std::f64::consts::FRAC_2_PI * 2.0 / bus_v,
+                false => 0.0,
+            },
+            // At most the whole bus, at each.
+            edges_j: f64::from(reading.hard_edges) * 0.5 * node_f * bus_v * bus_v,
+            pot_c: pot
+                .metal
+                .map(|_| self.plant.temperature_c().unwrap_or(pot.temperature_c)),
+        };
+        let fan = self.housekeeping.fan();
+        self.temperatures.advance(reading.duration_s, &heat, fan);
+        if self.ntc {
+            let codes = self.temperatures.codes(&self.injections);
+            self.housekeeping.set_temperatures(codes);
+        }
+    }
+
+    /// Temperatures of heat sink, glass and coil, to look at and to set.
+    pub fn temperatures(&mut self) -> &mut Temperatures {
+        &mut self.temperatures
+    }
+
+    /// A person touches the panel.
+    pub fn panel(&mut self, event: PanelEvent) {
+        self.housekeeping.panel(&mut *self.realtime, event);
     }
 
     fn run_link(&mut self, elapsed_s: f64) {
@@ -323,7 +388,7 @@ impl SimHob {
 
     /// What instruments read over the last true half-cycle, once after each.
     pub fn take_reading(&mut self) -> Option<Reading> {
-        self.plant.take_reading()
+        self.reading.take()
     }
 
     /// Since when both switches are open, in seconds; `None` while one may be closed.

@@ -25,6 +25,7 @@ pub mod scenario;
 pub mod server;
 pub mod slow_adc;
 pub mod surrogate;
+pub mod temperatures;
 pub mod thermal_model;
 pub mod transport;
 pub mod trial;

@@ -8,7 +8,7 @@ use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
 
 /// Resistance of the winding in ohm, beside a load from the field model.
-const WINDING_R_OHM: f64 = 0.1;
+pub(super) const WINDING_R_OHM: f64 = 0.1;
 
 /// Pots of one load model, ready to be put on the coil.
 #[derive(Clone, Debug)]

@@ -11,6 +11,10 @@ pub struct Reading {
     pub energy_j: f64,
     /// Largest coil current, in ampere.
     pub i_peak_a: f64,
+    /// Mean of the coil current's magnitude, in ampere.
+    pub i_mean_a: f64,
+    /// Mean of its square, in ampere squared.
+    pub i_square_a2: f64,
     /// Largest coil voltage, in volt.
     pub v_coil_peak_v: f64,
     /// Switches that closed onto more than [`crate::inverter::node::HARD_EDGE_V`].
@@ -18,11 +22,20 @@ pub struct Reading {
     /// Smallest current when a switch opened, in ampere, negative in the wrong direction; `None` without
     /// an edge.
     pub i_turn_off_min_a: Option<f64>,
-    /// Whether the bridge was switching at any time.
-    pub bridge_on: bool,
+    /// How long the bridge was switching, in seconds.
+    pub switching_s: f64,
 }
 
+/// A bridge that ends with the zero crossing that the firmware sees does so up to a block later, 88 µs
+/// at 34 kHz: that much is no half-cycle that it is on.
+const ON_FROM_SHARE: f64 = 0.02;
+
 impl Reading {
+    /// Whether the bridge was switching, for more than a block.
+    pub fn bridge_on(&self) -> bool {
+        self.switching_s > ON_FROM_SHARE * self.duration_s
+    }
+
     /// Mean power in watt.
     pub fn power_w(&self) -> f64 {
         self.energy_j / self.duration_s

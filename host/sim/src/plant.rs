@@ -44,6 +44,7 @@ pub struct LoadPoint {
 #[derive(Clone, Debug, Default)]
 struct Meter {
     half_cycle: u32,
+    samples: u32,
     energy_before_j: f64,
     running: Reading,
     last: Option<Reading>,
@@ -263,7 +264,9 @@ impl Plant {
             None => self.drive.bridge,
             Some(_) => Bridge::Open,
         };
-        self.meter.running.bridge_on |= bridge == Bridge::Switching;
+        if bridge == Bridge::Switching {
+            self.meter.running.switching_s += STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
+        }
         let mut crest = (0f64, 0f64);
         if bridge == Bridge::Open && self.inverter.is_at_rest() {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
@@ -288,11 +291,20 @@ impl Plant {
         pair
     }
 
+    /// Charge that the DC link has given to the bridge since the start, in coulomb.
+    pub fn link_charge_c(&self) -> f64 {
+        self.inverter.link_charge_c()
+    }
+
     /// After each sample: crests, and at the mains' zero crossing the reading of the half-cycle.
     fn read_meter(&mut self, (i_a, coil_v): (f64, f64)) {
         let meter = &mut self.meter;
         meter.running.i_peak_a = meter.running.i_peak_a.max(i_a);
         meter.running.v_coil_peak_v = meter.running.v_coil_peak_v.max(coil_v);
+        let now_a = self.inverter.circuit.i_a;
+        meter.running.i_mean_a += now_a.abs();
+        meter.running.i_square_a2 += now_a * now_a;
+        meter.samples += 1;
         let t_s = self.inverter.now_s();
         let half_cycle = self.inverter.bus.mains().half_cycle(t_s);
         if half_cycle == meter.half_cycle {
@@ -306,7 +318,10 @@ impl Plant {
             ..Reading::default()
         };
         let running = std::mem::replace(&mut meter.running, next);
+        let samples = f64::from(std::mem::take(&mut meter.samples));
         meter.last = Some(Reading {
+            i_mean_a: running.i_mean_a / samples,
+            i_square_a2: running.i_square_a2 / samples,
             duration_s: t_s - running.t_s,
             energy_j: energy_j - meter.energy_before_j,
             hard_edges: edges.hard_edges,

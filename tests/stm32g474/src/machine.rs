@@ -44,7 +44,10 @@ pub struct Machine {
     /// The other end of the USB cable.
     pub cable: Cable,
     locked_up: bool,
-    /// Resets since power-on, with their causes.
+    /// Bites of the watchdog before the timers ran: start-up tries it once after power-on, and a start that finds the RAM
+    /// broken ends in one.
+    pub bites_at_start: Vec<Ticks>,
+    /// The other resets since power-on, with their causes.
     pub resets: Vec<(Ticks, Reset)>,
 }
 
@@ -62,6 +65,7 @@ impl Machine {
             image,
             cable,
             locked_up: false,
+            bites_at_start: Vec::new(),
             resets: Vec::new(),
         };
         machine.start()?;
@@ -154,7 +158,11 @@ impl Machine {
 
     fn reset(&mut self, why: Reset) -> Result<(), MachineError> {
         let now = self.now();
-        self.resets.push((now, why));
+        if why == Reset::Watchdog && !self.chip().hrtim.is_running() {
+            self.bites_at_start.push(now);
+        } else {
+            self.resets.push((now, why));
+        }
         self.chip().after_reset(why);
         self.start()
     }

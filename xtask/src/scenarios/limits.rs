@@ -24,6 +24,7 @@ pub struct HalfCycle {
 /// A fault of the record.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Fault {
+    t_s: f64,
     name: String,
     off_after_s: Option<f64>,
 }
@@ -60,6 +61,12 @@ pub enum Measured {
 
 /// Power below which a half-cycle of a burst counts as off, in watt.
 const OFF_W: f64 = 100.0;
+
+/// Steps to less, in watt, may be given in bursts (firmware/src/limits.rs, BURST_POWER_W).
+const BURST_BELOW_W: f64 = 720.0;
+
+/// A half-cycle at most, in seconds, for what ends with it.
+const HALF_CYCLE_S: f64 = 0.01;
 
 /// Checks every limit of a file's `[limits]`.
 ///
@@ -143,10 +150,31 @@ impl Record {
             "overshoot_pct" | "error_pct" | "energy_j" | "watchdog_bites" => {
                 vec![number(&self.summary[name])]
             }
+            // Bursts settle as a mean over seconds: power_share_at looks at them.
             "settled_after_s" => {
-                let list = self.summary[name].as_array().context("no list")?;
-                list.iter().map(number).collect()
+                let steps = self.summary["steps"].as_array().context("no list")?;
+                let whole = |step: &&Json| number(&step["power_w"]) >= BURST_BELOW_W;
+                steps
+                    .iter()
+                    .filter(whole)
+                    .map(|s| number(&s[name]))
+                    .collect()
             }
+            "resettled_after_s" => {
+                let steps = self.summary["steps"].as_array().context("no list")?;
+                let last = steps.last().map(|s| number(&s["settled_after_s"]));
+                last.into_iter().collect()
+            }
+            "longest_on_s" => {
+                let on = self.half_cycles.chunk_by(|a, b| a.bridge_on == b.bridge_on);
+                let length = |stretch: &[HalfCycle]| match stretch {
+                    [first, .., last] if first.bridge_on => last.t_s - first.t_s + HALF_CYCLE_S,
+                    [only] if only.bridge_on => HALF_CYCLE_S,
+                    _ => 0.0,
+                };
+                vec![on.map(length).fold(0.0, f64::max)]
+            }
+            "fault_at_s" => self.faults.first().map(|f| f.t_s).into_iter().collect(),
             "recovered_after_s" => {
                 let list = self.summary["recoveries"].as_array().context("no list")?;
                 list.last()

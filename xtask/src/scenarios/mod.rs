@@ -135,6 +135,12 @@ fn run_all(ihd: &Path, work: &Path, scenarios: &[Scenario]) -> Vec<Ran> {
             let of = &scenarios[scenario];
             let file = work.join(format!("{}-{variant}.toml", of.name.replace('/', "-")));
             let checked = run_one(ihd, &file, &of.variants[variant]);
+            let missed = match &checked {
+                Ok(all) => all.iter().filter(|c| !c.ok).count(),
+                Err(_) => 1,
+            };
+            let verdict = if missed == 0 { "" } else { "  missed" };
+            eprintln!("{}: {}{verdict}", of.name, of.variants[variant].name);
             let done = Ran {
                 scenario,
                 variant,

@@ -2,6 +2,7 @@
 
 use core::cell::UnsafeCell;
 use core::ptr;
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
@@ -30,6 +31,14 @@ unsafe impl<T> Sync for DmaMemory<T> {}
 
 static PAIRS: DmaMemory<[u32; WORDS]> = DmaMemory(UnsafeCell::new([0; WORDS]));
 static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
+
+/// Cycles that all blocks which were taken should have lasted; wraps.
+static SAMPLED_CYCLES: AtomicU32 = AtomicU32::new(0);
+
+/// See [`SAMPLED_CYCLES`].
+pub fn sampled_cycles() -> u32 {
+    SAMPLED_CYCLES.load(Ordering::Relaxed)
+}
 
 /// Polls the sampling task, in the DMA's own interrupt.
 pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
@@ -133,6 +142,9 @@ impl SampleSource for Adc {
         if !self.ring.is_whole(half, at) {
             return true;
         }
+        // Nobody else writes it.
+        let sampled = sampled_cycles().wrapping_add(self.block_cycles);
+        SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
         let (bus_dv, mains) = self.slow();
         let drive = take(&Block {
             pairs: &self.pairs,

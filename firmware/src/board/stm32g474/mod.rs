@@ -20,6 +20,7 @@ mod adc;
 mod led;
 mod nonvolatile;
 mod registers;
+mod self_test;
 mod serial;
 mod start;
 mod start_up;

@@ -1,8 +1,9 @@
 //! The two pages of the last good lookup: the last two pages of the second flash bank. The program
 //! runs from the first bank and is not held up while these are erased.
 
-use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering, compiler_fence};
 
+use embassy_futures::select::{Either, select};
 use embassy_stm32::flash::{Async, Error, Flash};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
@@ -25,11 +26,29 @@ pub struct LookupPages(pub Option<Flash<'static, Async>>);
 /// The lookup that is to be kept; a newer one replaces it.
 pub static TO_KEEP: Signal<CriticalSectionRawMutex, RlLookup> = Signal::new();
 
+/// Asks the task whether it runs; it answers by counting.
+pub static ASKED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// Answers so far.
+static ANSWERS: AtomicU32 = AtomicU32::new(0);
+
+/// See [`ASKED`].
+pub fn answers() -> u32 {
+    ANSWERS.load(Ordering::Relaxed)
+}
+
 /// Keeps lookups, beside everything else: an erasure takes 22 ms, in which control and watchdog go on.
 #[embassy_executor::task]
 pub async fn keep(mut pages: LookupPages) -> ! {
     loop {
-        let lookup = TO_KEEP.wait().await;
+        // The question first: however often lookups come, it is answered between two.
+        let lookup = match select(ASKED.wait(), TO_KEEP.wait()).await {
+            Either::First(()) => {
+                ANSWERS.store(answers().wrapping_add(1), Ordering::Relaxed);
+                continue;
+            }
+            Either::Second(lookup) => lookup,
+        };
         if nonvolatile::save(&mut pages, &lookup).await.is_err() {
             // Not tried again: the lookup is still active, and is pushed again.
             defmt::warn!("lookup {=u32} was not kept", lookup.version);

@@ -6,7 +6,7 @@ use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
-use embassy_stm32::peripherals::{IWDG, LPUART1, USB};
+use embassy_stm32::peripherals::{CRC, IWDG, LPUART1, USB};
 use embassy_stm32::rcc;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::usb::Driver;
@@ -27,6 +27,7 @@ use static_cell::StaticCell;
 use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
+use super::self_test::SelfTest;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -57,11 +58,12 @@ struct Board {
     led: Led,
     heartbeat: Heartbeat,
     kept_changes: u32,
+    self_test: SelfTest,
 }
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let flags = registers::supply::reset_flags();
+    let (flags, watchdog_is_sound) = registers::supply::reset_flags();
     let last = crash::read_crash_record();
     crash::count_start(flags);
     let p = registers::clocks::start();
@@ -81,7 +83,9 @@ fn main() -> ! {
     };
     EXECUTOR.init(Executor::new()).run(|spawner| {
         let hello = hello(flags, last);
-        start(spawner, p, hello, interrupt_side, thread_side);
+        let watchdog_fault = (!watchdog_is_sound).then_some(Fault::WATCHDOG_TEST);
+        let sides = (interrupt_side, thread_side);
+        start(spawner, p, hello, sides, watchdog_fault);
     })
 }
 
@@ -104,14 +108,15 @@ fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
-    interrupt_side: sampling::InterruptSide,
-    mut thread_side: ThreadSide,
+    (interrupt_side, mut thread_side): (sampling::InterruptSide, ThreadSide),
+    watchdog_fault: Option<Fault>,
 ) {
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
     if !option_bytes_ok() {
         thread_side.with(|rt| rt.raise_standing(Fault::OPTION_BYTES));
     }
+    let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
     let pages = lookup_pages(p.FLASH, housekeeping);
     let led = Led::new(p.PA5, cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.
@@ -139,9 +144,13 @@ fn start(
         sampling_spawner.spawn(token);
     }
     defmt::info!("timers and ADCs run, faults armed");
+    if !registers::comparators::trip() {
+        thread_side.with(|rt| rt.raise_standing(Fault::COMPARATOR_TEST));
+    }
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
     let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
     let uart = serial_port(p.LPUART1, p.PA3, p.PA2);
+    self_test.begin();
     watchdog.unleash();
     defmt::info!("watchdog runs: {=u32} µs", WATCHDOG_US);
     let board = Board {
@@ -149,6 +158,7 @@ fn start(
         led,
         heartbeat: Heartbeat::default(),
         kept_changes: housekeeping.lookup_changes(),
+        self_test,
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);
@@ -160,6 +170,20 @@ fn start(
     if let Ok(token) = link_task(usb, uart, housekeeping, thread_side, board) {
         spawner.spawn(token);
     }
+}
+
+/// What is tested at start, and goes on while the program runs.
+fn self_test(
+    unit: Peri<'static, CRC>,
+    path: &mut ThreadSide,
+    watchdog_fault: Option<Fault>,
+) -> SelfTest {
+    let (self_test, found) = SelfTest::at_start(unit);
+    for fault in found.into_iter().chain([watchdog_fault]).flatten() {
+        defmt::error!("self-test: fault {=u16}", fault.number());
+        path.with(|rt| rt.raise_standing(fault));
+    }
+    self_test
 }
 
 /// FLASH_OPTR; what is wrong is a fault as long as the program runs.
@@ -272,7 +296,12 @@ impl Board {
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
         self.led.show(state, fault, cycles::now());
-        if self.heartbeat.beat(blocks) {
+        let found = self.self_test.after_block(housekeeping, blocks);
+        if let Some(fault) = found {
+            path.with(|rt| rt.raise_standing(fault));
+        }
+        let is_open = path.with(|rt| rt.drive().bridge == Bridge::Open);
+        if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();
         }
         if blocks == RAN_WELL {

@@ -1,37 +1,101 @@
-//! Before `main`: all RAM is written once, code and constants go to where there are no wait states.
+//! Before `main`: the watchdog is tried, all RAM is tested and written once, code and constants go to where there are no
+//! wait states.
 
 use core::arch::global_asm;
 
-// cortex-m-rt calls this before it fills .data and .bss, with the stack pointer set and nothing else.
+use ihd_firmware::reset::CrashRecord;
+use ihd_shared::fault::Fault;
+
+/// What is left in the crash record where the RAM is broken: the fault, for a start that finds it whole.
+const BROKEN_RAM: [u32; 4] = CrashRecord {
+    reason: None,
+    fault: Fault::RAM_TEST.number(),
+    starts: 0,
+}
+.to_words();
+
+// cortex-m-rt calls this before it fills .data and .bss, with the stack pointer set and nothing else. Assembly, as Rust
+// code may use what is not there yet. No stack: it is among what is tested. It runs from flash at 16 MHz.
 //
-// 1. RAM parity (option bit SRAM_PE): parity bits are undefined at power-on, and a word must be written
-//    before it is read, or NMI comes (RM0440, section 2.4.1). So zero all but the crash record, which
-//    is in SRAM2, where there are none. 6 ms of HSI16.
-// 2. The sampling path and all constants into the CCM SRAM (firmware/ccm.x).
-// 3. The vectors too, and VTOR (Armv7-M, B3.2.5): the processor fetches a vector while it pushes
+// 1. After power-on, once, the watchdog is let run out on purpose (IEC 60730-1 H.2.18.10.3). RCC_CSR keeps its flags until
+//    software clears them: the second time round both BORRSTF and IWDGRSTF are set. Where the reset does not come within
+//    50 ms, `main` finds BORRSTF alone, and says so (`registers::supply::was_watchdog_tried`).
+//    IWDG: started, unlocked, reload of 0, which is in force once RVU is 0 again, and reloaded (RM0440 44.3.3): 125 µs.
+// 2. March C- over all RAM but the crash record, which must survive a reset and is in SRAM2, whose words are tested one by
+//    one and keep what they hold: ⇑(w0) ⇑(r0,w1) ⇑(r1,w0) ⇓(r0,w1) ⇓(r1,w0) ⇑(r0). r9 gathers what was wrong. With RAM
+//    parity on (option bit SRAM_PE) a word must be written before it is read, or NMI comes (RM0440, section 2.4.1): the
+//    march begins with that, and leaves zeros.
+//    Where a cell is broken nothing may run: the watchdog is started as it is after a reset (512 ms), PA5 flickers at 8 Hz,
+//    and the next reset tests again. Outputs are off, as no pin has left its reset state.
+// 3. The sampling path and all constants into the CCM SRAM (firmware/ccm.x).
+// 4. The vectors too, and VTOR (Armv7-M, B3.2.5): the processor fetches a vector while it pushes
 //    registers over another bus.
-//
-// Assembly, as Rust code may use what is not there yet. No stack: it is among what is cleared.
 global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
     ".type __pre_init, %function",
     ".thumb_func",
     "__pre_init:",
-    "movs r2, #0",
+    "mov r11, lr",
+    // RCC_CSR: BORRSTF is bit 27, IWDGRSTF bit 29.
+    "ldr r0, =0x40021094",
+    "ldr r1, [r0]",
+    "tst r1, #0x08000000",
+    "beq 1f",
+    "tst r1, #0x20000000",
+    "bne 1f",
+    // IWDG: KR, RLR at 8, SR at 12.
+    "ldr r0, =0x40003000",
+    "movw r1, #0xCCCC",
+    "str r1, [r0]",
+    "movw r1, #0x5555",
+    "str r1, [r0]",
+    "movs r1, #0",
+    "str r1, [r0, #8]",
+    // 50 ms of 16 MHz, 7 cycles a turn; reloaded once RVU and PVU are 0.
+    "ldr r2, =114286",
+    "movw r3, #0xAAAA",
+    "8: subs r2, #1",
+    "beq 1f",
+    "ldr r1, [r0, #12]",
+    "cmp r1, #0",
+    "bne 8b",
+    "cmp r3, #0",
+    "beq 8b",
+    "str r3, [r0]",
     "movs r3, #0",
-    // SRAM1 and SRAM2, up to the crash record.
+    "b 8b",
+    "1:",
+    "movs r9, #0",
+    // SRAM1 and SRAM2, up to the crash record; the CCM SRAM.
     "ldr r0, =0x20000000",
     "ldr r1, =__crash_record",
-    "1: stmia r0!, {{r2, r3}}",
-    "cmp r0, r1",
-    "blo 1b",
-    // The CCM SRAM.
+    "bl __march",
     "ldr r0, =0x10000000",
     "ldr r1, =0x10008000",
-    "2: stmia r0!, {{r2, r3}}",
+    "bl __march",
+    // The crash record, to the end of SRAM2.
+    "ldr r0, =__crash_record",
+    "ldr r1, =0x20018000",
+    "2: ldr r4, [r0]",
+    "mvns r5, r4",
+    "str r5, [r0]",
+    "dsb",
+    "isb",
+    "ldr r6, [r0]",
+    "eors r6, r5",
+    "orr r9, r9, r6",
+    "str r4, [r0]",
+    "dsb",
+    "isb",
+    "ldr r6, [r0]",
+    "eors r6, r4",
+    "orr r9, r9, r6",
+    "adds r0, #4",
     "cmp r0, r1",
     "blo 2b",
+    "cmp r9, #0",
+    "bne __broken_ram",
     // .ccm
     "ldr r0, =__sccm",
     "ldr r1, =__eccm",
@@ -56,7 +120,92 @@ global_asm!(
     "str r1, [r0]",
     "dsb",
     "isb",
-    "bx lr",
+    "bx r11",
     ".ltorg",
     ".size __pre_init, . - __pre_init",
+    // From r0 up to r1, a multiple of 32 bytes. Changes r2 to r5; leaves zeros.
+    ".type __march, %function",
+    ".thumb_func",
+    "__march:",
+    "movs r2, #0",
+    "mvns r3, r2",
+    "mov r5, r0",
+    "1: .rept 8",
+    "str r2, [r5], #4",
+    ".endr",
+    "cmp r5, r1",
+    "blo 1b",
+    "mov r5, r0",
+    "2: .rept 8",
+    "ldr r4, [r5]",
+    "orr r9, r9, r4",
+    "str r3, [r5], #4",
+    ".endr",
+    "cmp r5, r1",
+    "blo 2b",
+    "mov r5, r0",
+    "3: .rept 8",
+    "ldr r4, [r5]",
+    "orn r9, r9, r4",
+    "str r2, [r5], #4",
+    ".endr",
+    "cmp r5, r1",
+    "blo 3b",
+    "4: .rept 8",
+    "ldr r4, [r5, #-4]",
+    "orr r9, r9, r4",
+    "str r3, [r5, #-4]!",
+    ".endr",
+    "cmp r5, r0",
+    "bhi 4b",
+    "mov r5, r1",
+    "5: .rept 8",
+    "ldr r4, [r5, #-4]",
+    "orn r9, r9, r4",
+    "str r2, [r5, #-4]!",
+    ".endr",
+    "cmp r5, r0",
+    "bhi 5b",
+    "6: .rept 8",
+    "ldr r4, [r5], #4",
+    "orr r9, r9, r4",
+    ".endr",
+    "cmp r5, r1",
+    "blo 6b",
+    "bx lr",
+    ".size __march, . - __march",
+    ".type __broken_ram, %function",
+    ".thumb_func",
+    "__broken_ram:",
+    "ldr r0, =0x40003000",
+    "movw r1, #0xCCCC",
+    "str r1, [r0]",
+    "ldr r0, =__crash_record",
+    "ldr r1, ={record_0}",
+    "ldr r2, ={record_1}",
+    "ldr r3, ={record_2}",
+    "ldr r4, ={record_3}",
+    "stmia r0!, {{r1, r2, r3, r4}}",
+    // RCC_AHB2ENR: GPIOAEN. GPIOA_MODER: PA5 is an output, the others as after reset. GPIOA_BSRR.
+    "ldr r0, =0x4002104C",
+    "movs r1, #1",
+    "str r1, [r0]",
+    "ldr r1, [r0]",
+    "ldr r0, =0x48000000",
+    "ldr r1, =0xABFFF7FF",
+    "str r1, [r0]",
+    "movs r2, #0x20",
+    "1: str r2, [r0, #0x18]",
+    "ror r2, r2, #16",
+    // 62 ms of 16 MHz, 4 cycles a turn.
+    "ldr r3, =250000",
+    "2: subs r3, #1",
+    "bne 2b",
+    "b 1b",
+    ".ltorg",
+    ".size __broken_ram, . - __broken_ram",
+    record_0 = const BROKEN_RAM[0],
+    record_1 = const BROKEN_RAM[1],
+    record_2 = const BROKEN_RAM[2],
+    record_3 = const BROKEN_RAM[3],
 );

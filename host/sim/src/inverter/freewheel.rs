@@ -65,6 +65,7 @@ impl Inverter {
             self.bridge.float_at(f64::from(u8::from(upper)));
         }
         let level = self.bridge.freewheel(upper, dt_s, before.i_a, bus_before_v);
+        self.link_charge_c += level * before.i_a * dt_s;
         let bus_v = self.bus.advance(to_s, dt_s, level * before.i_a);
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         let circuit = &mut self.circuit;

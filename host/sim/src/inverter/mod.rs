@@ -89,6 +89,7 @@ pub struct Inverter {
     /// Voltage of the node while both switches are open and no current flows, in volt.
     floating_v: Option<f64>,
     load_energy_j: f64,
+    link_charge_c: f64,
 }
 
 impl Inverter {
@@ -113,6 +114,7 @@ impl Inverter {
             period_start_s: t_s,
             floating_v: None,
             load_energy_j: 0.0,
+            link_charge_c: 0.0,
         }
     }
 
@@ -120,6 +122,11 @@ impl Inverter {
     /// trapezoids as the circuit's, so none gets lost between bridge, capacitor and load.
     pub fn load_energy_j(&self) -> f64 {
         self.load_energy_j
+    }
+
+    /// Charge that the DC link has given to the bridge since the start, in coulomb.
+    pub fn link_charge_c(&self) -> f64 {
+        self.link_charge_c
     }
 
     /// Integration step in seconds.
@@ -193,6 +200,7 @@ impl Inverter {
             i_a,
             bus_before_v,
         );
+        self.link_charge_c += level * i_a * dt_s;
         let bus_v = self
             .bus
             .advance(self.period_start_s + from_s + dt_s, dt_s, level * i_a);

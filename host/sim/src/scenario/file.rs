@@ -40,6 +40,18 @@ pub struct ScenarioFile {
     /// Bus capacitance in microfarad, 0 for none.
     #[serde(default, deserialize_with = "number::bus_uf")]
     pub bus_capacitance_uf: f64,
+    /// Whether the board has a sensor of the DC link's current.
+    #[serde(default)]
+    pub dc_link: bool,
+    /// Whether a panel is fitted: without one no event may touch it.
+    #[serde(default = "yes")]
+    pub panel: bool,
+    /// Whether heat sink, glass and coil have temperature sensors; without it, they have.
+    #[serde(default)]
+    pub ntc: Option<bool>,
+    /// Temperature around the hob in °C; without it 25.
+    #[serde(default, deserialize_with = "number::some_temperature_c")]
+    pub ambient_c: Option<f64>,
     /// Corner of the anti-alias filters in hertz, 0 for none.
     #[serde(default, deserialize_with = "number::some_corner_hz")]
     pub anti_alias_hz: Option<f64>,
@@ -65,6 +77,10 @@ pub struct ScenarioFile {
 
 fn reduced() -> LoadKind {
     LoadKind::Surrogate
+}
+
+fn yes() -> bool {
+    true
 }
 
 fn one() -> u64 {
@@ -127,6 +143,10 @@ fn named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Pot, D::Error> {
     name.parse().map_err(serde::de::Error::custom)
 }
 
+fn some_named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Pot>, D::Error> {
+    named_pot(from).map(Some)
+}
+
 impl Default for PotField {
     fn default() -> Self {
         Self {
@@ -181,7 +201,7 @@ pub enum HostWord {
     ClearFault,
     /// Clears the fault again and again, every `every_s`.
     ClearFaultEvery,
-    /// Pushes a lookup from `file`, or one of a constant `r_ohm` and `l_uh`.
+    /// Pushes a lookup from `file`, one of a constant `r_ohm` and `l_uh`, or that of the pot `of_pot`.
     PushLookup,
     /// Sends the device back to its built-in lookup.
     ResetLookup,
@@ -206,6 +226,20 @@ pub struct EventField {
     pub pot: Option<PotField>,
     /// Another mains.
     pub mains: Option<MainsField>,
+    /// A person touches the panel: power level 0 (off) to 9.
+    #[serde(default, deserialize_with = "number::some_level")]
+    pub panel: Option<f64>,
+    /// A person locks the panel's keys, or unlocks them.
+    pub key_lock: Option<bool>,
+    /// Another temperature around the hob, in °C.
+    #[serde(default, deserialize_with = "number::some_temperature_c")]
+    pub ambient_c: Option<f64>,
+    /// The heat sink is now so hot, in °C.
+    #[serde(default, deserialize_with = "number::some_temperature_c")]
+    pub heat_sink_c: Option<f64>,
+    /// The glass is now so hot, in °C.
+    #[serde(default, deserialize_with = "number::some_temperature_c")]
+    pub glass_c: Option<f64>,
     /// A fault of sensors or sampling.
     pub inject: Option<InjectionKind>,
     /// Its number.
@@ -222,6 +256,9 @@ pub struct EventField {
     pub toggle: bool,
     /// A lookup's file, relative to the scenario's.
     pub file: Option<PathBuf>,
+    /// The pot that a lookup describes exactly, by name.
+    #[serde(default, deserialize_with = "some_named_pot")]
+    pub of_pot: Option<Pot>,
     /// Resistance of a lookup, in ohm.
     #[serde(default, deserialize_with = "number::some_r_ohm")]
     pub r_ohm: Option<f64>,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use ihd_firmware::request::PanelEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Configure, State};
 
@@ -60,6 +61,8 @@ struct Run {
     mains_before: BTreeMap<usize, (f64, f64)>,
     injected: BTreeMap<usize, u32>,
     energy_j: f64,
+    /// The panel's level, once a person has touched it.
+    panel_level: Option<u8>,
 }
 
 impl Run {
@@ -73,6 +76,9 @@ impl Run {
             pot: file.pot.pot,
             load: file.load,
             warming: file.warming,
+            ambient_c: file.ambient_c.unwrap_or(usual.ambient_c),
+            ntc: file.ntc.unwrap_or(usual.ntc),
+            dc_link: file.dc_link,
             anti_alias_hz: file.anti_alias_hz.unwrap_or(usual.anti_alias_hz),
             noise: file.noise.map_or(usual.noise, |n| Noise {
                 v_v: n.v_v,
@@ -108,6 +114,7 @@ impl Run {
             mains_before: BTreeMap::new(),
             injected: BTreeMap::new(),
             energy_j: 0.0,
+            panel_level: None,
         })
     }
 
@@ -155,6 +162,16 @@ impl Run {
                     hob.inject(|all| all.end(number));
                 }
             }
+            Change::Panel(touch) => {
+                hob.panel(*touch);
+                if let PanelEvent::Level(level) = touch {
+                    self.panel_level = Some(*level);
+                    kind = Kind::Power(hob.housekeeping().control().asked_w());
+                }
+            }
+            Change::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
+            Change::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
+            Change::Glass(celsius) => hob.temperatures().glass_c = *celsius,
             Change::Silent => host.fall_silent(),
             Change::ClearFault => host.clear_fault(hob),
             Change::ResetLookup => host.reset_lookup(hob),
@@ -208,7 +225,11 @@ impl Run {
         let (seen, control) = (housekeeping.summary(), housekeeping.control());
         self.half_cycles.push(HalfCycle {
             t_s: reading.t_s,
-            asked_w: f64::from(self.host.asked_w()),
+            // With a panel the firmware weighs it against the host.
+            asked_w: f64::from(match self.panel_level {
+                Some(_) => control.asked_w(),
+                None => self.host.asked_w(),
+            }),
             power_w: reading.power_w(),
             measured_w: f64::from(seen.power_mw) * 1e-3,
             f_sw_hz,
@@ -221,7 +242,7 @@ impl Run {
             v_coil_peak_v: reading.v_coil_peak_v,
             i_turn_off_min_a: reading.i_turn_off_min_a,
             hard_edges: reading.hard_edges,
-            bridge_on: reading.bridge_on,
+            bridge_on: reading.bridge_on(),
         });
         true
     }
@@ -229,7 +250,7 @@ impl Run {
     fn finish(self, duration_s: f64) -> Record {
         let locked = self.hob.housekeeping().control().state() == State::LockedOut;
         let mut summary = summary::of(&self.half_cycles, &self.marks, duration_s);
-        summary.latched = locked && self.host.asked_w() > 0;
+        summary.latched = locked && (self.host.asked_w() > 0 || self.panel_level > Some(0));
         summary.energy_j = self.energy_j;
         summary.watchdog_bites = self.hob.watchdog_bites();
         Record {

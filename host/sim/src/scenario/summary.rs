@@ -1,5 +1,7 @@
 //! Settling, overshoot and error of the power steps (docs/control.md has the definitions).
 
+use ihd_firmware::limits::{BURST_PERIOD_MS, BURST_POWER_W};
+
 use super::record::{HalfCycle, Recovery, Step, Summary};
 
 /// Settled: this near to what is asked for, as a share of it.
@@ -10,6 +12,12 @@ const SETTLED_LEAST_W: f64 = 5.0;
 
 /// The end of a step over which its error is taken, in seconds.
 const ERROR_OVER_S: f64 = 0.2;
+
+/// Less than this, in watt, may be given in bursts.
+const BURSTS_BELOW_W: f64 = BURST_POWER_W as f64;
+
+/// What counts in bursts is the mean over this, in seconds: two periods.
+const BURSTS_OVER_S: f64 = 2e-3 * BURST_PERIOD_MS as f64;
 
 /// What an event was to the power.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,25 +44,50 @@ fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
     &half_cycles[from..to]
 }
 
-/// Time after `from_s` from which on the power stays near; the last half-cycle of `span` may reach
-/// beyond it and does not count.
-fn settled_after_s(span: &[HalfCycle], from_s: f64, asked_w: f64) -> Option<f64> {
-    let tolerance_w = (SETTLED * asked_w).max(SETTLED_LEAST_W);
+/// The power that counts, with the start of its half-cycle: of every one, or in bursts the mean of those before it.
+/// The last half-cycle of `span` may reach beyond it and is left out.
+fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     let whole = &span[..span.len().saturating_sub(1)];
-    let near = |h: &HalfCycle| (h.power_w - asked_w).abs() <= tolerance_w;
-    let stays = whole.iter().rev().take_while(|h| near(h)).count();
-    let first = whole.get(whole.len() - stays)?;
-    // Settled with the half-cycle before at its end, which is where the first near one begins.
-    Some((first.t_s - from_s).max(0.0))
+    if !is_in_bursts(span, asked_w) {
+        return whole.iter().map(|h| (h.t_s, h.power_w)).collect();
+    }
+    let begin_s = whole.first().map_or(0.0, |h| h.t_s);
+    let late = whole.iter().filter(|h| h.t_s >= begin_s + BURSTS_OVER_S);
+    late.map(|h| {
+        let last = within(whole, h.t_s - BURSTS_OVER_S, h.t_s);
+        (h.t_s, mean_w(last).unwrap_or(0.0))
+    })
+    .collect()
+}
+
+/// Whether the bridge pauses although it heats.
+fn is_in_bursts(span: &[HalfCycle], asked_w: f64) -> bool {
+    let pauses = |pair: &[HalfCycle]| pair[0].bridge_on && !pair[1].bridge_on;
+    asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.windows(2).any(pauses)
+}
+
+fn mean_w(span: &[HalfCycle]) -> Option<f64> {
+    let sum_w: f64 = span.iter().map(|h| h.power_w).sum();
+    (!span.is_empty()).then(|| sum_w / span.len() as f64)
+}
+
+/// Time after `from_s` from which on the power stays near.
+fn settled_after_s(counting: &[(f64, f64)], from_s: f64, asked_w: f64) -> Option<f64> {
+    let tolerance_w = (SETTLED * asked_w).max(SETTLED_LEAST_W);
+    let near = |(_, power_w): &&(f64, f64)| (power_w - asked_w).abs() <= tolerance_w;
+    let stays = counting.iter().rev().take_while(near).count();
+    // Its first half-cycle is where it begins; that takes no time.
+    let (first_s, _) = counting.get(counting.len() - stays)?;
+    Some((first_s - from_s).max(0.0))
 }
 
 fn error_pct(span: &[HalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
-    let last = within(span, to_s - ERROR_OVER_S, to_s);
+    let bursts = is_in_bursts(span, asked_w);
+    let over_s = if bursts { BURSTS_OVER_S } else { ERROR_OVER_S };
+    let last = within(span, to_s - over_s, to_s);
     let whole = &last[..last.len().saturating_sub(1)];
-    if whole.is_empty() || asked_w == 0.0 {
-        return None;
-    }
-    let mean_w = whole.iter().map(|h| h.power_w).sum::<f64>() / whole.len() as f64;
+    let enough = !bursts || span.first().is_some_and(|h| h.t_s <= to_s - over_s);
+    let mean_w = mean_w(whole).filter(|_| asked_w > 0.0 && enough)?;
     Some(100.0 * (mean_w - asked_w).abs() / asked_w)
 }
 
@@ -69,19 +102,20 @@ pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> 
         match mark.kind {
             Kind::Power(power_w) => {
                 let before_w = std::mem::replace(&mut asked_w, f64::from(power_w));
-                let most_w = span.iter().map(|h| h.power_w).fold(0.0, f64::max);
+                let powers = counting(span, asked_w);
+                let most_w = powers.iter().map(|(_, w)| *w).fold(0.0, f64::max);
                 let over_pct = 100.0 * (most_w / asked_w - 1.0).max(0.0);
                 steps.push(Step {
                     at_s: mark.at_s,
                     power_w: asked_w,
-                    settled_after_s: settled_after_s(span, mark.at_s, asked_w),
+                    settled_after_s: settled_after_s(&powers, mark.at_s, asked_w),
                     overshoot_pct: (asked_w > before_w).then_some(over_pct),
                     error_pct: error_pct(span, to_s, asked_w),
                 });
             }
             Kind::Disturbed => recoveries.push(Recovery {
                 at_s: mark.at_s,
-                after_s: settled_after_s(span, mark.at_s, asked_w),
+                after_s: settled_after_s(&counting(span, asked_w), mark.at_s, asked_w),
             }),
             Kind::Other => {}
         }

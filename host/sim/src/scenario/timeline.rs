@@ -2,13 +2,18 @@
 
 use std::path::Path;
 
+use ihd_firmware::request::PanelEvent;
 use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::lookup::grid::{self, CURRENTS, FREQUENCIES};
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 
 use super::ScenarioError;
 use super::file::{EventField, HostWord, MainsField, Scenario};
 use crate::injection::Injection;
+use crate::load_library::WINDING_R_OHM;
 use crate::pot::Pot;
+use crate::recording::prepared::surrogate_pot;
 
 /// Something that changes.
 #[derive(Clone, Debug)]
@@ -27,6 +32,14 @@ pub enum Change {
     Inject(Injection),
     /// The fault of the event of this number ends.
     InjectEnd(usize),
+    /// A person touches the panel.
+    Panel(PanelEvent),
+    /// Ambient temperature in °C.
+    Ambient(f64),
+    /// The heat sink's temperature in °C.
+    HeatSink(f64),
+    /// The glass's temperature in °C.
+    Glass(f64),
     /// The host falls silent.
     Silent,
     /// The host clears the fault.
@@ -80,6 +93,10 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<Timed>, ScenarioError> {
             line: scenario.lines[event],
             why,
         };
+        let touches = field.panel.is_some() || field.key_lock.is_some();
+        if touches && !scenario.file.panel {
+            return Err(wrong("there is no panel: panel = false".to_owned()));
+        }
         let mut changes = Changes {
             event,
             field,
@@ -92,7 +109,8 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<Timed>, ScenarioError> {
             .map_err(wrong)?;
         if all.len() == before {
             return Err(wrong(
-                "nothing happens: give power_w, pot, mains, inject or host".to_owned(),
+                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, ambient_c, \
+                 heat_sink_c or glass_c".to_owned(),
             ));
         }
     }
@@ -137,6 +155,7 @@ impl Changes<'_> {
                 self.push(end_s, Change::MainsBack(event));
             }
         }
+        self.of_person_and_heat();
         let Some(kind) = field.inject else {
             return match (field.value, field.channel) {
                 (None, None) => Ok(()),
@@ -162,6 +181,22 @@ impl Changes<'_> {
             self.push(end_s, Change::InjectEnd(event));
         }
         Ok(())
+    }
+
+    fn of_person_and_heat(&mut self) {
+        let field = self.field;
+        let level = field.panel.map(|level| PanelEvent::Level(level as u8));
+        let key_lock = field.key_lock.map(PanelEvent::KeyLock);
+        let changes = [
+            level.map(Change::Panel),
+            key_lock.map(Change::Panel),
+            field.ambient_c.map(Change::Ambient),
+            field.heat_sink_c.map(Change::HeatSink),
+            field.glass_c.map(Change::Glass),
+        ];
+        for change in changes.into_iter().flatten() {
+            self.push(field.at_s, change);
+        }
     }
 
     fn of_host(&mut self, directory: &Path, versions: &mut u32) -> Result<(), String> {
@@ -205,26 +240,39 @@ impl Changes<'_> {
 
 /// The lookup of an event: the constant one is observed everywhere.
 fn lookup(field: &EventField, directory: &Path, version: u32) -> Result<RlLookup, String> {
-    let mut lookup = match (&field.file, field.r_ohm, field.l_uh) {
-        (Some(file), None, None) => {
+    let code = |value: f64, unit: f64| (value / unit).round().clamp(0.0, 65_535.0) as u16;
+    let mut lookup = prior();
+    lookup.observed = lookup.observed.map(|_| 0xFF);
+    match (&field.file, field.of_pot, field.r_ohm, field.l_uh) {
+        (Some(file), None, None, None) => {
             let path = directory.join(file);
             let bytes = std::fs::read(&path)
                 .map_err(|e| format!("cannot read lookup {}: {e}", path.display()))?;
-            RlLookup::from_bytes(&bytes).map_err(|e| format!("lookup {}: {e}", path.display()))?
+            lookup = RlLookup::from_bytes(&bytes)
+                .map_err(|e| format!("lookup {}: {e}", path.display()))?;
         }
-        (None, Some(r_ohm), Some(l_uh)) => {
-            let code = |value: f64, unit: f64| (value / unit).round().min(65_535.0) as u16;
-            let prior = ihd_shared::lookup::prior::prior();
-            RlLookup {
-                r: prior.r.map(|row| row.map(|_| code(r_ohm, OHM_PER_CODE))),
-                l: prior
-                    .l
-                    .map(|row| row.map(|_| code(l_uh * 1e-6, HENRY_PER_CODE))),
-                observed: prior.observed.map(|_| 0xFF),
-                ..prior
+        (None, Some(pot), None, None) => {
+            let wrong = |e| format!("of_pot {pot}: {e}");
+            let table = surrogate_pot(&pot, WINDING_R_OHM).map_err(wrong)?;
+            for f in 0..FREQUENCIES {
+                let load = table.at(grid::frequency_hz(f));
+                for i in 0..CURRENTS {
+                    let (r_ohm, l_h) = load.r_l(grid::current_a(i));
+                    lookup.r[f][i] = code(r_ohm, OHM_PER_CODE);
+                    lookup.l[f][i] = code(l_h, HENRY_PER_CODE);
+                }
             }
         }
-        _ => return Err("push-lookup: give file, or both r_ohm and l_uh".to_owned()),
+        (None, None, Some(r_ohm), Some(l_uh)) => {
+            let (r, l) = (code(r_ohm, OHM_PER_CODE), code(l_uh * 1e-6, HENRY_PER_CODE));
+            (lookup.r, lookup.l) = (
+                lookup.r.map(|row| row.map(|_| r)),
+                lookup.l.map(|row| row.map(|_| l)),
+            );
+        }
+        _ => {
+            return Err("push-lookup: give file, of_pot, or both r_ohm and l_uh".to_owned());
+        }
     };
     if let Some(version) = field.version.or(field.file.is_none().then_some(version)) {
         lookup.version = version;

@@ -154,6 +154,11 @@ impl Hrtim {
         }
     }
 
+    /// Whether the bridge's timer counts.
+    pub fn is_running(&self) -> bool {
+        self.a.running
+    }
+
     /// Frequency at which timer A counts, in hertz.
     pub fn f_sw_hz(&self) -> f64 {
         crate::time::TICKS_PER_S as f64 / f64::from(self.a.period.max(1))

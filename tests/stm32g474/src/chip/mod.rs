@@ -183,9 +183,9 @@ impl Chip {
         };
         self.hrtim = Hrtim::default();
         self.hrtim.off_at = off_at;
-        let sent = std::mem::take(&mut self.serial.sent);
-        self.serial = Serial::default();
-        self.serial.sent = sent;
+        // What is on the line is no part of the chip: what has left it, and what has not reached it.
+        let line = std::mem::take(&mut self.serial);
+        (self.serial.sent, self.serial.inbound) = (line.sent, line.inbound);
         self.usb = Usb::new();
         self.nvic = Nvic::default();
         self.watchdog = self.watchdog.after_reset();

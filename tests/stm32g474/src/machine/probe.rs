@@ -24,6 +24,11 @@ impl Machine {
         self.cpu.get_data_mut().stuck.push(stuck);
     }
 
+    /// No bit is stuck any more.
+    pub fn release_bits(&mut self) {
+        self.cpu.get_data_mut().stuck.clear();
+    }
+
     /// Program counter.
     pub fn pc(&self) -> u32 {
         self.cpu.pc_read().unwrap_or(0) as u32

@@ -6,5 +6,6 @@ mod link;
 mod lookup;
 mod memory;
 mod protection;
+mod self_test;
 mod start;
 mod timing;

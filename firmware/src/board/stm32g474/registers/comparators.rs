@@ -8,6 +8,7 @@ use embassy_stm32::{peripherals, rcc};
 use ihd_firmware::protection::TRIP_CODE;
 
 use super::clocks::CORE_MHZ;
+use super::faults;
 
 /// The sensor's zero is at mid-scale. Codes are the ADC's, so the hardware trips where the software
 /// does, a block earlier.
@@ -57,4 +58,25 @@ pub fn start() {
     for comparator in [pac::COMP1, pac::COMP2] {
         comparator.csr().modify(|w| w.set_lock(true));
     }
+}
+
+/// Whether the trip works, from the threshold to HRTIM's fault inputs: with both at 0 V both comparators must trip, as the
+/// current's zero is at mid-scale, and with both back where they belong none may. To be called once the fault inputs are
+/// armed, with the bridge open; it stays so, as an output is enabled by software alone.
+pub fn trip() -> bool {
+    set_thresholds(0);
+    let all = faults::comparators_tripped() == [true; 2];
+    set_thresholds(LEVEL);
+    faults::clear();
+    cortex_m::asm::delay(2 * CORE_MHZ);
+    all && faults::comparators_tripped() == [false; 2]
+}
+
+/// DAC, DAC_DHR12Rx; then the DAC settles (t_SETTLING 3 µs at most without buffer, DS12288), the comparator follows and
+/// HRTIM's filter (330 ns) passes it on.
+fn set_thresholds(code: u16) {
+    for channel in 0..2 {
+        pac::DAC1.dhr12r(channel).write(|w| w.set_dhr(code));
+    }
+    cortex_m::asm::delay(10 * CORE_MHZ);
 }

@@ -95,6 +95,12 @@ pub fn hardware_fault() -> Option<Fault> {
     }
 }
 
+/// Which of the two fault inputs of [`INPUTS`] have tripped (HRTIM, HRTIM_ISR).
+pub fn comparators_tripped() -> [bool; 2] {
+    let isr = pac::HRTIM1.isr().read();
+    INPUTS.map(|input| isr.flt(input))
+}
+
 /// Which of the causes of HRTIM's system fault has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two
 /// wrong bits in either half of a word of two banks); SYSCFG, SYSCFG_CFGR2 (SPF); PWR, PWR_SR2
 /// (PVDO, which goes when the supply is back) and EXTI, EXTI_PR1 ([`PVD_LINE`], which stays).

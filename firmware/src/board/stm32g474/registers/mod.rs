@@ -17,6 +17,7 @@ pub mod clocks;
 pub mod comparators;
 pub mod dma;
 pub mod faults;
+pub mod low_speed;
 pub mod supply;
 
 /// Indices of the timers in HRTIM.

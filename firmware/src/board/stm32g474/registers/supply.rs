@@ -3,17 +3,20 @@
 use embassy_stm32::pac;
 use ihd_firmware::reset::Flags;
 
-/// RCC, RCC_CSR: why the controller started; cleared for the next time.
-pub fn reset_flags() -> Flags {
+/// RCC, RCC_CSR: why the controller started, cleared for the next time; and whether the watchdog is sound. After power-on
+/// start-up lets it run out once (`start_up.rs`), which is no end of the program: both flags are set then.
+pub fn reset_flags() -> (Flags, bool) {
     let csr = pac::RCC.csr().read();
+    let bit_by_watchdog = csr.iwdgrstf() || csr.wwdgrstf();
+    let is_sound = bit_by_watchdog || !csr.borrstf();
     let flags = Flags {
-        watchdog: csr.iwdgrstf() || csr.wwdgrstf(),
+        watchdog: bit_by_watchdog && !csr.borrstf(),
         software: csr.sftrstf(),
         brown_out: csr.borrstf(),
         pin: csr.pinrstf(),
     };
     pac::RCC.csr().modify(|w| w.set_rmvf(true));
-    flags
+    (flags, is_sound)
 }
 
 /// FLASH, FLASH_OPTR: whether there are two banks, of which one can be written while the program runs

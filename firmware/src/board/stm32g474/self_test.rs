@@ -1,0 +1,219 @@
+//! The self-tests that run in the thread: at start all at once, afterwards a slice every few blocks. What is tested before
+//! `main`, RAM and watchdog, is in `start_up.rs`; the trip in `registers/comparators.rs`.
+
+use core::{ptr, slice};
+
+use embassy_stm32::Peri;
+use embassy_stm32::crc::{Config, Crc, InputReverseConfig, PolySize};
+use embassy_stm32::peripherals::CRC;
+use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::self_test::clock::ClockCheck;
+use ihd_firmware::self_test::flow::{Counts, Flow, ProgramFlow, Task};
+use ihd_firmware::self_test::image::{CopyCheck, Crc32, ImageCheck};
+use ihd_shared::fault::Fault;
+
+use super::adc::sampled_cycles;
+use super::nonvolatile::{ASKED, answers};
+use super::registers::clocks::CORE_MHZ;
+use super::registers::low_speed;
+use crate::board::cycles;
+
+/// Words of the image, and of a copy, that are looked at every [`EVERY`] blocks: 131 KiB in 3 s at 34 kHz, the CCM SRAM in 1 s.
+const SLICE_WORDS: usize = 64;
+const EVERY: u32 = 64;
+
+/// From one look at clock and lookup to the next: 1 s.
+const SECOND_CYCLES: u32 = CORE_MHZ * 1_000_000;
+
+/// Polls of a capture, which comes every 250 µs: in a loop of some 20 cycles at start, once a block later.
+const PATIENCE_AT_START: u32 = 40_000;
+const PATIENCE: u32 = 400;
+
+/// Words at the end of the stack that nothing may have written to.
+const CANARY_WORDS: usize = 32;
+
+unsafe extern "C" {
+    static __vector_table: u32;
+    static __image_crc: u32;
+    static __sccm: u32;
+    static __eccm: u32;
+    static __siccm: u32;
+    static __stables: u32;
+    static __etables: u32;
+    static __sitables: u32;
+    static _stack_end: u32;
+}
+
+/// The words from one symbol of the linker to another.
+fn words(begin: *const u32, end: *const u32) -> &'static [u32] {
+    let length = (end as usize).saturating_sub(begin as usize) / size_of::<u32>();
+    // SAFETY: both are symbols of the same section in flash, CCM SRAM or RAM, which holds code and constants that nobody
+    // writes once start-up has copied them.
+    unsafe { slice::from_raw_parts(begin, length) }
+}
+
+/// The chip's CRC unit (RM0440, CRC): with both reversals and a complement it is the CRC-32 of zlib.
+struct Unit(Crc<'static>);
+
+impl Unit {
+    const POLYNOMIAL: u32 = 0x04C1_1DB7;
+
+    fn new(unit: Peri<'static, CRC>) -> Option<Self> {
+        let (reversed, width) = (InputReverseConfig::Word, PolySize::Width32);
+        let config = Config::new(reversed, true, width, u32::MAX, Self::POLYNOMIAL).ok()?;
+        Some(Self(Crc::new(unit, config)))
+    }
+}
+
+impl Crc32 for Unit {
+    fn restart(&mut self) {
+        self.0.reset();
+    }
+    fn feed(&mut self, words: &[u32]) {
+        self.0.feed_words(words);
+    }
+    fn value(&self) -> u32 {
+        !self.0.read()
+    }
+}
+
+/// What is tested, and how far it has come.
+pub struct SelfTest {
+    unit: Option<Unit>,
+    image: ImageCheck,
+    copies: [CopyCheck; 2],
+    clock: ClockCheck,
+    flow: ProgramFlow,
+    turns: u32,
+    sliced_at: u32,
+    second_at: u32,
+    looks_at_clock: bool,
+}
+
+impl SelfTest {
+    /// Tests flash and clock; what is wrong with them.
+    pub fn at_start(unit: Peri<'static, CRC>) -> (Self, [Option<Fault>; 2]) {
+        // SAFETY: the linker's symbols; the CRC is read once, and is no variable.
+        let (image, crc, copies) = unsafe {
+            let image = words(&raw const __vector_table, &raw const __image_crc);
+            let ccm = words(&raw const __sccm, &raw const __eccm);
+            let tables = words(&raw const __stables, &raw const __etables);
+            let end_of =
+                |begin: *const u32, copy: &[u32]| words(begin, begin.wrapping_add(copy.len()));
+            let copies = [
+                CopyCheck::new(ccm, end_of(&raw const __siccm, ccm)),
+                CopyCheck::new(tables, end_of(&raw const __sitables, tables)),
+            ];
+            (image, ptr::read_volatile(&raw const __image_crc), copies)
+        };
+        let mut this = Self {
+            unit: Unit::new(unit),
+            image: ImageCheck::new(image, crc),
+            copies,
+            clock: ClockCheck::default(),
+            flow: ProgramFlow::new(0, Counts::default()),
+            turns: 0,
+            sliced_at: 0,
+            second_at: 0,
+            looks_at_clock: false,
+        };
+        let whole = this.unit.as_mut().is_some_and(|unit| this.image.run(unit));
+        low_speed::start();
+        let agree = loop {
+            let captured = low_speed::captured();
+            if let Some(agree) = this.clock.take(captured, PATIENCE_AT_START) {
+                break agree;
+            }
+        };
+        let found = [
+            (!whole).then_some(Fault::FLASH_CRC),
+            (!agree).then_some(Fault::CLOCK),
+        ];
+        (this, found)
+    }
+
+    /// Blocks come from here on.
+    pub fn begin(&mut self) {
+        let now = cycles::now();
+        self.second_at = now;
+        self.flow = ProgramFlow::new(now, self.counts(0));
+        ASKED.signal(());
+    }
+
+    /// Whether each task ran at its rate in the last window.
+    pub fn is_flow_right(&self) -> bool {
+        self.flow.is_right()
+    }
+
+    /// A turn of housekeeping, after `blocks` blocks since boot; what is wrong.
+    pub fn after_block(&mut self, housekeeping: &Housekeeping, blocks: u32) -> Option<Fault> {
+        self.turns = self.turns.wrapping_add(1);
+        let now = cycles::now();
+        let rate = match self.flow.check(now, self.counts(blocks)) {
+            Flow::Going => None,
+            Flow::Right => {
+                ASKED.signal(());
+                None
+            }
+            Flow::Wrong(task) => {
+                defmt::error!("program flow: task {=u8}", task as u8);
+                // Where it has not answered it is not asked again.
+                if task != Task::Keep {
+                    ASKED.signal(());
+                }
+                Some(Fault::PROGRAM_FLOW)
+            }
+        };
+        rate.or_else(|| self.each_second(housekeeping, now))
+            .or_else(|| self.slice(blocks))
+    }
+
+    fn counts(&self, blocks: u32) -> Counts {
+        Counts {
+            sampled_cycles: sampled_cycles(),
+            blocks,
+            turns: self.turns,
+            answers: answers(),
+        }
+    }
+
+    fn each_second(&mut self, housekeeping: &Housekeeping, now: u32) -> Option<Fault> {
+        if self.looks_at_clock {
+            let agree = self.clock.take(low_speed::captured(), PATIENCE)?;
+            self.looks_at_clock = false;
+            return (!agree).then_some(Fault::CLOCK);
+        }
+        if now.wrapping_sub(self.second_at) < SECOND_CYCLES {
+            return None;
+        }
+        self.second_at = now;
+        self.looks_at_clock = true;
+        (!housekeeping.is_lookup_intact()).then_some(Fault::DATA_CRC)
+    }
+
+    fn slice(&mut self, blocks: u32) -> Option<Fault> {
+        if blocks.wrapping_sub(self.sliced_at) < EVERY {
+            return None;
+        }
+        self.sliced_at = blocks;
+        if !is_canary_alive() {
+            return Some(Fault::STACK_CANARY);
+        }
+        let mut copies = self.copies.iter_mut();
+        if copies.any(|copy| copy.step(SLICE_WORDS).is_break()) {
+            return Some(Fault::DATA_CRC);
+        }
+        let whole = self.image.step(self.unit.as_mut()?, SLICE_WORDS);
+        (whole == Some(false)).then_some(Fault::FLASH_CRC)
+    }
+}
+
+/// Whether the end of the stack is as start-up painted it (cortex-m-rt, `paint-stack`).
+fn is_canary_alive() -> bool {
+    let end = &raw const _stack_end;
+    (0..CANARY_WORDS).all(|k| {
+        // SAFETY: inside the stack's memory, which is 16 KiB; volatile, as it is written by nobody who is known.
+        let word = unsafe { ptr::read_volatile(end.wrapping_add(k)) };
+        word == cortex_m_rt::STACK_PAINT_VALUE
+    })
+}

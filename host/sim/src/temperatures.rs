@@ -1,0 +1,184 @@
+//! Heat sink, glass and coil: what warms them, what cools them, and the codes of their sensors.
+
+use ihd_firmware::temperature::TemperatureCodes;
+
+use crate::injection::{Channel, InjectionKind, Injections};
+
+/// Temperature around the hob, in °C, where none is given.
+pub const AMBIENT_C: f64 = 25.0;
+
+/// Voltage across whichever switch or diode carries the coil's current, in volt: 1.7 V of an IGBT of 1200 V at 25 A.
+const SWITCH_V: f64 = 1.7;
+
+/// Voltage across the mains rectifier's two diodes, in volt.
+const RECTIFIER_V: f64 = 1.8;
+
+/// Winding of the coil, in ohm, as in the load library.
+const WINDING_R_OHM: f64 = crate::load_library::WINDING_R_OHM;
+
+/// Aluminium of 0.28 kg, in J/K.
+const SINK_J_PER_K: f64 = 250.0;
+
+/// From the heat sink to the air, in W/K: with the fan, and without.
+const SINK_W_PER_K: (f64, f64) = (1.7, 0.4);
+
+/// Glass ceramic of 4 mm under a pot of 21 cm: 0.35 kg, in J/K.
+const GLASS_J_PER_K: f64 = 280.0;
+
+/// From the pot's base to the glass, from the glass to the air, and from the glass to the coil, in W/K.
+const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
+
+/// Litz wire and its carrier, in J/K.
+const COIL_J_PER_K: f64 = 200.0;
+
+/// From the coil to the air, in W/K: with the fan, and without.
+const COIL_W_PER_K: (f64, f64) = (1.2, 0.4);
+
+/// What a stretch of time brought in.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Heat {
+    /// Mean of the coil current's magnitude, in ampere.
+    pub i_mean_a: f64,
+    /// Its square's mean, in ampere squared.
+    pub i_square_a2: f64,
+    /// Mean current from the rectifier, in ampere.
+    pub mains_a: f64,
+    /// Energy of hard edges, in joule.
+    pub edges_j: f64,
+    /// Temperature of the pot's base in °C; `None` without a pot.
+    pub pot_c: Option<f64>,
+}
+
+/// Three lumps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Temperatures {
+    /// Around the hob, in °C.
+    pub ambient_c: f64,
+    /// Heat sink of switches and rectifier, in °C.
+    pub heat_sink_c: f64,
+    /// Under the glass, in °C.
+    pub glass_c: f64,
+    /// Coil, in °C.
+    pub coil_c: f64,
+}
+
+impl Temperatures {
+    /// All at the temperature around the hob, in °C.
+    pub fn at(ambient_c: f64) -> Self {
+        Self {
+            ambient_c,
+            heat_sink_c: ambient_c,
+            glass_c: ambient_c,
+            coil_c: ambient_c,
+        }
+    }
+
+    /// After `dt_s`, short against seconds.
+    pub fn advance(&mut self, dt_s: f64, heat: &Heat, fan: bool) {
+        let air = |(with, without): (f64, f64)| if fan { with } else { without };
+        let Self {
+            ambient_c,
+            heat_sink_c,
+            glass_c,
+            coil_c,
+        } = *self;
+        let lost_w = SWITCH_V * heat.i_mean_a + RECTIFIER_V * heat.mains_a;
+        let sink_w = lost_w - air(SINK_W_PER_K) * (heat_sink_c - ambient_c);
+        let (from_pot, to_air, to_coil) = GLASS_W_PER_K;
+        let down_w = to_coil * (glass_c - coil_c);
+        let pot_w = heat.pot_c.map_or(0.0, |pot_c| from_pot * (pot_c - glass_c));
+        let glass_w = pot_w - to_air * (glass_c - ambient_c) - down_w;
+        let copper_w = WINDING_R_OHM * heat.i_square_a2;
+        let coil_w = copper_w + down_w - air(COIL_W_PER_K) * (coil_c - ambient_c);
+        self.heat_sink_c += (sink_w * dt_s + heat.edges_j) / SINK_J_PER_K;
+        self.glass_c += glass_w * dt_s / GLASS_J_PER_K;
+        self.coil_c += coil_w * dt_s / COIL_J_PER_K;
+    }
+
+    /// What the converter makes of the sensors: NTCs of 10 kohm (heat sink) and 100 kohm at 25 °C, below 10 kohm to
+    /// the reference.
+    pub fn codes(&self, injections: &Injections) -> TemperatureCodes {
+        let code = |channel, ohm_at_25c, celsius| match injections.ntc(channel) {
+            Some(InjectionKind::NtcOpen) => Some(4_095),
+            Some(_) => Some(0),
+            None => Some(ntc_code(ohm_at_25c, celsius)),
+        };
+        TemperatureCodes {
+            heat_sink: code(Channel::HeatSink, 10e3, self.heat_sink_c),
+            glass: code(Channel::Glass, 100e3, self.glass_c),
+            coil: code(Channel::Coil, 100e3, self.coil_c),
+        }
+    }
+}
+
+/// B = 3950 K; docs/wiring.md has the divider.
+fn ntc_code(ohm_at_25c: f64, celsius: f64) -> u16 {
+    let ohm = ohm_at_25c * libm::exp(3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15));
+    (4_096.0 * ohm / (ohm + 10e3)).round().min(4_095.0) as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::injection::Injection;
+
+    fn settled(heat: &Heat, fan: bool) -> Temperatures {
+        let mut t = Temperatures::at(AMBIENT_C);
+        (0..200_000).for_each(|_| t.advance(0.1, heat, fan));
+        t
+    }
+
+    #[test]
+    fn at_rated_power_the_fan_makes_the_difference() {
+        let heat = Heat {
+            i_mean_a: 20.0,
+            i_square_a2: 550.0,
+            mains_a: 11.0,
+            edges_j: 0.0,
+            pot_c: Some(110.0),
+        };
+        let (with, without) = (settled(&heat, true), settled(&heat, false));
+        // (1.7·20 + 1.8·11) W over 1.7 and 0.4 W/K.
+        assert!(
+            (with.heat_sink_c - (25.0 + 53.8 / 1.7)).abs() < 0.1,
+            "{with:?}"
+        );
+        assert!((without.heat_sink_c - (25.0 + 53.8 / 0.4)).abs() < 0.1);
+        assert!((60.0..110.0).contains(&with.coil_c), "{with:?}");
+        assert!((85.0..105.0).contains(&with.glass_c), "{with:?}");
+    }
+
+    #[test]
+    fn the_firmware_reads_its_own_temperatures_back() {
+        let t = Temperatures {
+            heat_sink_c: 63.0,
+            glass_c: 141.0,
+            coil_c: 98.0,
+            ..Temperatures::at(AMBIENT_C)
+        };
+        let mut read = ihd_firmware::temperature::Temperatures::default();
+        read.update(t.codes(&Injections::default()));
+        let got = read.celsius().map(|c| f64::from(c.unwrap()));
+        for (got, is) in got.into_iter().zip([63.0, 141.0, 98.0]) {
+            assert!((got - is).abs() < 2.5, "{got} {is}");
+        }
+    }
+
+    #[test]
+    fn a_broken_and_a_shorted_sensor_have_the_codes_of_the_ends() {
+        let mut injections = Injections::default();
+        for (kind, channel) in [
+            (InjectionKind::NtcOpen, Channel::Glass),
+            (InjectionKind::NtcShort, Channel::HeatSink),
+        ] {
+            injections.start(Injection {
+                kind,
+                value: 0.0,
+                channel,
+            });
+        }
+        let codes = Temperatures::at(AMBIENT_C).codes(&injections);
+        assert_eq!((codes.glass, codes.heat_sink), (Some(4_095), Some(0)));
+        assert_eq!(codes.coil, Some(3_723), "100 kohm over 110 kohm");
+    }
+}
