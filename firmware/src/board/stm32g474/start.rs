@@ -4,7 +4,7 @@ use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
-use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
+use embassy_stm32::gpio::{AfType, Flex, Level, Output, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::peripherals::{CRC, IWDG, LPUART1, USB};
 use embassy_stm32::rcc;
@@ -28,6 +28,7 @@ use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::self_test::SelfTest;
+use super::temperatures::Temperatures;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -58,6 +59,9 @@ struct Board {
     led: Led,
     heartbeat: Heartbeat,
     self_test: SelfTest,
+    temperatures: Temperatures,
+    #[expect(dead_code, reason = "for `Housekeeping::fan`")]
+    fan: Output<'static>,
     kept_version: u32,
 }
 
@@ -128,6 +132,9 @@ fn start(
         Flex::new(p.PA7),
         Flex::new(p.PB0),
         Flex::new(p.PB1),
+        Flex::new(p.PB12),
+        Flex::new(p.PB14),
+        Flex::new(p.PB15),
     ] {
         analog(pin);
     }
@@ -158,6 +165,8 @@ fn start(
         led,
         heartbeat: Heartbeat::default(),
         self_test,
+        temperatures: Temperatures::start(cycles::now()),
+        fan: Output::new(p.PB5, Level::Low, Speed::Low),
         kept_version: housekeeping.lookup().version,
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
@@ -296,6 +305,7 @@ impl Board {
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
         self.led.show(state, fault, cycles::now());
+        self.temperatures.after_block(cycles::now());
         let found = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = found {
             path.with(|rt| rt.raise_standing(fault));
