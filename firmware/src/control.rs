@@ -314,8 +314,10 @@ impl Control {
                 return Action::Keep;
             }
         }
+        // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.temperatures.fault();
-        if condition != Fault::NONE && now.fault == Fault::NONE {
+        let wants_heat = self.request.power_w() > 0 && !now.replaying;
+        if condition != Fault::NONE && wants_heat && now.fault == Fault::NONE {
             return Action::Fault(condition);
         }
         match self.state {
@@ -352,7 +354,7 @@ impl Control {
     fn end_pause(&mut self, now: &Now) -> Action {
         let lasts = class(now.fault) == Class::Passing
             && (self.good_half_cycles < GOOD_HALF_CYCLES
-                || self.temperatures.fault() != Fault::NONE);
+                || (self.temperatures.fault() != Fault::NONE && self.request.power_w() > 0));
         // What a recording tripped stands until it is over.
         if lasts || now.replaying || !self.restart.permits(now.ms) {
             return Action::Keep;

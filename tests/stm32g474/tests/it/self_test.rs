@@ -164,6 +164,18 @@ fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run() {
     }
 }
 
+/// In the stack, where nothing has used it, and in the last word before the crash record.
+#[test]
+fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found() {
+    for (cell, bit) in [(0x2000_0180, 3), (0x2001_7FDC, 0)] {
+        let bench = heating();
+        let off_s = off_after_s(&bench, 15.0, move |machine| machine.stick_bit(cell, bit));
+        println!("RAM at {cell:#x}: off after {off_s:.2} s");
+        assert!(off_s < 10.0, "{off_s}");
+        assert_stands(&bench, Fault::RAM_TEST);
+    }
+}
+
 #[test]
 fn a_ram_that_was_broken_is_reported_by_the_next_start_that_finds_it_whole() {
     let bench = started_with(|machine| machine.stick_bit(0x2000_A7C4, 13));
