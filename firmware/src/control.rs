@@ -306,6 +306,7 @@ impl Control {
     }
 
     /// To be called after each block: faults, pauses, looks.
+    #[inline(never)]
     pub fn tick(&mut self, now: &Now) -> Action {
         if now.fault != self.seen_fault {
             self.seen_fault = now.fault;
@@ -412,6 +413,7 @@ impl Control {
     }
 
     /// Takes a half-cycle's summary.
+    #[inline(never)]
     pub fn on_half_cycle(&mut self, summary: &Summary, now: &Now) -> Action {
         if summary.glance {
             return self.judge(summary, now);
@@ -576,6 +578,7 @@ impl Control {
 
     /// One step of the search for a frequency, after each block: at most
     /// [`crate::power::INSTRUCTIONS_PER_STEP`].
+    #[inline(never)]
     pub fn advance(&mut self, lookup: &RlLookup, now: &Now) -> Action {
         match self.power.advance(lookup) {
             Some(f_sw_hz) if f_sw_hz != now.wanted.f_sw_hz && now.wanted.is_switching() => {

@@ -4,6 +4,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::RegisterARM;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::registers::gpioa;
@@ -162,6 +163,26 @@ fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run() {
         let running = bench.with(|machine| machine.chip().hrtim.is_running());
         assert!(!running, "{cell:#x}");
     }
+}
+
+#[test]
+fn a_register_of_the_processor_that_is_stuck_lets_nothing_run() {
+    use RegisterARM::{LR, R0, R7, R12, S0, S31};
+    for register in [R0, R7, R12, LR, S0, S31] {
+        for mask in [1, 1 << 31] {
+            let bench = started_with(move |machine| machine.stick_register(register, mask));
+            bench.run_s(0.3);
+            let (bites, running, sent) = bench.with(|machine| {
+                let bites = machine.bites_at_start.len();
+                let sent = machine.chip().serial.sent.len();
+                (bites, machine.chip().hrtim.is_running(), sent)
+            });
+            assert_eq!((bites, running, sent), (0, false, 0), "{register:?}");
+        }
+    }
+    // And it is these registers that hold it up.
+    let bench = started_with(|machine| machine.stick_register(RegisterARM::R7, 0));
+    drop(connect(&bench));
 }
 
 /// In the stack, where nothing has used it, and in the last word before the crash record.
