@@ -28,8 +28,8 @@ use crate::burst::{Burst, Step};
 use crate::half_cycle::Summary;
 use crate::limits::{
     BURST_POWER_W, BUS_MIN_DV, BUS_TRIP_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS,
-    LOOK_MS, POT_GONE_HALF_CYCLES, QUICK_LOOK_MS, QUICK_LOOKS_FOR_MS, SMALL_POT_PERCENT,
-    UNJUDGED_MS,
+    LOOK_MS, POT_CURRENT_MIN_MA, POT_GONE_HALF_CYCLES, QUICK_LOOK_MS, QUICK_LOOKS_FOR_MS,
+    SMALL_POT_PERCENT, UNJUDGED_MS,
 };
 use crate::plausibility::Plausibility;
 use crate::pot::classify;
@@ -42,6 +42,9 @@ use crate::temperature::{TemperatureCodes, Temperatures};
 
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
 const GOOD_HALF_CYCLES: u8 = 3;
+
+/// Looks in a row without any current that are a fault: even an empty coil carries 5 A.
+const DARK_LOOKS: u8 = 2;
 
 /// Half-cycles in a row at the highest frequency with too much power before bursts begin.
 const FLOOR_HALF_CYCLES: u8 = 2;
@@ -119,6 +122,10 @@ pub struct Control {
     judged_ms: u32,
     waiting_since_ms: u32,
     next_look_ms: u32,
+    /// A pot was heated before it went away: it may be on its way back.
+    may_return: bool,
+    /// Looks in a row that saw a mains and no current.
+    dark_looks: u8,
     give_up_ms: u32,
     /// The frequency that a pot was heated at last, in hertz.
     heated_hz: u32,
@@ -148,6 +155,8 @@ impl Default for Control {
             judged_ms: 0,
             waiting_since_ms: 0,
             next_look_ms: 0,
+            may_return: false,
+            dark_looks: 0,
             give_up_ms: GIVE_UP_MS,
             heated_hz: pwm::HIGHEST_HZ,
             last: Summary::default(),
@@ -384,13 +393,14 @@ impl Control {
     /// No pot to heat: off, and look again later.
     fn lose_pot(&mut self, pot: Pot, now: &Now) -> Action {
         if self.state != State::WaitingForPot {
+            self.may_return = self.state == State::Heating;
             self.power.pause(self.heated_hz);
             self.enter(State::WaitingForPot);
             self.waiting_since_ms = now.ms;
         }
         self.pot = pot;
         let waited_ms = now.ms.wrapping_sub(self.waiting_since_ms);
-        let pause_ms = if waited_ms < QUICK_LOOKS_FOR_MS {
+        let pause_ms = if self.may_return && waited_ms < QUICK_LOOKS_FOR_MS {
             QUICK_LOOK_MS
         } else {
             LOOK_MS
@@ -437,6 +447,12 @@ impl Control {
     fn judge(&mut self, summary: &Summary, now: &Now) -> Action {
         if !matches!(self.state, State::Probing | State::WaitingForPot) {
             return Action::Keep;
+        }
+        let dark = summary.i_crest_ma < POT_CURRENT_MIN_MA && summary.bus_peak_dv >= BUS_MIN_DV;
+        self.dark_looks = if dark { self.dark_looks + 1 } else { 0 };
+        if self.dark_looks >= DARK_LOOKS {
+            self.dark_looks = 0;
+            return Action::Fault(Fault::NO_COIL_CURRENT);
         }
         match classify(summary, self.pot) {
             pot @ (Pot::Ferromagnetic | Pot::Small) => {
@@ -513,7 +529,9 @@ impl Control {
     fn give_bursts(&mut self, summary: &Summary, granted_w: u16, now: &Now) -> Action {
         if !self.bursting {
             self.bursting = true;
-            self.burst.begin(granted_w, now.ms, self.half_cycles_on);
+            // The half-cycle that is just over is counted below.
+            let before = self.half_cycles_on.wrapping_sub(1);
+            self.burst.begin(granted_w, now.ms, before);
         }
         match self.burst.on_half_cycle(summary, granted_w, now.ms) {
             Step::On if self.restart.permits(now.ms) => {
@@ -726,9 +744,9 @@ mod tests {
                 (State::WaitingForPot, pot, Fault::NONE)
             );
             assert!(!bench.drive.is_switching());
-            // A pot comes; a look finds it within 0.2 s.
+            // A pot comes; a look finds it within 0.7 s.
             bench.load = POT;
-            bench.run(25);
+            bench.run(72);
             assert_eq!(bench.control.state(), State::Heating);
         }
     }
@@ -845,6 +863,10 @@ mod tests {
         let mut bench = Bench::new(POT);
         bench.ask(200);
         bench.run(5);
+        // From the end of the first burst on.
+        while bench.drive.is_switching() {
+            bench.half_cycle();
+        }
         let (mut on, mut length) = (0, 0);
         for _ in 0..1_000 {
             bench.half_cycle();

@@ -103,24 +103,40 @@ impl Board {
     /// The pairs of the next block.
     pub fn pairs(&self, drive: Drive) -> [Pair; ADC_LOCK_P] {
         match &self.samples {
-            Samples::Load(r, l) if drive.is_switching() => self.steady(f64::from(drive.f_sw_hz), *r, *l),
-            Samples::Load(..) => [Pair::default(); ADC_LOCK_P],
+            Samples::Load(r, l) if drive.is_switching() => {
+                self.steady(f64::from(drive.f_sw_hz), *r, *l)
+            }
+            Samples::Load(..) => std::array::from_fn(|n| self.noise(n)),
             Samples::Repeated(pairs) => std::array::from_fn(|n| pairs[n % pairs.len()]),
         }
     }
 
-    /// I = V1 / |Z|, V = (R + jωL) I, within the ADC's range.
+    /// A code of noise, without which the samples count as frozen.
+    fn noise(&self, n: usize) -> Pair {
+        let bit = |n: usize| (self.time_ns >> (n % 23)) as i16 & 1;
+        Pair {
+            v: bit(n),
+            i: bit(n + 7),
+        }
+    }
+
+    /// I = V1 / Z, V = (R + jωL) I, the upper switch closing as the block begins, within the ADC's range.
     fn steady(&self, f_sw_hz: f64, r_ohm: f64, l_h: f64) -> [Pair; ADC_LOCK_P] {
         let x = TAU * f_sw_hz * l_h;
         let v1 = 2.0 / PI * self.bus_peak_v * self.envelope();
-        let i = v1 / r_ohm.hypot(x - (TAU * f_sw_hz * C_F).recip()).max(0.1);
-        let (v, lead) = (i * r_ohm.hypot(x), x.atan2(r_ohm));
+        let x_tank = x - (TAU * f_sw_hz * C_F).recip();
+        let (i, at_i) = (
+            v1 / r_ohm.hypot(x_tank).max(0.1),
+            -0.5 * PI - x_tank.atan2(r_ohm),
+        );
+        let (v, at_v) = (i * r_ohm.hypot(x), at_i + x.atan2(r_ohm));
         std::array::from_fn(|n| {
             let turn = TAU * n as f64 * f64::from(ADC_LOCK_Q) / ADC_LOCK_P as f64;
-            let code = |x: f64| (x.round() as i16).clamp(-2048, 2047);
+            let code = |x: f64, noise: i16| (x.round() as i16).saturating_add(noise).clamp(-2048, 2047);
+            let noise = self.noise(n);
             Pair {
-                v: code(v * (turn + lead).cos() / VOLT_PER_CODE),
-                i: code(i * turn.cos() / AMPERE_PER_CODE),
+                v: code(v * (turn + at_v).cos() / VOLT_PER_CODE, noise.v),
+                i: code(i * (turn + at_i).cos() / AMPERE_PER_CODE, noise.i),
             }
         })
     }

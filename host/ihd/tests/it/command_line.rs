@@ -117,9 +117,13 @@ fn a_device_that_is_not_there_exits_with_3() {
 }
 
 #[test]
-fn a_fault_exits_with_4_and_its_number() {
-    refused("trainer --no-store --pot none", 4, &["fault 1 ", "no pot"]);
-    refused("trainer --no-store --pot aluminium", 4, &["fault 2 "]);
+fn a_pot_that_never_comes_exits_with_4_and_what_was_seen() {
+    refused("trainer --no-store --pot none", 4, &["no pot", "Absent"]);
+    refused(
+        "trainer --no-store --pot aluminium",
+        4,
+        &["no pot", "Unsuitable"],
+    );
 }
 
 #[test]

@@ -20,7 +20,7 @@ pub struct Hob {
 }
 
 /// (order, amplitude relative to the fundamental, phase in rad): about what a half-bridge drives
-/// through an inductance, with phases that keep the voltage within the ADC's 400 V.
+/// through an inductance, with phases that keep the voltage within a channel of ±400 V.
 const HARMONICS: [(f64, f64, f64); 4] = [
     (1.0, 1.0, -1.1),
     (3.0, 0.07, -3.0),

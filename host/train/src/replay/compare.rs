@@ -128,7 +128,12 @@ impl Outcome {
     pub fn telemetries(&mut self, t_s: f64, device: &Telemetry, host: &Telemetry) {
         self.telemetry.compared += 1;
         let debug = |x: &i64| x.to_string();
-        let states = |t: &Telemetry| format!("{:?}, {:?}, pot {:?}", t.state, t.fault, t.pot);
+        let states = |t: &Telemetry| {
+            format!(
+                "{:?}, {:?}, pot {:?}, limit {:?}",
+                t.state, t.fault, t.pot, t.limit
+            )
+        };
         self.value(t_s, "state", states(device), states(host), Clone::clone);
         for (what, field) in [
             ("f_sw, Hz", (|t| t.f_sw_hz.into()) as fn(&Telemetry) -> i64),
@@ -137,6 +142,9 @@ impl Outcome {
             ("current at the crest, mA", |t| t.i_crest_ma.into()),
             ("power, mW", |t| t.power_mw.into()),
             ("phase, mrad", |t| t.phase_mrad.into()),
+            ("bus, dV", |t| t.bus_peak_dv.into()),
+            ("coil voltage, dV", |t| t.v_coil_peak_dv.into()),
+            ("turn-off, mA", |t| t.i_turn_off_min_ma.into()),
         ] {
             self.value(t_s, what, field(device), field(host), debug);
         }
