@@ -12,20 +12,30 @@ const CHANNELS: [u8; 3] = [3, 4, 5];
 /// From one conversion to the next: 1 ms, so each thermistor is looked at every 3 ms.
 const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
 
+/// What stands for a converter that is silent: an open thermistor, which is a fault.
+const OPEN: u16 = 4_095;
+
+/// Looks at a conversion of 6 µs before the converter is taken to be silent.
+const PATIENCE: u32 = 2_000;
+
 /// The converter and what it found.
 pub struct Temperatures {
-    codes: [Option<u16>; 3],
+    codes: [u16; 3],
     turn: usize,
     started_at: u32,
 }
 
 impl Temperatures {
-    /// Starts the converter and its first conversion. The clock of ADC3, which is its own too, is set already.
+    /// Starts the converter, and looks at each thermistor once. The clock of ADC3, which is its own too, is set already.
     pub fn start(now: u32) -> Self {
         adc::start_single(&CHANNELS);
+        let codes = CHANNELS.map(|channel| {
+            adc::convert(channel);
+            (0..PATIENCE).find_map(|_| adc::converted()).unwrap_or(OPEN)
+        });
         adc::convert(CHANNELS[0]);
         Self {
-            codes: [None; 3],
+            codes,
             turn: 0,
             started_at: now,
         }
@@ -38,8 +48,7 @@ impl Temperatures {
             return false;
         }
         self.started_at = now;
-        // None where it did not end within a millisecond.
-        let code = adc::converted();
+        let code = adc::converted().unwrap_or(OPEN);
         if let Some(place) = self.codes.get_mut(self.turn) {
             *place = code;
         }
@@ -50,14 +59,13 @@ impl Temperatures {
         true
     }
 
-    /// The last codes of heat sink, glass and coil, 0 to 4 095 over 0 to 3.3 V; none before the first conversion, and where
-    /// the converter is silent.
+    /// The last codes of heat sink, glass and coil, 0 to 4 095 over 0 to 3.3 V.
     pub fn codes(&self) -> TemperatureCodes {
         let [heat_sink, glass, coil] = self.codes;
         TemperatureCodes {
-            heat_sink,
-            glass,
-            coil,
+            heat_sink: Some(heat_sink),
+            glass: Some(glass),
+            coil: Some(coil),
         }
     }
 }
