@@ -1,0 +1,207 @@
+//! Whatever a host sends, and whenever: the bridge is not on for long without a pot that was judged, and
+//! never while locked out.
+
+use ihd_firmware::limits::{QUICK_LOOK_MS, UNJUDGED_MS};
+use ihd_shared::fault::Fault;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{ROLE_HOST, ours};
+use ihd_shared::wire::messages::{
+    ClearFault, Configure, GetStatus, Message, PushLookup, Raw, ReplayEnd, ReplayStart,
+    ResetLookup, SetPower, State, Stream,
+};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::injection::{Injection, InjectionKind};
+use ihd_sim::recording::settings::LoadKind;
+use proptest::prelude::*;
+
+/// What a host may send.
+#[derive(Clone, Debug)]
+enum Sent {
+    Hello,
+    SetPower(u16),
+    ClearFault,
+    GetStatus,
+    Stream,
+    /// R and L of all cells over the prior's, in percent.
+    PushLookup(u16, u16),
+    ResetLookup,
+    Configure,
+    Replay,
+}
+
+fn sent() -> impl Strategy<Value = Sent> {
+    prop_oneof![
+        1 => Just(Sent::Hello),
+        6 => (0u16..=2_600).prop_map(Sent::SetPower),
+        4 => Just(Sent::SetPower(2_500)),
+        3 => Just(Sent::SetPower(0)),
+        4 => Just(Sent::ClearFault),
+        1 => Just(Sent::GetStatus),
+        1 => Just(Sent::Stream),
+        2 => (2u16..150, 50u16..160).prop_map(|(r, l)| Sent::PushLookup(r, l)),
+        1 => Just(Sent::ResetLookup),
+        1 => Just(Sent::Configure),
+        1 => Just(Sent::Replay),
+    ]
+}
+
+/// A message and the milliseconds until the next.
+fn conversation() -> impl Strategy<Value = Vec<(Sent, u16)>> {
+    let pause = prop_oneof![3 => 0u16..40, 1 => 40u16..300];
+    prop::collection::vec((sent(), pause), 20..60)
+}
+
+struct Bench {
+    hob: SimHob,
+    seq: u16,
+    version: u32,
+    on_since_s: Option<f64>,
+    longest_on_s: f64,
+    on_s: f64,
+}
+
+impl Bench {
+    fn new(pot: &str) -> Self {
+        let config = HobConfig {
+            pot: pot.parse().expect("a pot"),
+            load: LoadKind::Behavioural,
+            ..HobConfig::default()
+        };
+        let mut bench = Self {
+            hob: SimHob::new(&config),
+            seq: 0,
+            version: 0,
+            on_since_s: None,
+            longest_on_s: 0.0,
+            on_s: 0.0,
+        };
+        bench.send(&Sent::Hello);
+        bench
+    }
+
+    fn frame(&mut self, message: &impl Message) {
+        let mut frame = [0; MAX_ENCODED];
+        let length = encode(message, self.seq, &mut frame).expect("it fits");
+        self.seq = self.seq.wrapping_add(1);
+        self.hob.send(&frame[..length]);
+    }
+
+    fn send(&mut self, sent: &Sent) {
+        match sent {
+            Sent::Hello => self.frame(&ours(ROLE_HOST, 0, 1, "test", "host")),
+            Sent::SetPower(power_w) => self.frame(&SetPower { power_w: *power_w }),
+            Sent::ClearFault => self.frame(&ClearFault {}),
+            Sent::GetStatus => self.frame(&GetStatus {}),
+            Sent::Stream => self.frame(&Stream {
+                telemetry_every: 1,
+                windows_every: 7,
+            }),
+            Sent::PushLookup(r, l) => {
+                self.version += 1;
+                let mut lookup = RlLookup {
+                    version: self.version,
+                    ..prior()
+                };
+                let scale = |cells: &mut [[u16; 17]; 8], percent: u16| {
+                    for cell in cells.iter_mut().flatten() {
+                        *cell = (u32::from(*cell) * u32::from(percent) / 100) as u16;
+                    }
+                };
+                scale(&mut lookup.r, *r);
+                scale(&mut lookup.l, *l);
+                lookup.observed.fill(0xFF);
+                self.frame(&PushLookup {
+                    blob: Raw(&lookup.to_bytes()),
+                });
+            }
+            Sent::ResetLookup => self.frame(&ResetLookup {}),
+            Sent::Configure => self.frame(&Configure {
+                give_up_s: 60,
+                dither_permille: 10,
+            }),
+            Sent::Replay => {
+                self.frame(&ReplayStart {
+                    f_sw_hz: 50_000,
+                    r: MicroOhm(4_000_000),
+                    l: PicoHenry(25_000_000),
+                });
+                self.frame(&ReplayEnd {});
+            }
+        }
+    }
+
+    /// Runs for a time, with `check` after each block.
+    fn run(&mut self, duration_s: f64, check: impl Fn(&SimHob)) {
+        let end_s = self.hob.t_s() + duration_s;
+        while self.hob.t_s() < end_s {
+            let before_s = self.hob.t_s();
+            self.hob.step();
+            let now_s = self.hob.t_s();
+            if self.hob.realtime().drive().is_switching() {
+                let since_s = *self.on_since_s.get_or_insert(before_s);
+                self.longest_on_s = self.longest_on_s.max(now_s - since_s);
+                self.on_s += now_s - before_s;
+            } else {
+                self.on_since_s = None;
+            }
+            check(&self.hob);
+        }
+        // The host takes what comes.
+        let mut bytes = [0; 4_096];
+        while self.hob.receive(&mut bytes) > 0 {}
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn without_a_pot_the_bridge_only_looks(pot in prop_oneof![Just("none"), Just("aluminium-21")], all in conversation()) {
+        let mut bench = Bench::new(pot);
+        for (sent, pause_ms) in &all {
+            bench.send(sent);
+            bench.run(f64::from(*pause_ms) * 1e-3 + 1e-4, |_| ());
+        }
+        let limit_s = f64::from(UNJUDGED_MS) * 1e-3;
+        prop_assert!(bench.longest_on_s <= limit_s, "on for {} s", bench.longest_on_s);
+        // A look every so often, and no look lasts longer than a half-cycle.
+        let looks = 1.0 + bench.hob.t_s() * 1e3 / f64::from(QUICK_LOOK_MS);
+        prop_assert!(bench.on_s <= looks * 10e-3, "{} s in {} s", bench.on_s, bench.hob.t_s());
+    }
+
+    #[test]
+    fn a_lock_out_outlasts_every_message(all in conversation()) {
+        let mut bench = Bench::new("ferritic-21");
+        // A current sensor whose gain is wrong trips each try.
+        let mut number = 0;
+        bench.hob.inject(|injections| {
+            number = injections.start(Injection {
+                kind: InjectionKind::CurrentGain,
+                value: 0.7,
+                channel: InjectionKind::CurrentGain.default_channel(),
+            });
+        });
+        bench.send(&Sent::SetPower(2_000));
+        for _ in 0..200 {
+            bench.run(0.1, |_| ());
+            bench.send(&Sent::GetStatus);
+            if bench.hob.housekeeping().control().state() == State::LockedOut {
+                break;
+            }
+        }
+        bench.hob.inject(|injections| injections.end(number));
+        bench.on_s = 0.0;
+        let locked = |hob: &SimHob| {
+            assert_eq!(hob.housekeeping().control().state(), State::LockedOut);
+            assert_ne!(hob.realtime().fault(), Fault::NONE);
+        };
+        for (sent, pause_ms) in &all {
+            bench.send(sent);
+            bench.run(f64::from(*pause_ms) * 1e-3 + 1e-4, locked);
+        }
+        prop_assert!(bench.on_s == 0.0, "on for {} s", bench.on_s);
+    }
+}
