@@ -48,6 +48,8 @@ fn read(path: &Path) -> (Vec<Event>, SessionReader) {
     while let Some(event) = reader.next_event().unwrap() {
         events.push(event);
     }
+    // The end is the end, however often one asks.
+    assert!(reader.next_event().unwrap().is_none());
     (events, reader)
 }
 
@@ -221,6 +223,17 @@ fn a_flipped_bit_is_found_with_its_place_and_costs_one_chunk() {
         error.contains(&format!("changed.mcap at byte {offset}")),
         "{error}"
     );
+}
+
+/// Within a chunk's head, whose length is there and whose bytes are not.
+#[test]
+fn a_file_cut_in_a_chunks_head_ends_there() {
+    let (bytes, _, beginning) = &*RECORDING;
+    let dir = TempDir::new().unwrap();
+    for cut in *beginning..beginning + 32 {
+        let (events, reader) = read(&file(&dir, &bytes[..cut]));
+        assert!(events.is_empty() && reader.is_cut(), "{cut}");
+    }
 }
 
 #[test]

@@ -57,6 +57,8 @@ pub struct Frames {
     /// Message times of the last chunk, in nanoseconds.
     times_ns: (u64, u64),
     cut: bool,
+    /// The end was found: where the input stands then means nothing.
+    ended: bool,
     /// Chunks that hold nothing between these times, in nanoseconds, are passed over.
     pub wanted_ns: (u64, u64),
 }
@@ -97,6 +99,7 @@ impl Frames {
             chunk: Vec::new(),
             times_ns: (0, 0),
             cut: false,
+            ended: false,
             wanted_ns: (0, u64::MAX),
         })
     }
@@ -150,8 +153,17 @@ impl Frames {
     }
 
     /// Goes on to the next record. After [`McapFileError::Damaged`] the next call goes on behind
-    /// the damage.
+    /// the damage, after the end it finds the end again.
     pub fn step(&mut self) -> Result<Step, McapFileError> {
+        if self.ended {
+            return Ok(Step::End);
+        }
+        let step = self.next_step();
+        self.ended = matches!(step, Ok(Step::End));
+        step
+    }
+
+    fn next_step(&mut self) -> Result<Step, McapFileError> {
         self.at = self.next;
         let left = self.length.saturating_sub(self.at);
         if left < PREFIX {

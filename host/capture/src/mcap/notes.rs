@@ -128,6 +128,6 @@ mod tests {
             })
         };
         assert_eq!(note(3).fault, "PotRemoved");
-        assert_eq!((note(23).number, note(23).fault.as_str()), (23, "23"));
+        assert_eq!((note(120).number, note(120).fault.as_str()), (120, "120"));
     }
 }
