@@ -306,6 +306,7 @@ impl Control {
     }
 
     /// To be called after each block: faults, pauses, looks.
+    #[inline(never)]
     pub fn tick(&mut self, now: &Now) -> Action {
         if now.fault != self.seen_fault {
             self.seen_fault = now.fault;
@@ -314,8 +315,10 @@ impl Control {
                 return Action::Keep;
             }
         }
+        // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.temperatures.fault();
-        if condition != Fault::NONE && now.fault == Fault::NONE {
+        let wants_heat = self.request.power_w() > 0 && !now.replaying;
+        if condition != Fault::NONE && wants_heat && now.fault == Fault::NONE {
             return Action::Fault(condition);
         }
         match self.state {
@@ -352,7 +355,7 @@ impl Control {
     fn end_pause(&mut self, now: &Now) -> Action {
         let lasts = class(now.fault) == Class::Passing
             && (self.good_half_cycles < GOOD_HALF_CYCLES
-                || self.temperatures.fault() != Fault::NONE);
+                || (self.temperatures.fault() != Fault::NONE && self.request.power_w() > 0));
         // What a recording tripped stands until it is over.
         if lasts || now.replaying || !self.restart.permits(now.ms) {
             return Action::Keep;
@@ -410,6 +413,7 @@ impl Control {
     }
 
     /// Takes a half-cycle's summary.
+    #[inline(never)]
     pub fn on_half_cycle(&mut self, summary: &Summary, now: &Now) -> Action {
         if summary.glance {
             return self.judge(summary, now);
@@ -574,6 +578,7 @@ impl Control {
 
     /// One step of the search for a frequency, after each block: at most
     /// [`crate::power::INSTRUCTIONS_PER_STEP`].
+    #[inline(never)]
     pub fn advance(&mut self, lookup: &RlLookup, now: &Now) -> Action {
         match self.power.advance(lookup) {
             Some(f_sw_hz) if f_sw_hz != now.wanted.f_sw_hz && now.wanted.is_switching() => {

@@ -62,8 +62,8 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// As the default.
-    const BLANK: Self = Self {
+    /// As the default: all bits zero.
+    pub(crate) const BLANK: Self = Self {
         half_cycle: 0,
         f_sw_hz: 0,
         duration_ns: 0,

@@ -4,7 +4,7 @@
 const EVERY: u32 = 64;
 
 /// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest that it was away on the
-/// emulated chip is 7 ms at two cycles an instruction (docs/board.md). Who is later than eight times
+/// emulated chip is 11 ms at two cycles an instruction (docs/board.md). Who is later than five times
 /// that is not in control.
 const BEHIND: u32 = 1_600;
 

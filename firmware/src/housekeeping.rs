@@ -103,6 +103,7 @@ impl Housekeeping {
 
     /// Takes bytes from the link; returns how many. Fewer than given means that answers wait for
     /// the link: offer the rest again later.
+    #[inline(never)]
     pub fn receive(&mut self, access: &mut impl Access, bytes: &[u8]) -> usize {
         for (taken, &byte) in bytes.iter().enumerate() {
             if self.queue.is_full() {
@@ -307,6 +308,7 @@ impl Housekeeping {
 
     /// To be called after each block: control, telemetry, faults. One step of the search for a
     /// frequency is the longest it does.
+    #[inline(never)]
     pub fn poll(&mut self, access: &mut impl Access) {
         let (summary, now) = access.with(|rt| {
             rt.note_turn();
@@ -330,6 +332,7 @@ impl Housekeeping {
         }
     }
 
+    #[inline(never)]
     fn on_half_cycle(&mut self, access: &mut impl Access, summary: &Summary, now: &Now) -> Action {
         if let Some(lookup) = self.pending.take() {
             access.with(|rt| rt.set_lookup_version(lookup.version));
@@ -365,6 +368,7 @@ impl Housekeeping {
         }
     }
 
+    #[inline(never)]
     fn send_telemetry(&mut self, access: &mut impl Access, s: &Summary) {
         let every = u32::from(self.telemetry_every);
         if !self.paired || every == 0 || !s.half_cycle.is_multiple_of(every) {
@@ -405,6 +409,7 @@ impl Housekeeping {
         });
     }
 
+    #[inline(never)]
     fn status(&mut self, access: &mut impl Access) -> Status {
         let counters = self.deframer.counters();
         let telemetry_dropped = self.queue.telemetry_dropped();

@@ -1,9 +1,9 @@
 //! The sampling path: what runs once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 550
-//! instructions of it, 35 %: 61 times at most 18 to correlate, 250 for the boxcars, 800 for the
-//! estimator, the rest for protection and recording. firmware/budget.toml holds these ceilings,
-//! docs/performance.md what was counted, and an estimate in cycles that exceeds 35 %. A block that
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 650
+//! instructions of it, 36 %: 61 times at most 18 to correlate, 250 for the boxcars, 800 for the
+//! estimator, the rest for protection, soft limits and recording. firmware/budget.toml holds these ceilings,
+//! docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
 //! Nothing here waits, allocates, divides by a variable of 64 bit (but at a frequency step), uses
 //! floating point or can panic.
@@ -91,7 +91,9 @@ pub struct RealTime {
     /// Time of the current block's first pair since the last zero crossing.
     since_crossing_ns: i64,
     half_cycle: u32,
-    summary: Option<Summary>,
+    /// The last half-cycle, while nobody has taken it. No option, whose `None` may have bits set.
+    summary: Summary,
+    has_summary: bool,
     fault: Fault,
     /// Half-cycle in which the fault tripped.
     fault_half_cycle: u32,
@@ -146,7 +148,8 @@ impl RealTime {
             windows_every: 0,
             since_crossing_ns: 0,
             half_cycle: 0,
-            summary: None,
+            summary: Summary::BLANK,
+            has_summary: false,
             fault: Fault::NONE,
             fault_half_cycle: 0,
             saturated_pairs: 0,
@@ -337,7 +340,7 @@ impl RealTime {
 
     /// The last half-cycle's summary, once.
     pub fn take_summary(&mut self) -> Option<Summary> {
-        self.summary.take()
+        core::mem::take(&mut self.has_summary).then_some(self.summary)
     }
 
     /// A window every this many half-cycles; 0 for none.
@@ -382,7 +385,8 @@ impl RealTime {
             block.lost,
             self.block_ns,
             crossing.is_some(),
-            self.drive.is_switching(),
+            // A recording may repeat itself.
+            self.drive.is_switching() && !self.replaying,
         );
         if let Some(fault) = raw {
             self.trip(fault);
@@ -429,13 +433,11 @@ impl RealTime {
             return;
         }
         let f_sw_hz = self.f_sw_hz();
-        let seen = self
+        self.summary = self
             .accumulator
             .finish(self.half_cycle, f_sw_hz, LOOK_NS, bus_dv);
-        self.summary = Some(Summary {
-            glance: true,
-            ..seen
-        });
+        self.summary.glance = true;
+        self.has_summary = true;
         self.accumulator.disturb();
         self.request(Drive::OFF);
     }
@@ -483,11 +485,10 @@ impl RealTime {
         let duration_ns = u32::try_from(duration_ns).unwrap_or(u32::MAX);
         self.recorder.end(duration_ns);
         let f_sw_hz = self.f_sw_hz();
-        self.summary =
-            Some(
-                self.accumulator
-                    .finish(self.half_cycle, f_sw_hz, duration_ns, block.bus_dv),
-            );
+        self.summary = self
+            .accumulator
+            .finish(self.half_cycle, f_sw_hz, duration_ns, block.bus_dv);
+        self.has_summary = true;
         self.half_cycle = self.half_cycle.wrapping_add(1);
         // A window wants one frequency throughout, so none begins at a frequency step.
         if self.is_window_due(0) && self.drive.is_switching() && self.wanted == self.drive {

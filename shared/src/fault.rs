@@ -135,7 +135,8 @@ fault_table! {
     FLASH_CRC = 40 "FlashCrc":
         "the program in the controller's flash is damaged, or was not flashed as built; flash \
          target/firmware/images/stm32g474.elf again, and replace the controller if it comes back";
-    /// A cell of the RAM does not keep what is written to it. Found at start, nothing runs until a start finds none.
+    /// A cell of the RAM does not keep what is written to it. Found at start, nothing runs until a start finds none; found
+    /// later, clearing does not end it.
     RAM_TEST = 41 "RamTest":
         "the controller's RAM is broken; replace the controller";
     /// The processor's clock and the watchdog's do not agree. Clearing does not end it.

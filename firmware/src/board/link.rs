@@ -86,7 +86,7 @@ pub async fn run(
     mut second: (impl Receive, impl Send),
     housekeeping: &mut Housekeeping,
     mut path: ThreadSide,
-    mut tick: impl FnMut(&Housekeeping, &mut ThreadSide),
+    mut tick: impl FnMut(&mut Housekeeping, &mut ThreadSide),
 ) -> ! {
     let mut out = Outgoing {
         frame: [0; MAX_ENCODED],

@@ -8,7 +8,8 @@
 //! flow       rates of sampling path, housekeeping, keep task   every 100 ms
 //! ```
 //!
-//! RAM, watchdog, comparators and stack are registers and addresses alone: `board/stm32g474/{start_up,self_test}.rs`.
+//! Processor, RAM, watchdog, comparators and stack are registers and addresses alone:
+//! `board/stm32g474/{start_up,self_test}.rs`.
 //! docs/self-tests.md is the table of all of them. Nothing here is certified.
 
 pub mod clock;

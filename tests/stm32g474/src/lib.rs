@@ -1,5 +1,7 @@
 //! An emulated STM32G474 that runs the flash image, with the simulated power stage on its pins.
 
+pub use unicorn_engine::RegisterARM;
+
 pub mod bench;
 pub mod chip;
 pub mod cpu;

@@ -105,17 +105,18 @@ impl Pins {
         });
     }
 
-    /// The 12-bit code of a channel of ADC4: a thermistor to ground, of 10 kΩ at 25 °C with B = 3950 K, below 10 kΩ to
-    /// the reference (docs/wiring.md).
+    /// The 12-bit code of a channel of ADC4: a thermistor to ground with B = 3950 K, of 10 kΩ at 25 °C on the heat sink and
+    /// 100 kΩ at glass and coil, below 10 kΩ to the reference (docs/wiring.md).
     pub fn thermistor_code(&self, channel: u32) -> u32 {
-        let place = match channel {
-            3 => 0,
-            4 => 1,
-            5 => 2,
+        let (place, ratio_at_25_c) = match channel {
+            3 => (0, 1.0),
+            4 => (1, 10.0),
+            5 => (2, 10.0),
             _ => return 0,
         };
         let inverse = |celsius: f64| 1.0 / (celsius + 273.15);
-        let ratio = (3950.0 * (inverse(self.temperatures_c[place]) - inverse(25.0))).exp();
+        let ratio =
+            ratio_at_25_c * (3950.0 * (inverse(self.temperatures_c[place]) - inverse(25.0))).exp();
         (CODES * ratio / (ratio + 1.0)).round().min(CODES - 1.0) as u32
     }
 

@@ -55,6 +55,7 @@ pub(crate) fn processor(
         run_until: 0,
         stopped_at: None,
         stuck: Vec::new(),
+        stuck_register: None,
         written: Vec::new(),
         read_unwritten: Vec::new(),
     };
@@ -163,6 +164,11 @@ pub(crate) fn ram_bytes(image: &Image) -> usize {
 
 /// Cells that are stuck have their value again, whatever was written; seen by the next block of code.
 fn hold_stuck_bits(cpu: &mut Unicorn<'_, State>) {
+    if let Some((register, mask)) = cpu.get_data().stuck_register
+        && let Ok(value) = cpu.reg_read(register)
+    {
+        let _ = cpu.reg_write(register, value | u64::from(mask));
+    }
     for k in 0..cpu.get_data().stuck.len() {
         let (address, mask) = cpu.get_data().stuck[k];
         let mut byte = [0];

@@ -1,6 +1,7 @@
 //! Blocks of pairs from the circular DMA, bus and mains beside them, and the drive to the bridge.
 
 use core::cell::UnsafeCell;
+use core::ops::Range;
 use core::ptr;
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -31,6 +32,15 @@ unsafe impl<T> Sync for DmaMemory<T> {}
 
 static PAIRS: DmaMemory<[u32; WORDS]> = DmaMemory(UnsafeCell::new([0; WORDS]));
 static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
+
+/// Addresses that a DMA writes at any moment, interrupts masked or not.
+pub fn written_by_dma() -> [Range<usize>; 2] {
+    let (pairs, slow) = (PAIRS.0.get() as usize, SLOW.0.get() as usize);
+    [
+        pairs..pairs + size_of::<[u32; WORDS]>(),
+        slow..slow + size_of::<[i16; 2]>(),
+    ]
+}
 
 /// Cycles that all blocks which were taken should have lasted; wraps.
 static SAMPLED_CYCLES: AtomicU32 = AtomicU32::new(0);

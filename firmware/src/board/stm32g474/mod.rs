@@ -6,6 +6,8 @@
 //! PA1         ADC2 IN2, COMP1+    coil current; COMP1 trips on its positive peak
 //! PA7         COMP2+              coil current inverted; COMP2 trips on the other peak
 //! PB1, PB0    ADC3 IN1, IN12      bus voltage, mains voltage
+//! PB12, 14, 15  ADC4 IN3, 4, 5    thermistors of heat sink, glass, coil
+//! PB5         output            fan, on by a high level
 //! PA2, PA3    LPUART1             the ST-LINK's serial port of a NUCLEO
 //! PA5         LED                 LD2 of a NUCLEO
 //! PA11, PA12  USB                 vendor bulk interface
@@ -24,6 +26,7 @@ mod self_test;
 mod serial;
 mod start;
 mod start_up;
+mod temperatures;
 mod usb;
 
 use ihd_shared::fault::Fault;

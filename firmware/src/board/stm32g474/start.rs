@@ -4,7 +4,7 @@ use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
-use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
+use embassy_stm32::gpio::{AfType, Flex, Level, Output, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::peripherals::{CRC, IWDG, LPUART1, USB};
 use embassy_stm32::rcc;
@@ -28,6 +28,7 @@ use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::self_test::SelfTest;
+use super::temperatures::Temperatures;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -59,6 +60,8 @@ struct Board {
     heartbeat: Heartbeat,
     kept_changes: u32,
     self_test: SelfTest,
+    temperatures: Temperatures,
+    fan: Output<'static>,
 }
 
 #[cortex_m_rt::entry]
@@ -128,6 +131,9 @@ fn start(
         Flex::new(p.PA7),
         Flex::new(p.PB0),
         Flex::new(p.PB1),
+        Flex::new(p.PB12),
+        Flex::new(p.PB14),
+        Flex::new(p.PB15),
     ] {
         analog(pin);
     }
@@ -159,6 +165,8 @@ fn start(
         heartbeat: Heartbeat::default(),
         kept_changes: housekeeping.lookup_changes(),
         self_test,
+        temperatures: Temperatures::start(cycles::now()),
+        fan: Output::new(p.PB5, Level::Low, Speed::Low),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);
@@ -271,7 +279,7 @@ async fn link_task(
     path: ThreadSide,
     mut board: Board,
 ) -> ! {
-    let tick = |housekeeping: &Housekeeping, path: &mut ThreadSide| {
+    let tick = |housekeeping: &mut Housekeeping, path: &mut ThreadSide| {
         board.after_block(housekeeping, path);
     };
     match serial {
@@ -282,7 +290,7 @@ async fn link_task(
 
 impl Board {
     /// What the hardware has to say, and what it has to know, after each block.
-    fn after_block(&mut self, housekeeping: &Housekeeping, path: &mut ThreadSide) {
+    fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::faults::hardware_fault();
         let blocks = path.with(|rt| {
             // A trip counts while a switch should be closed: closing one clears what is left of it.
@@ -296,6 +304,10 @@ impl Board {
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
         self.led.show(state, fault, cycles::now());
+        if self.temperatures.after_block(cycles::now()) {
+            housekeeping.set_temperatures(self.temperatures.codes());
+            self.fan.set_level(housekeeping.fan().into());
+        }
         let found = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = found {
             path.with(|rt| rt.raise_standing(fault));

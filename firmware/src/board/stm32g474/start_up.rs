@@ -1,4 +1,4 @@
-//! Before `main`: the watchdog is tried, all RAM is tested and written once, code and constants go to where there are no
+//! Before `main`: the processor's registers are tested, the watchdog is tried, all RAM is tested and written once, code and constants go to where there are no
 //! wait states.
 
 use core::arch::global_asm;
@@ -17,6 +17,8 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
 // cortex-m-rt calls this before it fills .data and .bss, with the stack pointer set and nothing else. Assembly, as Rust
 // code may use what is not there yet. No stack: it is among what is tested. It runs from flash at 16 MHz.
 //
+// 0. Every register of the processor and its floating-point unit takes two patterns, each loaded for itself, and is compared
+//    with another. FPU on: CPACR, CP10 and CP11; s0 keeps the way back meanwhile. What fails goes where broken RAM goes.
 // 1. After power-on, once, the watchdog is let run out on purpose (IEC 60730-1 H.2.18.10.3). RCC_CSR keeps its flags until
 //    software clears them: the second time round both BORRSTF and IWDGRSTF are set. Where the reset does not come within
 //    50 ms, `main` finds BORRSTF alone, and says so (`registers::supply::was_watchdog_tried`).
@@ -36,7 +38,40 @@ global_asm!(
     ".type __pre_init, %function",
     ".thumb_func",
     "__pre_init:",
-    "mov r11, lr",
+    "ldr r0, =0xE000ED88",
+    "ldr r1, [r0]",
+    "orr r1, r1, #0xF00000",
+    "str r1, [r0]",
+    "dsb",
+    "isb",
+    "vmov s0, lr",
+    ".macro test_core pattern",
+    ".irp register, r0, r1, r2, r3, r4, r5, r6, r7, r8, r9, r10, r11, r12, lr",
+    "ldr \\register, =\\pattern",
+    ".endr",
+    "isb",
+    ".irp register, r1, r2, r3, r4, r5, r6, r7, r8, r9, r10, r11, r12, lr",
+    "cmp r0, \\register",
+    "bne __stop",
+    ".endr",
+    ".endm",
+    "test_core 0x55555555",
+    "test_core 0xAAAAAAAA",
+    "vmov r11, s0",
+    ".macro test_fpu pattern",
+    "ldr r0, =\\pattern",
+    ".irp n, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31",
+    "vmov s\\n, r0",
+    ".endr",
+    "isb",
+    ".irp n, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31",
+    "vmov r1, s\\n",
+    "cmp r0, r1",
+    "bne __stop",
+    ".endr",
+    ".endm",
+    "test_fpu 0x55555555",
+    "test_fpu 0xAAAAAAAA",
     // RCC_CSR: BORRSTF is bit 27, IWDGRSTF bit 29.
     "ldr r0, =0x40021094",
     "ldr r1, [r0]",
@@ -177,15 +212,16 @@ global_asm!(
     ".type __broken_ram, %function",
     ".thumb_func",
     "__broken_ram:",
-    "ldr r0, =0x40003000",
-    "movw r1, #0xCCCC",
-    "str r1, [r0]",
     "ldr r0, =__crash_record",
     "ldr r1, ={record_0}",
     "ldr r2, ={record_1}",
     "ldr r3, ={record_2}",
     "ldr r4, ={record_3}",
     "stmia r0!, {{r1, r2, r3, r4}}",
+    "__stop:",
+    "ldr r0, =0x40003000",
+    "movw r1, #0xCCCC",
+    "str r1, [r0]",
     // RCC_AHB2ENR: GPIOAEN. GPIOA_MODER: PA5 is an output, the others as after reset. GPIOA_BSRR.
     "ldr r0, =0x4002104C",
     "movs r1, #1",

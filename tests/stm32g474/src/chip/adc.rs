@@ -43,6 +43,8 @@ pub struct Converter {
     /// End of the conversion that is under way, and its place in the sequence.
     busy_until: Ticks,
     rank: u32,
+    /// Conversions of each channel since the last reset.
+    pub taken: [u32; 19],
 }
 
 impl Converter {
@@ -64,6 +66,7 @@ impl Converter {
             enabled_at: None,
             busy_until: 0,
             rank: 0,
+            taken: [0; 19],
         }
     }
 
@@ -261,6 +264,9 @@ impl Converter {
             ));
         }
         self.rank = (self.rank + 1) % length;
+        if let Some(taken) = self.taken.get_mut(channel as usize) {
+            *taken += 1;
+        }
         let cycles =
             TRIGGER_LATENCY_CYCLES + self.sampling_cycles(channel, file) + CONVERSION_CYCLES;
         self.busy_until = log.now + self.ticks(cycles, hclk_hz, file);

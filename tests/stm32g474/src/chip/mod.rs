@@ -344,6 +344,11 @@ impl Chip {
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
     }
 
+    /// Conversions of each channel of an ADC since the last reset; the ADCs count from 0.
+    pub fn conversions(&self, adc: usize) -> [u32; 19] {
+        self.adcs[adc].taken
+    }
+
     /// Software starts ADC4: what stands at its pin is taken at once.
     fn start_adc4(&mut self) {
         let hclk_hz = clocks::hclk_hz(&self.file);

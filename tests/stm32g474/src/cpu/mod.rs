@@ -8,6 +8,8 @@ pub mod nvic;
 use std::collections::HashMap;
 use std::rc::Rc;
 
+use unicorn_engine::RegisterARM;
+
 use self::flash_accelerator::{Access, FlashAccelerator};
 use self::instructions::{Block, REFILL};
 use crate::chip::Chip;
@@ -140,6 +142,8 @@ pub struct State {
     pub stopped_at: Option<u32>,
     /// Bits of the RAM that are stuck at 1, as an address and a mask: a test's interference.
     pub stuck: Vec<(u32, u8)>,
+    /// Bits of a register of the processor that are stuck at 1: a test's interference.
+    pub stuck_register: Option<(RegisterARM, u32)>,
     /// Which bytes of the RAM were written, if that is watched.
     pub written: Vec<bool>,
     /// What was read before that, and by which block of code.

@@ -182,7 +182,8 @@ impl Nvic {
                 .for_each(|n| self.pend(n)),
             0x280..0x2A0 => each((offset as usize - 0x280) * 8)
                 .filter(exists)
-                .for_each(|n| self.pending[n] = false),
+                // A line that is still high keeps it pending (Cortex-M4 Devices Generic User Guide, 4.2.9).
+                .for_each(|n| self.pending[n] = self.level[n]),
             0x400..0x4F0 => {
                 for k in 0..size {
                     if let Some(priority) = self
@@ -236,6 +237,18 @@ mod tests {
         nvic.set_line(DMA, false);
         assert_eq!(nvic.leave(), Some((FIRST_INTERRUPT + DMA, 0)));
         assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + USB));
+    }
+
+    #[test]
+    fn what_is_cleared_while_its_line_is_high_stays_pending() {
+        let mut nvic = Nvic::default();
+        nvic.set_line(USB, true);
+        nvic.write(0x280, 4, 1 << USB);
+        enabled(&mut nvic, USB, 3);
+        assert_eq!(nvic.next(false, 0), Some(FIRST_INTERRUPT + USB));
+        nvic.set_line(USB, false);
+        nvic.write(0x280, 4, 1 << USB);
+        assert_eq!(nvic.next(false, 0), None);
     }
 
     #[test]

@@ -24,9 +24,16 @@ impl Machine {
         self.cpu.get_data_mut().stuck.push(stuck);
     }
 
+    /// From now on bits of one of the processor's registers are stuck at 1: a test's interference.
+    pub fn stick_register(&mut self, register: RegisterARM, mask: u32) {
+        self.cpu.get_data_mut().stuck_register = Some((register, mask));
+    }
+
     /// No bit is stuck any more.
     pub fn release_bits(&mut self) {
-        self.cpu.get_data_mut().stuck.clear();
+        let state = self.cpu.get_data_mut();
+        state.stuck.clear();
+        state.stuck_register = None;
     }
 
     /// Program counter.

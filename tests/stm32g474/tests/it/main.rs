@@ -8,4 +8,5 @@ mod memory;
 mod protection;
 mod self_test;
 mod start;
+mod temperatures;
 mod timing;

@@ -4,6 +4,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::RegisterARM;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::registers::gpioa;
@@ -161,6 +162,38 @@ fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run() {
         assert!((4..=9).contains(&changes), "{cell:#x}: {lit:?}");
         let running = bench.with(|machine| machine.chip().hrtim.is_running());
         assert!(!running, "{cell:#x}");
+    }
+}
+
+#[test]
+fn a_register_of_the_processor_that_is_stuck_lets_nothing_run() {
+    use RegisterARM::{LR, R0, R7, R12, S0, S31};
+    for register in [R0, R7, R12, LR, S0, S31] {
+        for mask in [1, 1 << 31] {
+            let bench = started_with(move |machine| machine.stick_register(register, mask));
+            bench.run_s(0.3);
+            let (bites, running, sent) = bench.with(|machine| {
+                let bites = machine.bites_at_start.len();
+                let sent = machine.chip().serial.sent.len();
+                (bites, machine.chip().hrtim.is_running(), sent)
+            });
+            assert_eq!((bites, running, sent), (0, false, 0), "{register:?}");
+        }
+    }
+    // And it is these registers that hold it up.
+    let bench = started_with(|machine| machine.stick_register(RegisterARM::R7, 0));
+    drop(connect(&bench));
+}
+
+/// In the stack, where nothing has used it, and in the last word before the crash record.
+#[test]
+fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found() {
+    for (cell, bit) in [(0x2000_0180, 3), (0x2001_7FDC, 0)] {
+        let bench = heating();
+        let off_s = off_after_s(&bench, 15.0, move |machine| machine.stick_bit(cell, bit));
+        println!("RAM at {cell:#x}: off after {off_s:.2} s");
+        assert!(off_s < 10.0, "{off_s}");
+        assert_stands(&bench, Fault::RAM_TEST);
     }
 }
 

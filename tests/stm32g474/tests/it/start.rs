@@ -1,5 +1,6 @@
 //! From power-on to the first answer; what a wrong option byte does.
 
+use ihd_firmware::pwm::DEAD_TIME_NS;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
 
@@ -17,6 +18,17 @@ fn it_boots_and_says_what_it_is() {
     let resets = bench.with(|machine| machine.resets.clone());
     assert!(resets.is_empty(), "{resets:?}");
     assert_no_violations(&bench);
+}
+
+/// What is written to HRTIM is the dead time of the library, in whole cycles.
+#[test]
+fn the_dead_time_is_that_of_the_library() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    drop(connect(&bench));
+    for dead_time_s in bench.with(|machine| machine.chip().hrtim.dead_times_s()) {
+        let more_ns = dead_time_s * 1e9 - f64::from(DEAD_TIME_NS);
+        assert!((0.0..6.0).contains(&more_ns), "{dead_time_s}");
+    }
 }
 
 /// One entry of the sampling interrupt a block, none besides.

@@ -1,4 +1,4 @@
-//! ADC1 with ADC2 for pairs, ADC3 for bus and mains; one trigger for all.
+//! ADC1 with ADC2 for pairs, ADC3 for bus and mains, with one trigger for all; ADC4 for temperatures, started by software.
 //!
 //! The clock is HCLK/4 = 42.5 MHz on all of them, synchronous with HRTIM, as erratum ES0430 2.7.11 wants
 //! it. ADCx_CCR may be written only while the ADCs are off, and comes first: calibration runs at the same
@@ -144,4 +144,33 @@ pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16) {
     // SAFETY: what the caller promises.
     unsafe { dma::start_slow(codes) };
     start(pac::ADC3);
+}
+
+/// ADC4, one channel at a time, each sampled for 247.5 cycles, 5.8 µs: the source is 5 kΩ behind 100 nF. Its clock is that of
+/// [`start_slow`], which must come before.
+pub fn start_single(channels: &[u8]) {
+    wake(pac::ADC4);
+    enable(pac::ADC4);
+    for &channel in channels {
+        set_sample_time(pac::ADC4, channel, SampleTime::CYCLES247_5);
+    }
+    pac::ADC4.cfgr().modify(|w| w.set_ovrmod(Ovrmod::OVERWRITE));
+}
+
+/// Starts one conversion of ADC4. Ignored while one is under way: then ADC_SQR1 may not be written.
+pub fn convert(channel: u8) {
+    if pac::ADC4.cr().read().adstart() {
+        return;
+    }
+    pac::ADC4.sqr1().write(|w| {
+        w.set_l(0);
+        w.set_sq(0, channel);
+    });
+    start(pac::ADC4);
+}
+
+/// What ADC4 has converted since this was asked last; reading ADC_DR clears EOC.
+pub fn converted() -> Option<u16> {
+    let done = pac::ADC4.isr().read().eoc();
+    done.then(|| pac::ADC4.dr().read().rdata())
 }

@@ -11,6 +11,10 @@ use super::{BRIDGE, SAMPLING, faults};
 /// HRTIM prescaler 2 (table "HRTIM resolution and min. PWM frequency" in HRTIM): 8 ticks a cycle.
 const PRESCALER: u8 = 2;
 
+/// Dead time in steps of one cycle (HRTIM, HRTIM_DTxR: DTPRSC = 3), of which 9 bits hold 3 µs.
+const DEAD_TIME_STEPS: u16 = (DEAD_TIME_NS * CORE_MHZ).div_ceil(1_000) as u16;
+const _: () = assert!(DEAD_TIME_STEPS > 0 && DEAD_TIME_STEPS < 512);
+
 /// What TIMxREP holds: one less than the periods between two repetition events. 61 of the sampling timer
 /// are as long as 3 of the bridge's, so both timers' come at the same tick, for ever.
 const REPETITION: [(usize, u8); 2] = [
@@ -63,12 +67,11 @@ pub fn prepare_timers(periods: Periods) {
         hrtim.tim(timer).rep().write(|w| w.set_rep(repetition));
     }
     let bridge = hrtim.tim(BRIDGE);
-    // HRTIM_DTAR. Prescaler 3 makes a step of one HRTIM cycle.
-    let steps = (DEAD_TIME_NS * CORE_MHZ).div_ceil(1_000) as u16;
+    // HRTIM_DTAR.
     bridge.dt().write(|w| {
         w.set_dtprsc(3);
-        w.set_dtr(steps);
-        w.set_dtf(steps);
+        w.set_dtr(DEAD_TIME_STEPS);
+        w.set_dtf(DEAD_TIME_STEPS);
     });
     // HRTIM_RSTA1R: output 1 off at compare 1; `switch` sets it. Output 2 is its complement.
     bridge.setr(0).write(|_| {});

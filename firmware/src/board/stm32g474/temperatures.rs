@@ -1,0 +1,71 @@
+//! Three thermistors on ADC4, which does nothing else: the others convert pairs, bus and mains at each trigger, and a fourth
+//! channel among those would come between.
+
+use ihd_firmware::temperature::TemperatureCodes;
+
+use super::registers::adc;
+use super::registers::clocks::CORE_MHZ;
+
+/// Heat sink on PB12, glass on PB14, coil on PB15.
+const CHANNELS: [u8; 3] = [3, 4, 5];
+
+/// From one conversion to the next: 1 ms, so each thermistor is looked at every 3 ms.
+const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
+
+/// What stands for a converter that is silent: an open thermistor, which is a fault.
+const OPEN: u16 = 4_095;
+
+/// Looks at a conversion of 6 µs before the converter is taken to be silent.
+const PATIENCE: u32 = 2_000;
+
+/// The converter and what it found.
+pub struct Temperatures {
+    codes: [u16; 3],
+    turn: usize,
+    started_at: u32,
+}
+
+impl Temperatures {
+    /// Starts the converter, and looks at each thermistor once. The clock of ADC3, which is its own too, is set already.
+    pub fn start(now: u32) -> Self {
+        adc::start_single(&CHANNELS);
+        let codes = CHANNELS.map(|channel| {
+            adc::convert(channel);
+            (0..PATIENCE).find_map(|_| adc::converted()).unwrap_or(OPEN)
+        });
+        adc::convert(CHANNELS[0]);
+        Self {
+            codes,
+            turn: 0,
+            started_at: now,
+        }
+    }
+
+    /// Takes what was converted and starts the next, once a millisecond; called after each block, with the cycle counter.
+    /// Whether there is something new.
+    pub fn after_block(&mut self, now: u32) -> bool {
+        if now.wrapping_sub(self.started_at) < EVERY_CYCLES {
+            return false;
+        }
+        self.started_at = now;
+        let code = adc::converted().unwrap_or(OPEN);
+        if let Some(place) = self.codes.get_mut(self.turn) {
+            *place = code;
+        }
+        self.turn = (self.turn + 1) % CHANNELS.len();
+        if let Some(&channel) = CHANNELS.get(self.turn) {
+            adc::convert(channel);
+        }
+        true
+    }
+
+    /// The last codes of heat sink, glass and coil, 0 to 4 095 over 0 to 3.3 V.
+    pub fn codes(&self) -> TemperatureCodes {
+        let [heat_sink, glass, coil] = self.codes;
+        TemperatureCodes {
+            heat_sink: Some(heat_sink),
+            glass: Some(glass),
+            coil: Some(coil),
+        }
+    }
+}
