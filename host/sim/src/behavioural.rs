@@ -4,7 +4,6 @@
 //! is the behavioural reference load of the project's studies.
 
 use std::fmt;
-use std::str::FromStr;
 
 /// What stands on the coil.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -52,22 +51,6 @@ impl fmt::Display for PotKind {
         f.write_str(self.name())
     }
 }
-
-impl FromStr for PotKind {
-    type Err = UnknownPot;
-
-    fn from_str(s: &str) -> Result<Self, UnknownPot> {
-        Self::ALL
-            .into_iter()
-            .find(|p| p.name() == s)
-            .ok_or_else(|| UnknownPot(s.to_owned()))
-    }
-}
-
-/// A pot name that does not exist.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown pot `{0}`: use ferromagnetic, small, aluminium, stainless or none")]
-pub struct UnknownPot(pub String);
 
 /// A load at one frequency, ready to be evaluated at every sample.
 #[derive(Clone, Copy, Debug)]
@@ -136,14 +119,5 @@ mod tests {
         let (r4, l4) = BehaviouralLoad::new(PotKind::Ferromagnetic, 180e3).r_l(0.0);
         assert!((r4 / r0 - 2.0).abs() < 1e-12);
         assert!((l4 - (16.0 + 16.0 * 4f64.powf(-0.3)) * 1e-6).abs() < 1e-15);
-    }
-
-    #[test]
-    fn names_round_trip_and_unknown_ones_are_refused() {
-        for pot in PotKind::ALL {
-            assert_eq!(pot.name().parse(), Ok(pot));
-        }
-        let refused = "copper".parse::<PotKind>().unwrap_err();
-        assert!(refused.to_string().contains("aluminium"));
     }
 }

@@ -67,8 +67,11 @@ impl Result {
     }
 
     fn add(&mut self, variant: &str, checked: &Checked) {
-        let same = |row: &&mut Row| row.name == checked.name && row.allowed == checked.allowed;
-        let row = match self.rows.iter_mut().position(|mut row| same(&&mut row)) {
+        let row = match self
+            .rows
+            .iter_mut()
+            .position(|row| row.name == checked.name && row.allowed == checked.allowed)
+        {
             Some(at) => &mut self.rows[at],
             None => {
                 self.rows.push(Row {

@@ -71,7 +71,7 @@ pub struct SimulateArgs {
     /// Dead time of the half-bridge in s
     #[arg(long, value_parser = quantity)]
     dead_time: Option<f64>,
-    /// ferritic-D, stainless-D, aluminium-D with D = 9 to 21 (cm), or none
+    /// METAL-D: ferritic, cast-iron, stainless or aluminium, with D = 5 to 26 (cm); or none
     #[arg(long)]
     pot: Option<Pot>,
     /// Lift the pot, in m (5mm)

@@ -8,6 +8,9 @@ use ihd_sim::scenario::record::{HalfCycle, Record};
 
 use super::table::Table;
 
+/// Changes of state, pot, fault or request that are listed; a host that repeats itself makes many.
+const ROWS: usize = 60;
+
 /// Power steps, faults, what the edges were like, and the energy.
 pub fn text(record: &Record) -> String {
     let summary = &record.summary;
@@ -42,7 +45,8 @@ pub fn text(record: &Record) -> String {
         "v_coil/V",
         "hard edges",
     ]);
-    for stretch in record.half_cycles.chunk_by(alike) {
+    let stretches: Vec<_> = record.half_cycles.chunk_by(alike).collect();
+    for stretch in stretches.iter().take(ROWS) {
         let mean =
             |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).sum::<f64>() / stretch.len() as f64;
         let most = |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).fold(0.0, f64::max);
@@ -62,6 +66,9 @@ pub fn text(record: &Record) -> String {
         ]);
     }
     text += &table.render();
+    if let Some(more) = stretches.len().checked_sub(ROWS + 1) {
+        let _ = writeln!(text, "and {} more changes: --json has all", more + 1);
+    }
     text.push('\n');
     for fault in &record.faults {
         let _ = writeln!(
