@@ -426,9 +426,13 @@ impl Control {
         } else {
             0
         };
-        // Replay has no mains and no bridge of its own.
+        if now.replaying {
+            // A recording has no mains and no bridge of its own.
+            self.plausibility.reset();
+            return Action::Keep;
+        }
         let implausible = self.plausibility.on_half_cycle(summary);
-        if let Some(fault) = implausible.filter(|_| !now.replaying && now.fault == Fault::NONE) {
+        if let Some(fault) = implausible.filter(|_| now.fault == Fault::NONE) {
             return Action::Fault(fault);
         }
         if summary.f_sw_hz == 0 {

@@ -5,6 +5,8 @@
 //! sample), what is corrected within a block (72 A), what trips (76 A, samples and comparator), what the
 //! converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
 
+use ihd_shared::wire::messages::Configure;
+
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
@@ -107,7 +109,7 @@ limits! {
     /// From one look to the next after it.
     LOOK_MS: u32 = 700, "ms";
     /// Waiting for a pot ends after this, unless the host sets another time, 60 to 600 s.
-    GIVE_UP_MS: u32 = 60_000, "ms";
+    GIVE_UP_MS: u32 = Configure::DEFAULT.give_up_s as u32 * 1_000, "ms";
     /// Starts again after trips before the lock-out.
     TRIES: u8 = 3, "tries";
     /// Pause before the first of them; each further one is twice as long.
@@ -169,7 +171,7 @@ limits! {
     /// Heat sink below which it stops.
     FAN_OFF_C: i16 = 42, "°C";
     /// Largest dither of the switching frequency that can be set.
-    DITHER_MAX_PERMILLE: u8 = 10, "permille";
+    DITHER_MAX_PERMILLE: u8 = *Configure::DITHER_PERMILLE.end(), "permille";
 }
 
 // The steps of each quantity are in order.

@@ -467,6 +467,10 @@ impl RealTime {
         } else if checked.limit != Limit::None && self.fault == Fault::NONE {
             let step_hz = self.drive.f_sw_hz * SOFT_STEP_PERMILLE / 1_000;
             let higher = Drive::switching(pwm::nearest_hz(self.drive.f_sw_hz + step_hz));
+            if higher == self.drive {
+                // At the highest frequency what is left is to trip.
+                return;
+            }
             if self.wanted.is_switching() {
                 self.wanted.f_sw_hz = self.wanted.f_sw_hz.max(higher.f_sw_hz);
             }

@@ -34,9 +34,18 @@ pub fn class(fault: Fault) -> Class {
         | Fault::NTC_OPEN
         | Fault::NTC_SHORT
         | Fault::OVER_TEMPERATURE => Class::Passing,
-        Fault::CORE_LOCKUP | Fault::RAM_PARITY | Fault::FLASH_ECC | Fault::OPTION_BYTES => {
-            Class::Standing
-        }
+        Fault::CORE_LOCKUP
+        | Fault::RAM_PARITY
+        | Fault::FLASH_ECC
+        | Fault::OPTION_BYTES
+        | Fault::FLASH_CRC
+        | Fault::RAM_TEST
+        | Fault::CLOCK
+        | Fault::WATCHDOG_TEST
+        | Fault::STACK_CANARY
+        | Fault::PROGRAM_FLOW
+        | Fault::DATA_CRC
+        | Fault::COMPARATOR_TEST => Class::Standing,
         _ => Class::Trip,
     }
 }
@@ -192,10 +201,14 @@ mod tests {
             assert_eq!(permitted_after(&mut restart, now_ms), MAINS_PAUSE_MS);
         }
         assert_eq!(restart.tries_left(), TRIES);
-        assert_eq!(
-            restart.tripped(Fault::OPTION_BYTES, 100_000),
-            Verdict::LockOut
-        );
+        for fault in [
+            Fault::OPTION_BYTES,
+            Fault::FLASH_CRC,
+            Fault::COMPARATOR_TEST,
+        ] {
+            let mut restart = Restart::default();
+            assert_eq!(restart.tripped(fault, 100_000), Verdict::LockOut);
+        }
     }
 
     #[test]

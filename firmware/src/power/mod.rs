@@ -112,6 +112,7 @@ impl PowerControl {
     /// The pot is away, or the mains; whoever comes back is likely to be the same.
     pub fn pause(&mut self, f_sw_hz: u32) {
         self.cancel();
+        self.memory = self.memory.of_mains();
         self.resume_hz = f_sw_hz;
     }
 
