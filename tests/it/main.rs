@@ -3,6 +3,7 @@
 mod capture_damage;
 mod closed_loop;
 mod closed_loop_link;
+mod control_doc;
 // Needs the firmware's image and QEMU: `cargo xtask test` builds the one and installs the other.
 #[cfg(feature = "emulator")]
 mod emulated_board;

@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{board, budget, cycles, emulator, fuzz, guest, licences};
+use crate::{board, budget, cycles, emulator, fuzz, guest, licences, scenarios};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
@@ -31,6 +31,8 @@ pub enum Step {
     Clippy,
     /// All tests, by cargo-nextest where it is installed
     Tests,
+    /// The first variant of each scenario in tests/scenarios against its limits
+    Scenarios,
     /// The examples in the documentation
     Doctests,
     /// The documentation builds, without broken links
@@ -70,6 +72,7 @@ impl Session {
                 self.cargo("nextest run --workspace --no-fail-fast")
             }
             Step::Tests => self.cargo("test --workspace --lib --bins --tests --no-fail-fast"),
+            Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
             Step::Doctests => self.cargo("test --workspace --doc --no-fail-fast"),
             Step::Rustdoc => {
                 let mut doc = self.workspace.cargo(["doc", "--workspace", "--no-deps"]);
