@@ -59,8 +59,8 @@ pub enum Measured {
     Word(String),
 }
 
-/// Power below which a half-cycle of a burst counts as off, in watt.
-const OFF_W: f64 = 100.0;
+/// A half-cycle of less than this share of the largest power is none of a burst: a look at the pot, say.
+const OF_BURST: f64 = 0.5;
 
 /// Steps to less, in watt, may be given in bursts (firmware/src/limits.rs, BURST_POWER_W).
 const BURST_BELOW_W: f64 = 720.0;
@@ -204,7 +204,8 @@ impl Record {
                 times.windows(2).map(|pair| pair[1] - pair[0]).collect()
             }
             "burst_w" => {
-                let on = self.half_cycles.iter().filter(|h| h.power_w > OFF_W);
+                let least_w = self.burst_from_w();
+                let on = self.half_cycles.iter().filter(|h| h.power_w > least_w);
                 let (mut sum_w, mut n) = (0.0, 0.0);
                 on.for_each(|h| (sum_w, n) = (sum_w + h.power_w, n + 1.0));
                 vec![sum_w / n]
@@ -271,14 +272,24 @@ impl Record {
         })
     }
 
+    fn burst_from_w(&self) -> f64 {
+        OF_BURST
+            * self
+                .half_cycles
+                .iter()
+                .map(|h| h.power_w)
+                .fold(0.0, f64::max)
+    }
+
     /// Lengths of the stretches of half-cycles with power, those at the record's ends left out.
     fn stretches(&self) -> Vec<usize> {
+        let least_w = self.burst_from_w();
         let all: Vec<_> = self
             .half_cycles
-            .chunk_by(|a, b| (a.power_w > OFF_W) == (b.power_w > OFF_W))
+            .chunk_by(|a, b| (a.power_w > least_w) == (b.power_w > least_w))
             .collect();
         let inner = all.get(1..all.len().saturating_sub(1)).unwrap_or_default();
-        let on = inner.iter().filter(|stretch| stretch[0].power_w > OFF_W);
+        let on = inner.iter().filter(|stretch| stretch[0].power_w > least_w);
         on.map(|stretch| stretch.len()).collect()
     }
 }
@@ -303,7 +314,8 @@ mod tests {
             half_cycles: powers.into_iter().enumerate().map(half_cycle).collect(),
             faults: Vec::new(),
             summary: serde_json::from_str(
-                r#"{"latched": false, "settled_after_s": [0.1, null], "energy_j": 29.0}"#,
+                r#"{"latched": false, "energy_j": 29.0,
+                    "steps": [{"power_w": 1000, "settled_after_s": null}]}"#,
             )
             .unwrap(),
         }
