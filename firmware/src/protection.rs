@@ -103,7 +103,9 @@ impl Protection {
             *counter = if bad { counter.saturating_add(1) } else { 0 };
             *counter >= ESTIMATE_BLOCKS
         };
-        if count(&mut self.at_bound, ekf.is_at_bound()) {
+        // An empty coil's R is next to nothing, and its L far from any harm: no pot, but no fault.
+        let harmless = ekf.l().0 >= 2 * self.l_min.0;
+        if count(&mut self.at_bound, ekf.is_at_bound() && !harmless) {
             Some(Fault::ESTIMATOR_DIVERGED)
         } else if count(&mut self.below_resonance, ekf.l() < self.l_min) {
             Some(Fault::BELOW_RESONANCE)
@@ -190,5 +192,37 @@ mod tests {
         }
         let tripped = p.check_estimate(&ekf);
         assert_eq!(tripped, Some(Fault::BELOW_RESONANCE));
+    }
+
+    /// At its bound with little L the estimate is of no load; with much, of an empty coil.
+    #[test]
+    fn an_empty_coil_is_no_fault_of_the_estimator() {
+        for (l_uh, fault) in [(6, Some(Fault::ESTIMATOR_DIVERGED)), (60, None)] {
+            let mut ekf = Ekf::new(
+                60_000,
+                MicroOhm(0),
+                PicoHenry(l_uh * 1_000_000),
+                Noise::TUNED,
+            );
+            // -0.5 ohm: impedances count in units of 2 ohm.
+            let one = f64::from(1 << 24);
+            let x_units = std::f64::consts::TAU * 60e3 * f64::from(l_uh) * 1e-6 / 2.0;
+            let complex = |re: f64, im: f64| crate::fixed::Complex {
+                re: (re * one) as i32,
+                im: (im * one) as i32,
+            };
+            let z = crate::demod::Phasors {
+                v: complex(-0.25, x_units),
+                i: complex(1.0, 0.0),
+            };
+            (0..50).for_each(|_| ekf.step(&z));
+            let mut p = Protection::default();
+            p.set_frequency(60_000);
+            let tripped = (0..20).find_map(|_| {
+                assert!(ekf.is_at_bound());
+                p.check_estimate(&ekf)
+            });
+            assert_eq!(tripped, fault, "{l_uh} µH");
+        }
     }
 }
