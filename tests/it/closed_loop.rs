@@ -90,23 +90,23 @@ fn the_rating_is_reached_above_resonance() {
 /// The hob waits: the bridge is off but for a look now and then, nothing heats and nothing is a fault.
 fn assert_waits(kitchen: &mut Kitchen, pot: Pot) {
     let seen = kitchen.watch(100);
-    let on = seen.iter().filter(|t| t.f_sw_hz > 0).count();
-    assert!((1..25).contains(&on), "{on} half-cycles of 100");
+    // A look begins with a half-cycle and is over before its crest: no telemetry shows one.
+    assert!(seen.iter().all(|t| t.f_sw_hz == 0 && t.power_mw < 200_000));
     for t in &seen {
         let state = (t.state, t.fault, t.pot);
         assert_eq!(state, (State::WaitingForPot, Fault::NONE, pot), "{t:?}");
     }
 }
 
-/// A pot is put on: it is heated within 1.5 s, and nobody has to ask for it. The power may take 3 s more: a
-/// pot that stood closer to resonance is remembered for so long.
+/// A pot is put on: it is heated within 1.5 s, and nobody has to ask for it. The power follows
+/// within another.
 fn assert_resumes(kitchen: &mut Kitchen) {
     kitchen.hob.lock().set_pot(PotKind::Ferromagnetic).unwrap();
     let heats = |t: &Telemetry| t.state == State::Heating;
     let in_time = (0..15).any(|_| kitchen.watch(10).iter().any(heats));
     assert!(in_time, "it does not heat 1.5 s after the pot came");
     let meets = |t: &Telemetry| (watt(t) / f64::from(t.asked_w) - 1.0).abs() < 0.03;
-    let met = (0..30).any(|_| kitchen.watch(10).iter().all(meets));
+    let met = (0..10).any(|_| kitchen.watch(10).iter().all(meets));
     assert!(met, "the power does not come back");
 }
 
