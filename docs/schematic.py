@@ -19,9 +19,9 @@ OUT = ROOT / "docs" / "schematic.svg"
 
 
 def constant(path, name):
-    """A number from a Rust source: `const NAME: T = 12_3.4`, or the first number after it."""
+    """A number from a Rust source: `NAME: T = 12_3.4`, or the first number after it."""
     text = (ROOT / path).read_text()
-    found = re.search(rf"const {name}: \w+ = \(?([\d_.]+)", text)
+    found = re.search(rf"{name}: \w+ = \(?([\d_.]+)", text)
     if not found:
         sys.exit(f"{path} has no constant {name}")
     return float(found[1].replace("_", ""))
@@ -31,7 +31,7 @@ def constant(path, name):
 V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_MV") / 1e3
 I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_MA") / 1e3
 BUS_FULL_SCALE_V = constant("firmware/src/mains.rs", "BUS_DV_FULL_SCALE") / 10
-I_TRIP_A = constant("firmware/src/protection.rs", "TRIP_CODE")
+I_TRIP_A = constant("firmware/src/limits.rs", "TRIP_CURRENT_MA") / 1e3
 MAINS_ARMED_CODE = constant("firmware/src/mains.rs", "ARMED_AT")
 C_R_NF = constant("shared/src/hob.rs", "RESONANCE_CAPACITANCE_NF")
 F_MIN_HZ = constant("shared/src/hob.rs", "F_SW_MIN_HZ")
@@ -39,7 +39,7 @@ F_MAX_HZ = constant("shared/src/hob.rs", "F_SW_MAX_HZ")
 DEAD_TIME_NS = constant("firmware/src/pwm.rs", "DEAD_TIME_NS")
 TICK_HZ = 8 * 170e6
 MAINS_FULL_SCALE_V = constant("firmware/src/mains.rs", "MAINS_FULL_SCALE_MV") / 1e3
-ANTI_ALIAS_HZ = 500e3
+ANTI_ALIAS_HZ = constant("shared/src/sampling.rs", "ANTI_ALIAS_HZ")
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
@@ -67,7 +67,7 @@ PARTS = {
     "c_r": 4 * 270e-9,
     "r_boot": 10.0,
     "c_boot": 1e-6,
-    "snubber": 2 * 4.7e-9,
+    "snubber": 2 * 6.8e-9,
 }
 
 
@@ -144,7 +144,7 @@ def values():
     f_top = TICK_HZ / (61 * m)
     row("highest frequency of the grid", f_top / 1e3, "kHz", f"1.36 GHz / (61 · {m})")
     row("its period", 1e6 / f_top, "µs", "")
-    row("each gate is high for", 0.5e6 / f_top - DEAD_TIME_NS / 1e3, "µs", "half a period less 400 ns")
+    row("each gate is high for", 0.5e6 / f_top - DEAD_TIME_NS / 1e3, "µs", "half a period less the dead time")
     row("sampling period there", 3 * m / TICK_HZ * 1e9, "ns", "")
     row("bleeder: bus from 325 V to 34 V", p["bleeder"] * p["dc_link"] * math.log(325 / 34), "s", "")
     row("bleeder: bus from 325 V to 10 V", p["bleeder"] * p["dc_link"] * math.log(325 / 10), "s", "")
@@ -163,12 +163,12 @@ def values():
     row("phase error of the transformer at 34 kHz", 1e3 * (p["burden"] + 3) / (2 * math.pi * F_MIN_HZ * l_ct), "mrad", "(4.12 + 3) Ω / (ω · 80 mH)")
     row("bootstrap: time constant", p["r_boot"] * p["c_boot"] * 1e6, "µs", "10 Ω · 1 µF")
     row("bootstrap: droop for a gate charge of 200 nC", 200e-9 / p["c_boot"], "V", "")
-    row("current that finishes an edge in the dead time", p["snubber"] * 325 / (DEAD_TIME_NS * 1e-9), "A", "9.4 nF · 325 V / 400 ns")
+    row("current that finishes an edge in the dead time", p["snubber"] * 325 / (DEAD_TIME_NS * 1e-9), "A", "13.6 nF · 325 V / 1 µs")
     row("clamp current at an amplifier's 5 V", (5 - 3.3 - 0.35) / p["pin_r"] * 1e3, "mA", "")
     f_slow = f_top * 61 / 3 / 2
     row("ADC3's input as a resistance", 1e-3 / (f_slow * 5e-12), "kΩ", "1 / (813 kHz · 5 pF)")
     for name, r25, beta, up, temperatures in (
-        ("heat sink", 10e3, 3435, 2.21e3, (-20, 25, 85, 150)),
+        ("heat sink", 10e3, 3950, 10e3, (-20, 25, 85, 150)),
         ("glass, coil", 100e3, 3950, 10e3, (-20, 25, 85, 200, 300)),
     ):
         for celsius in temperatures:
@@ -501,7 +501,7 @@ def bridge(s, top, low, sw):
         s.capacitor(1305, a, b - a, "v")
         for xx in (1245, 1305):
             s.dot(xx, a), s.dot(xx, b)
-        s.text(1320, (a + b) / 2 - 2, "4.7 nF\n1 kV", "t")
+        s.text(1320, (a + b) / 2 - 2, "6.8 nF\n1 kV", "t")
     s.text(1320, top - 18, "Q1, Q2: IGBT 650 V, 40 A, 150 A pulsed,\nfree-wheeling diodes inside", "t")
     # Coil with pot.
     s.dot(1378, sw)
@@ -629,9 +629,9 @@ def reference(s, y):
 
 
 def thermistors(s, y):
-    s.text(968, y - 54, "NTCs: reserved, not read yet", "h")
+    s.text(968, y - 54, "NTCs on ADC4", "h")
     for k, (where, ntc, up) in enumerate(
-        (("heat sink", "10 kΩ\nB 3435", "2.21 kΩ"), ("glass", "100 kΩ\nB 3950", "10 kΩ"), ("coil", "100 kΩ\nB 3950", "10 kΩ"))
+        (("heat sink", "10 kΩ\nB 3950", "10 kΩ"), ("glass", "100 kΩ\nB 3950", "10 kΩ"), ("coil", "100 kΩ\nB 3950", "10 kΩ"))
     ):
         x = 986 + 84 * k
         s.supply(x, y - 12, "3V3")
@@ -639,7 +639,7 @@ def thermistors(s, y):
         s.resistor(x, y - 6, 56, "v"), s.ntc(x, y + 50, 56, "v"), s.ground(x, y + 106)
         s.text(x + 12, y + 18, up, "t")
         s.dot(x, y + 50)
-        s.flag(x + 8, y + 50, f"NTC{k + 1}", "right", "later", 46), s.wire((x, y + 50), (x + 8, y + 50))
+        s.flag(x + 8, y + 50, ("PB12", "PB14", "PB15")[k], "right", "pin", 46), s.wire((x, y + 50), (x + 8, y + 50))
         s.text(x - 12, y + 134, where + "\n" + ntc, "n")
 
 
@@ -658,8 +658,8 @@ def controller(s):
         s.wire((x - 16, at), (x, at))
         s.text(x + 6, at + 5, what, "n")
     at = y + 262
-    s.flag(x - 79, at, "NTC1–3", "right", "later", 54), s.wire((x - 16, at), (x, at))
-    s.text(x + 6, at + 5, "pins open", "n")
+    s.flag(x - 79, at, "PB12–15", "right", "pin", 54), s.wire((x - 16, at), (x, at))
+    s.text(x + 6, at + 5, "ADC4", "n")
     s.text(x + 6, y + h - 10, "VSS, VSSA", "n")
     s.wire((x + 34, y + h), (x + 34, y + h + 8)), s.ground(x + 34, y + h + 8)
     pins = {"PA2": 24, "PA3": 52, "PA12": 96, "PA11": 124, "PA5": 204, "NRST": 242, "VDDA": 290, "VDD": 334}

@@ -27,9 +27,9 @@ use ihd_shared::wire::messages::{Limit, Pot, State};
 use crate::burst::{Burst, Step};
 use crate::half_cycle::Summary;
 use crate::limits::{
-    BURST_POWER_W, BUS_MIN_DV, BUS_TRIP_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS,
-    LOOK_MS, POT_CURRENT_MIN_MA, POT_GONE_HALF_CYCLES, QUICK_LOOK_MS, QUICK_LOOKS_FOR_MS,
-    SMALL_POT_PERCENT, UNJUDGED_MS,
+    BURST_POWER_W, BUS_MIN_DV, BUS_TRIP_DV, COMPARED_FROM_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS,
+    HALF_CYCLE_MIN_NS, LOOK_MS, POT_CURRENT_MIN_MA, POT_GONE_HALF_CYCLES, QUICK_LOOK_MS,
+    QUICK_LOOKS_FOR_MS, SMALL_POT_PERCENT, UNJUDGED_MS,
 };
 use crate::plausibility::Plausibility;
 use crate::pot::classify;
@@ -439,8 +439,8 @@ impl Control {
             self.half_cycles_on = 0;
         } else {
             self.half_cycles_on = self.half_cycles_on.wrapping_add(1);
-            self.power.note(summary, now.ms);
         }
+        self.power.note(summary, now.ms);
         match self.state {
             State::Idle
             | State::LockedOut
@@ -456,7 +456,8 @@ impl Control {
         if !matches!(self.state, State::Probing | State::WaitingForPot) {
             return Action::Keep;
         }
-        let dark = summary.i_crest_ma < POT_CURRENT_MIN_MA && summary.bus_peak_dv >= BUS_MIN_DV;
+        let dark =
+            summary.i_crest_ma < POT_CURRENT_MIN_MA && summary.bus_peak_dv >= COMPARED_FROM_DV;
         self.dark_looks = if dark { self.dark_looks + 1 } else { 0 };
         if self.dark_looks >= DARK_LOOKS {
             self.dark_looks = 0;

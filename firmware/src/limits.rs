@@ -1,9 +1,8 @@
 //! Every limit of control and protection, in one table. No limit here can be changed by the host, and
 //! none depends on a lookup. docs/control.md is generated from it.
 //!
-//! Currents go up in steps: what control plans with (68 A of the fundamental, some 65 A in the largest
-//! sample), what is corrected within a block (72 A), what trips (76 A, samples and comparator), what the
-//! converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
+//! Currents go up in steps: what control plans with (70 A), what is corrected within a block (73 A),
+//! what trips (76 A, samples and comparator), what the converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
 
 use ihd_shared::wire::messages::Configure;
 
@@ -35,12 +34,12 @@ macro_rules! limits {
 }
 
 limits! {
-    /// Amplitude of the coil current's fundamental at the crest that power control plans with, at the bus
-    /// voltage of now and of a mains that has recovered. The rating of 2500 W into a 21 cm pot at 230 V
-    /// takes 68 A; the third harmonic takes 4 A off the largest sample.
-    PLANNED_CURRENT_MA: u32 = 68_000, "mA";
+    /// Crest of the coil current that power control plans with, fundamental and third harmonic, at the bus
+    /// voltage of now and of a mains that has recovered. The rating of 2500 W into a 21 cm pot takes 64 A
+    /// at 230 V and 69 A at 180 V.
+    PLANNED_CURRENT_MA: u32 = 70_000, "mA";
     /// A sample of the coil current from here on raises the frequency within a block.
-    SOFT_CURRENT_MA: u32 = 72_000, "mA";
+    SOFT_CURRENT_MA: u32 = 73_000, "mA";
     /// A sample of the coil current, or the comparator, from here on opens both switches.
     TRIP_CURRENT_MA: u32 = 76_000, "mA";
     /// Crest of the coil voltage that power control plans with.
@@ -50,7 +49,9 @@ limits! {
     /// Bus voltage that opens both switches.
     BUS_TRIP_DV: u16 = 4_200, "dV";
     /// Below this highest bus voltage of a half-cycle nothing is heated and nothing judged.
-    BUS_MIN_DV: u16 = 600, "dV";
+    BUS_MIN_DV: u16 = 250, "dV";
+    /// Below this one readings are not compared with each other: 100 V.
+    COMPARED_FROM_DV: u16 = 1_000, "dV";
     /// Bus voltage below which the mains is at its zero, or away.
     BUS_DOWN_DV: u16 = 150, "dV";
     /// For so long the bus may be down while the bridge switches; then both switches open until the
@@ -79,8 +80,10 @@ limits! {
     /// Blocks until the next soft limit may act: new periods begin a block later, and the tank follows
     /// within another.
     SOFT_HOLD_BLOCKS: u8 = 3, "blocks";
-    /// For so long a frequency at which a soft limit acted, or a pot stood closer, is not gone below.
-    REMEMBERED_MS: u32 = 2_000, "ms";
+    /// For so long a frequency at which a soft limit acted is not gone below.
+    SOFT_REMEMBERED_MS: u32 = 600, "ms";
+    /// For so long the frequency at which a pot was lifted is not gone below.
+    LIFT_REMEMBERED_MS: u32 = 2_000, "ms";
     /// Largest step towards more power per half-cycle, with a lookup that nobody has taught.
     STEP_DOWN_HZ: u32 = 2_500, "Hz";
     /// The same where the lookup rests on observations and agrees with what is measured, and on the way

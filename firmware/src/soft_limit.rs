@@ -215,8 +215,8 @@ mod tests {
     #[test]
     fn large_samples_act_before_they_trip() {
         let seen = |i_a, l_h| check(60_000, &block(60e3, 1.0, l_h, i_a, 0.2), 0).limit;
-        assert_eq!(seen(71.0, 12e-6), Limit::None);
-        assert_eq!(seen(73.0, 12e-6), Limit::Current);
+        assert_eq!(seen(72.0, 12e-6), Limit::None);
+        assert_eq!(seen(74.0, 12e-6), Limit::Current);
         assert_eq!(seen(40.0, 40e-6), Limit::CoilVoltage);
     }
 

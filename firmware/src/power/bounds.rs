@@ -8,7 +8,7 @@ use ihd_shared::wire::messages::Limit;
 
 use super::fundamental_uv;
 use crate::half_cycle::Summary;
-use crate::impedance::TankAt;
+use crate::impedance::{Tank, TankAt};
 use crate::limits::{
     PLANNED_COIL_VOLTAGE_DV, PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT, TURN_OFF_PERCENT,
 };
@@ -70,7 +70,7 @@ impl Bounds {
         // The fundamental's part of the current at the turn-off: I·sin φ.
         let turn_off_ma = i64::from(i_ma) * tank.x_mohm() / tank.z_mohm().max(1) as i64;
         let need_ma = turn_off_need_ma(self.bus_dv) * TURN_OFF_PERCENT / 100;
-        if i_ma > PLANNED_CURRENT_MA {
+        if crest_ma(&tank, i_ma, v1_uv) > i64::from(PLANNED_CURRENT_MA) {
             Limit::Current
         } else if coil_dv > u64::from(PLANNED_COIL_VOLTAGE_DV) {
             Limit::CoilVoltage
@@ -82,6 +82,17 @@ impl Bounds {
             Limit::None
         }
     }
+}
+
+/// The largest current: I1 − I3·sin 3φ, as at the fundamental's crest the third harmonic of a square
+/// wave, a third of it behind nearly its reactance alone, stands there. It flattens the crest of a good
+/// pot's current (φ = 40°) and sharpens a small one's (75°).
+fn crest_ma(tank: &Tank, i_ma: u32, v1_uv: u32) -> i64 {
+    let sine_q10 = (tank.x_mohm() << 10) / tank.z_mohm().max(1) as i64;
+    let triple_q10 = 3 * sine_q10 - ((4 * sine_q10 * sine_q10 * sine_q10) >> 20);
+    let x3_mohm = 3 * tank.x_l_mohm - tank.x_c_mohm / 3;
+    let i3_ma = i64::from(v1_uv / 3) / x3_mohm.max(1);
+    i64::from(i_ma) - ((i3_ma * triple_q10) >> 10)
 }
 
 #[cfg(test)]
@@ -112,7 +123,10 @@ mod tests {
             i = 0.5 * (i + FRAC_2_PI * bus_v / r.hypot(x_l - x_c));
         }
         let x = x_l - x_c;
-        [i, bus_v / 2.0 + i * x_c, x / x_l, i * x / r.hypot(x)]
+        let phi = x.atan2(r);
+        let i3 = FRAC_2_PI * bus_v / 3.0 / (3.0 * x_l - x_c / 3.0);
+        let crest = i - i3 * (3.0 * phi).sin();
+        [crest, bus_v / 2.0 + i * x_c, x / x_l, i * phi.sin()]
     }
 
     /// Going down in frequency, the first limit is the oracle's, within 2 % of its quantity.
@@ -131,7 +145,7 @@ mod tests {
                 let [i_a, coil_v, margin, turn_off_a] =
                     oracle(f64::from(f_hz), r_ratio, l_ratio, bus_v);
                 match bounds.limit_at(f_hz) {
-                    Limit::Current => assert!((i_a / 68.0 - 1.0).abs() < 0.03, "{i_a}"),
+                    Limit::Current => assert!((i_a / 70.0 - 1.0).abs() < 0.03, "{i_a}"),
                     Limit::CoilVoltage => assert!((coil_v / 540.0 - 1.0).abs() < 0.03, "{coil_v}"),
                     Limit::Resonance => assert!((margin - 0.12).abs() < 0.01, "{margin}"),
                     // 15 nF within a microsecond, half as much again.
@@ -141,7 +155,7 @@ mod tests {
                     }
                     other => assert_eq!(other, Limit::None),
                 }
-                assert!(i_a < 70.0 && coil_v < 555.0 && margin > 0.11);
+                assert!(i_a < 72.0 && coil_v < 555.0 && margin > 0.11);
             }
         }
     }

@@ -4,16 +4,19 @@
 //!   below that, more power is not looked for.
 //! - A pot that is lifted comes back: L has jumped up, and for two seconds the frequency stays where the
 //!   pot was heated. It comes back to the power that it left.
-//! - A soft limit acted: for two seconds the frequency stays above that place.
+//! - A soft limit acted: for 0.6 s the frequency stays above that place.
 
 use ihd_shared::wire::messages::Limit;
 
 use super::bounds::Bounds;
 use crate::half_cycle::Summary;
-use crate::limits::{REMEMBERED_MS, SAG_FORGOTTEN_MS, SAG_PERCENT};
+use crate::limits::{LIFT_REMEMBERED_MS, SAG_FORGOTTEN_MS, SAG_PERCENT, SOFT_REMEMBERED_MS};
 
 /// A jump of L over the prior's within a half-cycle that is no drift: 4 %, 0.7 mm of lift.
 const JUMP_Q10: u32 = 1_065;
+
+/// A bus that was higher by this share was a swell.
+const SWELL_PERCENT: u32 = 108;
 
 /// A frequency that must not be gone below, in hertz, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -35,18 +38,29 @@ pub struct Memory {
     before_jump_q10: u32,
     floor: Floor,
     floor_since_ms: u32,
+    /// The bus at which the floor was raised, in decivolt.
+    floor_bus_dv: u16,
 }
 
 impl Memory {
-    /// Takes note of a half-cycle with the bridge on.
+    /// Takes note of a half-cycle.
     pub fn note(&mut self, summary: &Summary, now_ms: u32) {
         self.note_bus(summary.bus_peak_dv, now_ms);
-        if self.floor.f_sw_hz > 0 && now_ms.wrapping_sub(self.floor_since_ms) >= REMEMBERED_MS {
+        let lasts_ms = if self.before_jump_q10 > 0 {
+            LIFT_REMEMBERED_MS
+        } else {
+            SOFT_REMEMBERED_MS
+        };
+        let is_old = now_ms.wrapping_sub(self.floor_since_ms) >= lasts_ms;
+        // A swell that is over takes what it led to with it.
+        let swell_is_over = self.floor.limit == Limit::Current
+            && u32::from(summary.bus_peak_dv) * SWELL_PERCENT < u32::from(self.floor_bus_dv) * 100;
+        if self.floor.f_sw_hz > 0 && (is_old || swell_is_over) {
             self.forget_floor();
         }
-        if summary.limit != Limit::None {
+        if summary.f_sw_hz > 0 && summary.limit != Limit::None {
             self.last = None;
-            self.raise_floor(summary.f_sw_hz, summary.limit, now_ms);
+            self.raise_floor(summary, summary.f_sw_hz, summary.limit, now_ms);
         } else if summary.disturbed || summary.f_sw_hz == 0 {
             self.last = None;
         } else {
@@ -59,7 +73,7 @@ impl Memory {
         let forgotten = now_ms.wrapping_sub(self.bus_seen_ms) >= SAG_FORGOTTEN_MS;
         if near {
             // Slowly after a mains that varies within what is no sag.
-            self.bus_dv = bus_dv.max(self.bus_dv - self.bus_dv / 1_024);
+            self.bus_dv = bus_dv.max(self.bus_dv - self.bus_dv / 256);
             self.bus_seen_ms = now_ms;
         } else if forgotten {
             self.bus_dv = bus_dv;
@@ -72,21 +86,22 @@ impl Memory {
         let f_sw_hz = summary.f_sw_hz;
         let above = |is: u32, than: u32| is << 10 > than * JUMP_Q10;
         if let Some((last_q10, last_hz)) = self.last
-            // The prior's shape is not the load's: over a wide step of frequency a ratio may move.
-            && last_hz.abs_diff(f_sw_hz) < last_hz / 8
+            // The prior's shape is not the load's: over a step of frequency a ratio may move.
+            && last_hz.abs_diff(f_sw_hz) <= last_hz / 32
             && above(l_q10, last_q10)
         {
             if self.before_jump_q10 == 0 {
                 self.before_jump_q10 = last_q10;
             }
-            self.raise_floor(last_hz.max(f_sw_hz), Limit::Resonance, now_ms);
+            self.raise_floor(summary, last_hz.max(f_sw_hz), Limit::Resonance, now_ms);
         } else if self.before_jump_q10 > 0 && !above(l_q10, self.before_jump_q10) {
             self.forget_floor();
         }
         self.last = Some((l_q10, f_sw_hz));
     }
 
-    fn raise_floor(&mut self, f_sw_hz: u32, limit: Limit, now_ms: u32) {
+    fn raise_floor(&mut self, summary: &Summary, f_sw_hz: u32, limit: Limit, now_ms: u32) {
+        self.floor_bus_dv = summary.bus_peak_dv;
         self.floor = Floor { f_sw_hz, limit };
         self.floor_since_ms = now_ms;
     }
@@ -175,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_soft_limit_is_remembered_for_two_seconds() {
+    fn a_soft_limit_is_remembered_for_a_while() {
         let mut memory = Memory::default();
         let limited = Summary {
             limit: Limit::Current,
@@ -186,7 +201,7 @@ mod tests {
         memory.note(&limited, 0);
         let floor = memory.floor_hz(&half_cycle(24.0, 3_250));
         assert_eq!((floor.f_sw_hz, floor.limit), (48_000, Limit::Current));
-        memory.note(&half_cycle(24.0, 3_250), REMEMBERED_MS);
+        memory.note(&half_cycle(24.0, 3_250), SOFT_REMEMBERED_MS);
         assert_eq!(memory.floor_hz(&half_cycle(24.0, 3_250)), Floor::default());
     }
 }

@@ -4,7 +4,7 @@ use ihd_shared::lookup::{AtFrequency, RlLookup};
 
 use super::fundamental_uv;
 use crate::impedance::{Tank, TankAt};
-use crate::limits::{PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT};
+use crate::limits::{RESONANCE_MARGIN_PERCENT, TRIP_CURRENT_MA};
 
 /// sin of the four midpoints of a quarter period (11.25°, 33.75°, …), in 1/1024: the mean over
 /// them is the mean over the half-cycle.
@@ -44,7 +44,7 @@ pub fn predict(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<Pred
             i_ma = v1_uv / load.tank(i_ma).z_mohm().clamp(1, u64::from(u32::MAX)) as u32;
         }
         let tank = load.tank(i_ma);
-        if i_ma > PLANNED_CURRENT_MA || !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+        if i_ma > TRIP_CURRENT_MA || !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
             return None;
         }
         heat += u64::from(i_ma) * u64::from(i_ma) * tank.r_mohm.max(0) as u64;

@@ -60,7 +60,7 @@ pub enum Measured {
 }
 
 /// A half-cycle of less than this share of the largest power is none of a burst: a look at the pot, say.
-const OF_BURST: f64 = 0.5;
+const OF_BURST: f64 = 0.35;
 
 /// Steps to less, in watt, may be given in bursts (firmware/src/limits.rs, BURST_POWER_W).
 const BURST_BELOW_W: f64 = 720.0;
