@@ -658,7 +658,7 @@ def controller(s):
         s.wire((x - 16, at), (x, at))
         s.text(x + 6, at + 5, what, "n")
     at = y + 262
-    s.flag(x - 79, at, "PB12–15", "right", "pin", 54), s.wire((x - 16, at), (x, at))
+    s.flag(x - 79, at, "NTCs", "right", "pin", 54), s.wire((x - 16, at), (x, at))
     s.text(x + 6, at + 5, "ADC4", "n")
     s.text(x + 6, y + h - 10, "VSS, VSSA", "n")
     s.wire((x + 34, y + h), (x + 34, y + h + 8)), s.ground(x + 34, y + h + 8)
@@ -727,7 +727,7 @@ def legend(s):
     notes = (
         "Chains: 4 resistors 1206, 0.1 %, 200 V each. U3–U5: OPA2365 on +5 V, one half spare, 100 nF each.\n"
         "316 Ω ± 1 % and 1 nF C0G ± 2 % are the anti-alias pole, 503.7 kHz, the same in both channels.\n"
-        "Blue: nets. Green: pins that the firmware reads or drives today. Grey, dashed: reserved.\n"
+        "Blue: nets. Green: pins that the firmware reads or drives today..\n"
         "Arithmetic, errors and what they mean: docs/wiring.md. Mains parts: a start, no EMC design."
     )
     s.text(668, y + 20, notes, "n", step=17)

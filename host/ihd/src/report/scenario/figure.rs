@@ -93,7 +93,7 @@ fn chart(panel: &Panel<'_>, title: &str, record: &Record, curves: &[Curve]) -> R
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
+        .position(SeriesLabelPosition::LowerRight)
         .background_style(WHITE.mix(0.85))
         .draw()
         .map_err(|e| text(&e))
