@@ -10,12 +10,8 @@
 //! crossing after the switches opened: until then the resonance capacitor follows the mains through a
 //! diode, and a switch that closed would short what it holds.
 
+use crate::limits::BOOTSTRAP_CHARGE_NS;
 use crate::pwm;
-
-/// The lower switch is closed for at least this long before the bridge switches: 1 ms. The bootstrap
-/// capacitor charges with 10 ohm × 1 µF = 10 µs, through a diode that takes its last tenths of a volt
-/// slowly; a board with ten times of both still has ten time constants.
-const BOOTSTRAP_CHARGE_NS: u32 = 1_000_000;
 
 /// The two switches of the half-bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

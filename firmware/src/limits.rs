@@ -46,6 +46,13 @@ limits! {
     PLANNED_COIL_VOLTAGE_DV: u32 = 5_400, "dV";
     /// A sample of the coil voltage from here on raises the frequency within a block.
     SOFT_COIL_VOLTAGE_DV: u32 = 5_900, "dV";
+    /// The lower switch is closed for at least this long before the bridge switches. The bootstrap
+    /// capacitor charges with 10 ohm × 1 µF = 10 µs, through a diode that takes its last tenths of a volt
+    /// slowly; a board with ten times of both still has ten time constants.
+    BOOTSTRAP_CHARGE_NS: u32 = 1_000_000, "ns";
+    /// A lower switch closed for so long has seen a whole half-cycle: a bus that did not go down in it is
+    /// a link that nothing discharges.
+    IDLE_LINK_NS: u32 = 25_000_000, "ns";
     /// Bus voltage that opens both switches.
     BUS_TRIP_DV: u16 = 4_200, "dV";
     /// Below this highest bus voltage of a half-cycle nothing is heated and nothing judged.
@@ -131,6 +138,8 @@ limits! {
     SATURATED_PAIRS: u16 = 16, "pairs";
     /// Without a zero crossing for so long the mains is gone.
     MAINS_LOST_NS: u64 = 30_000_000, "ns";
+    /// A zero crossing sooner than this after the last one is an echo of it.
+    SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000, "ns";
     /// Shortest half-cycle of a mains that is as it must be: 66 Hz.
     HALF_CYCLE_MIN_NS: u32 = 7_576_000, "ns";
     /// Longest: 45 Hz.

@@ -19,7 +19,8 @@ pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
 use crate::limits::{
-    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, LOOK_NS, SOFT_STEP_PERMILLE,
+    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, IDLE_LINK_NS, LOOK_NS,
+    SHORTEST_HALF_CYCLE_NS, SOFT_STEP_PERMILLE,
 };
 use crate::protection::Protection;
 use crate::pwm;
@@ -41,13 +42,6 @@ pub struct Block<'a> {
     /// Blocks lost since the last one (DMA overrun).
     pub lost: u32,
 }
-
-/// A lower switch closed for so long has seen a whole half-cycle: a bus that did not go down in it is a
-/// link that nothing discharges.
-const IDLE_LINK_NS: u32 = 25_000_000;
-
-/// A crossing sooner than this after the last one is an echo of it.
-const SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000;
 
 /// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
 /// section; every closure is short (the longest copies one 960-byte chunk).
