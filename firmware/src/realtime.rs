@@ -19,8 +19,8 @@ pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
 use crate::half_cycle::{Accumulator, Summary};
 use crate::limits::{
-    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, DITHER_MAX_PERMILLE, IDLE_LINK_NS, LOOK_NS,
-    SHORTEST_HALF_CYCLE_NS, SOFT_STEP_PERMILLE,
+    BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, BUS_MIN_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS,
+    LOOK_NS, SHORTEST_HALF_CYCLE_NS, SOFT_STEP_PERMILLE,
 };
 use crate::protection::Protection;
 use crate::pwm;
@@ -71,6 +71,8 @@ pub struct RealTime {
     soft: SoftLimits,
     /// How long the bus has been down while the bridge switches.
     bus_down_ns: u32,
+    /// The bus has had voltage in this half-cycle, and in the one before.
+    bus_was_up: (bool, bool),
     /// The next open bridge waits for a zero crossing.
     off_at_crossing: bool,
     /// The next half-cycle that the bridge switches is a look for a pot, and ends before its crest.
@@ -132,6 +134,7 @@ impl RealTime {
             protection: Protection::blank(),
             soft: SoftLimits::blank(),
             bus_down_ns: 0,
+            bus_was_up: (false, false),
             off_at_crossing: false,
             looking: false,
             dither_permille: 0,
@@ -411,6 +414,10 @@ impl RealTime {
         self.since_crossing_ns = self
             .since_crossing_ns
             .saturating_add(i64::from(self.block_ns));
+        if crossing.is_some() {
+            self.bus_was_up = (false, self.bus_was_up.0);
+        }
+        self.bus_was_up.0 |= block.bus_dv >= BUS_MIN_DV;
         if self.drive.is_switching() {
             self.watch(block, &sums);
             self.end_look(block.bus_dv);
@@ -451,7 +458,9 @@ impl RealTime {
         if self.replaying {
             return;
         }
-        if self.bus_down_ns > BUS_DOWN_NS {
+        // A bus that never comes up is a sensor's fault, or a bench without power.
+        let was_up = self.bus_was_up.0 || self.bus_was_up.1;
+        if was_up && self.bus_down_ns > BUS_DOWN_NS {
             self.bus_down_ns = 0;
             self.accumulator.disturb();
             self.change_drive(Drive {
