@@ -97,6 +97,11 @@ impl Protection {
         self.at_bound = 0;
     }
 
+    /// The inductance that resonates at the frequency in force.
+    pub fn l_min(&self) -> PicoHenry {
+        self.l_min
+    }
+
     /// Checks the estimate after a block that was not held.
     pub fn check_estimate(&mut self, ekf: &Ekf) -> Option<Fault> {
         let count = |counter: &mut u8, bad: bool| {

@@ -264,7 +264,8 @@ impl RealTime {
         self.demod = Demodulator::new(drive.f_sw_hz);
         self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
         self.protection.set_frequency(drive.f_sw_hz);
-        self.soft.set_frequency(drive.f_sw_hz);
+        self.soft
+            .set_frequency(drive.f_sw_hz, self.protection.l_min());
         self.protection.reset();
         self.accumulator = Accumulator::default();
         self.recorder.interrupt();
@@ -565,14 +566,14 @@ impl RealTime {
             self.block_ns = block_ns(next.f_sw_hz);
             self.ekf.set_frequency(next.f_sw_hz);
             self.protection.set_frequency(next.f_sw_hz);
-            self.soft.set_frequency(next.f_sw_hz);
         }
         if self.drive.is_switching() {
             self.at_rest &= next.is_switching();
         } else {
             self.ekf.restart();
-            self.soft.set_frequency(next.f_sw_hz);
         }
+        self.soft
+            .set_frequency(next.f_sw_hz, self.protection.l_min());
         self.lower_on_ns = 0;
         self.demod = Demodulator::new(next.f_sw_hz);
         self.recorder.interrupt();

@@ -15,11 +15,11 @@ use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{
     ADC_LOCK_P, AMPERE_PER_CODE, CODE_HALF_RANGE, I_FULL_SCALE_A, Pair, V_FULL_SCALE_V,
 };
+use ihd_shared::units::PicoHenry;
 use ihd_shared::wire::messages::Limit;
 
 use crate::demod::BlockSums;
 use crate::fixed::Complex;
-use crate::impedance::TankAt;
 use crate::limits::{
     SOFT_COIL_VOLTAGE_DV, SOFT_CURRENT_MA, SOFT_HOLD_BLOCKS, SOFT_RESONANCE_PERCENT,
     SOFT_SWITCHING_FROM_DV, SOFT_TURN_OFF_PERCENT,
@@ -90,11 +90,16 @@ impl SoftLimits {
     }
 
     /// Another frequency begins: nothing acts until its first blocks are over.
-    pub fn set_frequency(&mut self, f_sw_hz: u32) {
+    ///
+    /// `l_min` resonates with the capacitor there, so X_C is ωL of it: no division.
+    pub fn set_frequency(&mut self, f_sw_hz: u32, l_min: PicoHenry) {
         /// Ampere per volt of a code, with the margin, in 1/65536 and per milliohm.
         const PER_MOHM_Q32: u64 = (4_294_967.296 * I_FULL_SCALE_A / V_FULL_SCALE_V * 100.0
             / (100 - SOFT_RESONANCE_PERCENT) as f64) as u64;
-        let x_c_mohm = TankAt::new(f_sw_hz).x_c_mohm().unsigned_abs();
+        /// 2π in milliohm per hertz and picohenry, 2π·1e-9, in 2^-40.
+        const OMEGA_Q40: u64 = 6_908;
+        let x_c_mohm =
+            ((u64::from(f_sw_hz) * u64::from(l_min.0.unsigned_abs())) >> 8) * OMEGA_Q40 >> 32;
         self.reactance_q16 = ((x_c_mohm * PER_MOHM_Q32) >> 16) as i64;
         self.hold = SOFT_HOLD_BLOCKS;
     }
@@ -149,6 +154,7 @@ fn is_too_little(turn_off_ma: i32, bus_dv: u16) -> bool {
 mod tests {
     use super::*;
     use crate::demod::correlate;
+    use crate::impedance::resonant_inductance;
     use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
     use ihd_shared::sampling::VOLT_PER_CODE;
     use std::f64::consts::TAU;
@@ -169,7 +175,7 @@ mod tests {
 
     fn check(f_hz: u32, pairs: &[Pair; ADC_LOCK_P], bus_dv: u16) -> Checked {
         let mut soft = SoftLimits::default();
-        soft.set_frequency(f_hz);
+        soft.set_frequency(f_hz, resonant_inductance(f_hz));
         let mut last = None;
         for _ in 0..=SOFT_HOLD_BLOCKS {
             last = Some(soft.check(&correlate(pairs), pairs, bus_dv));
@@ -223,7 +229,7 @@ mod tests {
     #[test]
     fn a_new_frequency_is_given_time() {
         let mut soft = SoftLimits::default();
-        soft.set_frequency(60_000);
+        soft.set_frequency(60_000, resonant_inductance(60_000));
         let pairs = block(60e3, 1.0, 12e-6, 74.0, 0.2);
         for _ in 0..SOFT_HOLD_BLOCKS {
             assert_eq!(soft.check(&correlate(&pairs), &pairs, 0).limit, Limit::None);
