@@ -99,7 +99,7 @@ impl SoftLimits {
         /// 2π in milliohm per hertz and picohenry, 2π·1e-9, in 2^-40.
         const OMEGA_Q40: u64 = 6_908;
         let x_c_mohm =
-            ((u64::from(f_sw_hz) * u64::from(l_min.0.unsigned_abs())) >> 8) * OMEGA_Q40 >> 32;
+            (((u64::from(f_sw_hz) * u64::from(l_min.0.unsigned_abs())) >> 8) * OMEGA_Q40) >> 32;
         self.reactance_q16 = ((x_c_mohm * PER_MOHM_Q32) >> 16) as i64;
         self.hold = SOFT_HOLD_BLOCKS;
     }

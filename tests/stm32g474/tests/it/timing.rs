@@ -57,7 +57,7 @@ fn a_block_is_done_within_its_budget() {
     );
     assert!(share <= 0.65, "{share}");
     assert!(share_50 <= 0.45, "{share_50}");
-    // TODO(issue 14): a zero crossing with another drive takes 1.23 of a block at 80 kHz (0.88 before the
+    // Not yet what it should be: a zero crossing with another drive takes 1.23 of a block at 80 kHz (0.88 before the
     // bursts). The ring holds two blocks and the mean is 0.63, so none is lost; the new periods are late by one.
     assert!(
         worst_share <= 1.30 && worst_50 <= 1.0,
