@@ -63,7 +63,7 @@ pub struct Summary {
 
 impl Summary {
     /// As the default: all bits zero.
-    pub(crate) const BLANK: Self = Self {
+    const BLANK: Self = Self {
         half_cycle: 0,
         f_sw_hz: 0,
         duration_ns: 0,
@@ -180,48 +180,63 @@ impl Accumulator {
         }
     }
 
-    /// The summary of what was added, and a fresh start.
+    /// What was added, and a fresh start. No arithmetic here: this is the sampling path's longest block.
     pub fn finish(
         &mut self,
         half_cycle: u32,
         f_sw_hz: u32,
         duration_ns: u32,
         bus_at_crossing_dv: u16,
-    ) -> Summary {
-        let pairs = i64::from(self.blocks.max(1)) * ADC_LOCK_P as i64;
-        let power_mw = ((self.vi / pairs).max(0) as u64 * MILLIWATT) >> (2 * (CODE_BITS - 1));
+        glance: bool,
+    ) -> Gathered {
+        self.crest.half_cycle = half_cycle;
+        self.crest.f_sw_hz = f_sw_hz;
+        self.crest.duration_ns = duration_ns;
+        self.crest.bus_at_crossing_dv = bus_at_crossing_dv;
+        self.crest.glance = glance;
+        Gathered(core::mem::take(self))
+    }
+}
+
+/// A half-cycle that is over, for the thread to work out.
+#[derive(Clone, Debug)]
+pub struct Gathered(Accumulator);
+
+impl Gathered {
+    /// As of no blocks.
+    pub(crate) const fn blank() -> Self {
+        Self(Accumulator::blank())
+    }
+
+    /// The half-cycle in numbers.
+    pub fn summary(&self) -> Summary {
+        let sums = &self.0;
+        let pairs = i64::from(sums.blocks.max(1)) * ADC_LOCK_P as i64;
+        let power_mw = ((sums.vi / pairs).max(0) as u64 * MILLIWATT) >> (2 * (CODE_BITS - 1));
         // To a code: 0.3 V and 40 mA, of limits of 20 V and 3 A.
         let mean = |sum: i32, full_scale: u32| {
-            let code = sum / (self.offset_blocks.max(1) * ADC_LOCK_P as i32);
+            let code = sum / (sums.offset_blocks.max(1) * ADC_LOCK_P as i32);
             (code * full_scale as i32) >> (CODE_BITS - 1)
         };
-        let summary = Summary {
-            half_cycle,
-            f_sw_hz,
-            duration_ns,
-            power_mw: u32::try_from(unfiltered(power_mw, f_sw_hz)).unwrap_or(u32::MAX),
-            bus_at_crossing_dv,
-            i_turn_off_min_ma: self.turn_off_ma.unwrap_or(i32::MAX),
-            v_offset_dv: mean(self.offsets.0, V_FULL_SCALE_MV / 100),
-            i_offset_ma: mean(self.offsets.1, I_FULL_SCALE_MA),
+        let power_mw = unfiltered(power_mw, sums.crest.f_sw_hz);
+        Summary {
+            power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
+            i_turn_off_min_ma: sums.turn_off_ma.unwrap_or(i32::MAX),
+            v_offset_dv: mean(sums.offsets.0, V_FULL_SCALE_MV / 100),
+            i_offset_ma: mean(sums.offsets.1, I_FULL_SCALE_MA),
             // Decivolt times milliampere are a tenth of a milliwatt.
-            dc_link_mw: (self.dc_link_blocks > 0)
-                .then(|| (self.dc_link / u64::from(self.dc_link_blocks) / 10) as u32),
-            // Here and not at every block of a rising current: a square root takes its time.
-            i_crest_ma: amplitude_ma(self.crest_norm),
-            ..self.crest
-        };
-        *self = Self::default();
-        summary
+            dc_link_mw: (sums.dc_link_blocks > 0)
+                .then(|| (sums.dc_link / u64::from(sums.dc_link_blocks) / 10) as u32),
+            i_crest_ma: amplitude_ma(sums.crest_norm),
+            ..sums.crest
+        }
     }
 }
 
 /// The power before the anti-alias filters, which take 1/(1 + (f/f_c)²) of the product: 0.5 % at
 /// 34 kHz, 2.5 % at 80 kHz. The harmonics' power is a hundredth of it.
 fn unfiltered(power_mw: u64, f_sw_hz: u32) -> u64 {
-    // No division of 64 bit in the sampling path: 2^32/f_c, and 16 bit less.
-    const PER_HZ_Q16: u32 = ((1_u64 << 32) / ANTI_ALIAS_HZ as u64) as u32;
-    let share_q16 = u64::from((f_sw_hz.min(300_000) * PER_HZ_Q16) >> 16);
+    let share_q16 = (u64::from(f_sw_hz) << 16) / u64::from(ANTI_ALIAS_HZ);
     power_mw + ((power_mw * ((share_q16 * share_q16) >> 16)) >> 16)
 }
 
@@ -240,12 +255,13 @@ mod tests {
         for _ in 0..150 {
             a.add_block(&sums, 3_000, None);
         }
-        let s = a.finish(7, 45_000, 10_000_000, 0);
+        let s = a.finish(7, 45_000, 10_000_000, 0, false).summary();
         // The filter lets 1/(1 + 0.09²) of it through.
         let expected = 200_000.0 * VOLT_PER_CODE * AMPERE_PER_CODE * 1e3 * (1.0 + 0.09f64.powi(2));
         assert!((f64::from(s.power_mw) / expected - 1.0).abs() < 1e-4);
         assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
-        assert_eq!(a.finish(8, 0, 0, 0).power_mw, 0, "it must start afresh");
+        let afresh = a.finish(8, 0, 0, 0, false).summary();
+        assert_eq!(afresh.power_mw, 0, "it must start afresh");
     }
 
     #[test]
@@ -259,6 +275,6 @@ mod tests {
             0,
             None,
         );
-        assert_eq!(a.finish(0, 45_000, 0, 0).power_mw, 0);
+        assert_eq!(a.finish(0, 45_000, 0, 0, false).summary().power_mw, 0);
     }
 }

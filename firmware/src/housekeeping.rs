@@ -310,11 +310,11 @@ impl Housekeeping {
     /// frequency is the longest it does.
     #[inline(never)]
     pub fn poll(&mut self, access: &mut impl Access) {
-        let (summary, now) = access.with(|rt| {
+        let (gathered, now) = access.with(|rt| {
             rt.note_turn();
-            (rt.take_summary(), Now::of(rt))
+            (rt.take_half_cycle(), Now::of(rt))
         });
-        let action = match summary {
+        let action = match gathered.map(|half_cycle| half_cycle.summary()) {
             Some(glance) if glance.glance => self.control.on_half_cycle(&glance, &now),
             Some(summary) => self.on_half_cycle(access, &summary, &now),
             None => self.control.advance(&self.active, &now),

@@ -17,7 +17,7 @@ use ihd_shared::wire::messages::Limit;
 use crate::demod::{BlockSums, Demodulator, correlate};
 pub use crate::drive::{Bridge, Drive};
 use crate::ekf::{Ekf, Noise};
-use crate::half_cycle::{Accumulator, Summary};
+use crate::half_cycle::{Accumulator, Gathered};
 use crate::limits::{
     BUS_AT_START_DV, BUS_DOWN_DV, BUS_DOWN_NS, BUS_MIN_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS,
     LOOK_NS, SHORTEST_HALF_CYCLE_NS, SOFT_STEP_PERMILLE,
@@ -88,8 +88,8 @@ pub struct RealTime {
     since_crossing_ns: i64,
     half_cycle: u32,
     /// The last half-cycle, while nobody has taken it. No option, whose `None` may have bits set.
-    summary: Summary,
-    has_summary: bool,
+    gathered: Gathered,
+    has_gathered: bool,
     fault: Fault,
     /// Half-cycle in which the fault tripped.
     fault_half_cycle: u32,
@@ -145,8 +145,8 @@ impl RealTime {
             windows_every: 0,
             since_crossing_ns: 0,
             half_cycle: 0,
-            summary: Summary::BLANK,
-            has_summary: false,
+            gathered: Gathered::blank(),
+            has_gathered: false,
             fault: Fault::NONE,
             fault_half_cycle: 0,
             saturated_pairs: 0,
@@ -336,9 +336,9 @@ impl RealTime {
         self.protection.reset();
     }
 
-    /// The last half-cycle's summary, once.
-    pub fn take_summary(&mut self) -> Option<Summary> {
-        core::mem::take(&mut self.has_summary).then_some(self.summary)
+    /// The last half-cycle, once; its summary is worked out by whoever has taken it.
+    pub fn take_half_cycle(&mut self) -> Option<Gathered> {
+        core::mem::take(&mut self.has_gathered).then(|| self.gathered.clone())
     }
 
     /// A window every this many half-cycles; 0 for none.
@@ -435,11 +435,10 @@ impl RealTime {
             return;
         }
         let f_sw_hz = self.f_sw_hz();
-        self.summary = self
+        self.gathered = self
             .accumulator
-            .finish(self.half_cycle, f_sw_hz, LOOK_NS, bus_dv);
-        self.summary.glance = true;
-        self.has_summary = true;
+            .finish(self.half_cycle, f_sw_hz, LOOK_NS, bus_dv, true);
+        self.has_gathered = true;
         self.accumulator.disturb();
         self.request(Drive::OFF);
     }
@@ -493,10 +492,10 @@ impl RealTime {
         let duration_ns = u32::try_from(duration_ns).unwrap_or(u32::MAX);
         self.recorder.end(duration_ns);
         let f_sw_hz = self.f_sw_hz();
-        self.summary = self
-            .accumulator
-            .finish(self.half_cycle, f_sw_hz, duration_ns, block.bus_dv);
-        self.has_summary = true;
+        self.gathered =
+            self.accumulator
+                .finish(self.half_cycle, f_sw_hz, duration_ns, block.bus_dv, false);
+        self.has_gathered = true;
         self.half_cycle = self.half_cycle.wrapping_add(1);
         // A window wants one frequency throughout, so none begins at a frequency step.
         if self.is_window_due(0) && self.drive.is_switching() && self.wanted == self.drive {
