@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use ihd_link::{Client, LinkError};
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::LookupRow;
 
 use super::Answer;
@@ -86,7 +86,7 @@ impl Session<'_> {
         self.show_lookups().await;
     }
 
-    /// Pushes a lookup under the next version: pending in the store before the device sees it. `answer` is
+    /// Pushes a lookup, under the next version where the device would not take its own: pending in the store before the device sees it. `answer` is
     /// told when it is active, or why not.
     ///
     /// # Errors
@@ -132,12 +132,8 @@ impl Session<'_> {
             .await
             .ok_or("the store does not answer: nothing is pushed that it could not keep")?;
         let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
-        let is_pending = |row: &LookupRow| {
-            row.state == ihd_store::LookupState::Pending
-                && row.version > on_device
-                && row.blob == lookup.to_bytes()
-        };
-        if !rows.iter().any(is_pending) {
+        let highest = on_device.saturating_add(LOOKUP_VERSION_STEP);
+        if lookup.version <= on_device || lookup.version > highest {
             lookup.version = next_version(on_device, &rows)?;
         }
         let (pending, said) = (lookup.clone(), printable(why));
