@@ -6,6 +6,7 @@
 //!            Correlator, WhiteNoise   AdcGrid, quantise: the same samples as a board sees them
 //! ```
 
+pub mod atomic;
 pub mod capture;
 pub mod correlation;
 pub mod load;
