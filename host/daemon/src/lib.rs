@@ -20,6 +20,7 @@ mod face;
 mod figures;
 pub mod lease;
 mod ledger;
+pub mod learning;
 pub mod model;
 mod printable;
 mod states;
