@@ -485,7 +485,8 @@ impl RealTime {
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
     fn cross_zero(&mut self, block: &Block<'_>, at: usize) {
         let (before, after) = block.pairs.split_at(at);
-        let offset_ns = at as i64 * i64::from(self.block_ns) / ADC_LOCK_P as i64;
+        // 61 times 88 µs at most: 32 bit, as one of 64 is divided by a library.
+        let offset_ns = i64::from(at as u32 * self.block_ns / ADC_LOCK_P as u32);
         let duration_ns = self.since_crossing_ns.saturating_add(offset_ns);
         self.since_crossing_ns = -offset_ns;
         self.recorder.push(before, false);
@@ -574,7 +575,7 @@ impl RealTime {
         self.soft
             .set_frequency(next.f_sw_hz, self.protection.l_min());
         self.lower_on_ns = 0;
-        self.demod = Demodulator::new(next.f_sw_hz);
+        self.demod.restart(next.f_sw_hz);
         self.recorder.interrupt();
         self.drive = next;
     }

@@ -4,6 +4,8 @@
 //! path never waits. The trajectory lags the pairs by the demodulator's delay, so a window is ready a
 //! few blocks after its half-cycle has ended.
 
+use core::hint::black_box;
+
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::window::{
     MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry,
@@ -149,7 +151,7 @@ impl Recorder {
         };
         let room = pairs.len().min(free.len());
         if let (Some(free), Some(pairs)) = (free.get_mut(..room), pairs.get(..room)) {
-            free.copy_from_slice(pairs);
+            copy(pairs, free);
         }
         if !ordinary {
             let recorded = pairs.iter().take(room);
@@ -221,27 +223,35 @@ impl Recorder {
     pub fn read_pairs(&self, offset: u16, out: &mut [u8]) -> u16 {
         let all = &self.pairs[..usize::from(self.header.pairs).min(MAX_PAIRS)];
         let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
-        let mut copied = 0;
-        for (pair, slot) in rest.iter().zip(out.chunks_exact_mut(PAIR_BYTES)) {
-            slot.copy_from_slice(&pair.to_le_bytes());
-            copied += 1;
+        let room = rest.len().min(out.len() / PAIR_BYTES);
+        let (rest, out) = (&rest[..room], &mut out[..room * PAIR_BYTES]);
+        // Word by word where the bytes begin at a word: the sampling path waits meanwhile.
+        if let Some(slots) = Pair::on_bytes(out) {
+            copy(rest, slots);
+        } else {
+            let (slots, _) = out.as_chunks_mut();
+            for (pair, slot) in rest.iter().zip(slots) {
+                *slot = pair.to_le_bytes();
+            }
         }
-        copied
+        room as u16
     }
 
     /// Copies trajectory entries from `offset` on as wire bytes; returns how many entries fitted.
     pub fn read_trajectory(&self, offset: u16, out: &mut [u8]) -> u16 {
         let all = &self.trajectory[..usize::from(self.header.trajectory).min(MAX_TRAJECTORY)];
         let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
-        let mut copied = 0;
-        for (entry, slot) in rest
-            .iter()
-            .zip(out.chunks_exact_mut(TRAJECTORY_ENTRY_BYTES))
-        {
-            slot.copy_from_slice(&entry.to_le_bytes());
-            copied += 1;
+        let room = rest.len().min(out.len() / TRAJECTORY_ENTRY_BYTES);
+        let (rest, out) = (&rest[..room], &mut out[..room * TRAJECTORY_ENTRY_BYTES]);
+        if let Some(slots) = TrajectoryEntry::on_bytes(out) {
+            copy(rest, slots);
+        } else {
+            let (slots, _) = out.as_chunks_mut();
+            for (entry, slot) in rest.iter().zip(slots) {
+                *slot = entry.to_le_bytes();
+            }
         }
-        copied
+        room as u16
     }
 
     /// Frees the slot after the window was sent.
@@ -257,6 +267,20 @@ impl Recorder {
             self.counters.dropped = self.counters.dropped.wrapping_add(1);
         }
         self.stage = Stage::Free;
+    }
+}
+
+/// Copies, twelve at a time, as much as both have. What the compiler sees to be a copy becomes a call of the library's, of
+/// seven cycles a word: the sampling path copies a block of 61, and stands still while the thread copies a chunk of 240.
+/// `black_box` hides it.
+fn copy<T: Copy>(from: &[T], to: &mut [T]) {
+    let (twelves, rest) = from.as_chunks::<12>();
+    let (room_for_twelves, room) = to.as_chunks_mut::<12>();
+    for (twelve, room) in twelves.iter().zip(room_for_twelves) {
+        *black_box(room) = *twelve;
+    }
+    for (one, room) in rest.iter().zip(room) {
+        *black_box(room) = *one;
     }
 }
 

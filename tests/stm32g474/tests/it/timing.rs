@@ -5,7 +5,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::ADC_LOCK_P;
 use ihd_sim::behavioural::PotKind;
-use ihd_stm32g474::cpu::{CycleModel, HandlerTime};
+use ihd_stm32g474::cpu::{CycleModel, HandlerTime, Trace};
 use ihd_stm32g474::registers::dma1::cndtr1;
 use ihd_stm32g474::time::{seconds, us};
 
@@ -149,4 +149,28 @@ fn new_periods_begin_with_a_block() {
         left.iter().filter(|&&pairs| pairs > 1).count() <= 1,
         "{left:?} pairs of the block were left"
     );
+}
+
+/// Where the cycles of the longest blocks at 80 kHz go: `IHD_TRACE=FILE`.
+#[test]
+fn trace_of_the_longest_blocks() {
+    use std::io::Write as _;
+    let Some(file) = std::env::var_os("IHD_TRACE") else {
+        return;
+    };
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.stream(1, 10).unwrap();
+    client.set_power(500).unwrap();
+    bench.run_s(0.1);
+    bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING, 0)));
+    bench.run_s(0.1);
+    let kept = bench.with(|machine| machine.timing().trace.take()).unwrap().kept;
+    let mut out = std::fs::File::create(file).unwrap();
+    for run in kept {
+        writeln!(out, "run {} {} {:x}", run.ended, run.cycles, run.interrupted).unwrap();
+        for (address, cycles) in run.blocks {
+            writeln!(out, "{address:x} {cycles}").unwrap();
+        }
+    }
 }
