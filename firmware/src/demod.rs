@@ -175,8 +175,8 @@ const ABOVE: u32 = halves(
 const BELOW: u32 = halves(ALARM_V - 1, ALARM_I - 2);
 const SIGNS: u32 = 0x8000_8000;
 
-/// Correlates one block with the fundamental. The only loop that runs per sample; a second one
-/// follows for a block that holds a sample out of the ordinary.
+/// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
+/// of the ordinary.
 #[inline(never)]
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let words = Pair::words(pairs);
@@ -187,10 +187,11 @@ pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let mut s = BlockSums {
         v: sums.v,
         i: sums.i,
-        vi: i64::from(sums.vi),
         ..BlockSums::default()
     };
-    if holds_alarm(words) {
+    let (vi, alarm) = power_and_alarm(words);
+    s.vi = i64::from(vi);
+    if alarm {
         look_closer(pairs, &mut s);
     }
     s
@@ -201,7 +202,6 @@ pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
 struct Correlation {
     v: Complex,
     i: Complex,
-    vi: i32,
 }
 
 impl Correlation {
@@ -211,23 +211,29 @@ impl Correlation {
         self.v.im = self.v.im.wrapping_add(low(pair) * high(phase));
         self.i.re = self.i.re.wrapping_add(high(pair) * low(phase));
         self.i.im = self.i.im.wrapping_add(high(pair) * high(phase));
-        self.vi = self.vi.wrapping_add(low(pair).wrapping_mul(high(pair)));
     }
 }
 
-/// Whether any pair is out of the ordinary. A loop of its own: one for all would need more
+/// Σ v·i, and whether any pair is out of the ordinary. A loop of its own: one for all would need more
 /// registers than there are.
 #[inline(never)]
-fn holds_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
+fn power_and_alarm(words: &[u32; ADC_LOCK_P]) -> (i32, bool) {
     let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
+    let add = |(vi, alarm): (i32, u32), word: u32| {
+        (
+            vi.wrapping_add(low(word).wrapping_mul(high(word))),
+            alarm | look(word),
+        )
+    };
     let (by_twelve, rest) = words.as_chunks::<12>();
-    let mut alarm = rest.iter().fold(0, |alarm, &word| alarm | look(word));
+    let mut both = rest.iter().fold((0, 0), |both, &word| add(both, word));
     for twelve in by_twelve {
         // Unrolled no further than this.
         let twelve = black_box(twelve);
-        alarm = twelve.iter().fold(alarm, |alarm, &word| alarm | look(word));
+        both = twelve.iter().fold(both, |both, &word| add(both, word));
     }
-    alarm & SIGNS != 0
+    let (vi, alarm) = both;
+    (vi, alarm & SIGNS != 0)
 }
 
 /// Peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can

@@ -141,10 +141,15 @@ impl Recorder {
 
     /// Adds pairs of the half-cycle, in order. `ordinary` when the caller knows that none of them is
     /// saturated.
+    #[inline(always)]
     pub fn push(&mut self, pairs: &[Pair], ordinary: bool) {
-        if self.stage != Stage::Recording {
-            return;
+        if self.stage == Stage::Recording {
+            self.take(pairs, ordinary);
         }
+    }
+
+    #[inline(never)]
+    fn take(&mut self, pairs: &[Pair], ordinary: bool) {
         let at = usize::from(self.header.pairs);
         let Some(free) = self.pairs.get_mut(at..) else {
             return;

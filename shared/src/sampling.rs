@@ -133,6 +133,12 @@ impl Pair {
         bytemuck::must_cast_ref(block)
     }
 
+    /// Inverse of [`Pair::words`].
+    pub fn of_words(words: &[u32; ADC_LOCK_P]) -> &[Self; ADC_LOCK_P] {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::must_cast_ref(words)
+    }
+
     /// Bytes as places for pairs in the wire's layout, where they begin at a word and are a whole number of pairs.
     pub fn on_bytes(bytes: &mut [u8]) -> Option<&mut [Self]> {
         const { assert!(cfg!(target_endian = "little")) };
