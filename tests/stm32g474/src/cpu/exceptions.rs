@@ -142,9 +142,8 @@ pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
         let cycles = state.chip.cycles - began + RETURN_CYCLES;
         (time.runs, time.cycles, time.worst) =
             (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
-        let ended = state.chip.cycles;
         if let Some(trace) = &mut state.timing.trace {
-            trace.end(exception, ended, cycles);
+            trace.end(exception, began, cycles);
         }
     }
     state.event = true;

@@ -4,6 +4,7 @@ pub mod exceptions;
 pub mod flash_accelerator;
 pub mod instructions;
 pub mod nvic;
+pub mod trace;
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -12,6 +13,7 @@ use unicorn_engine::RegisterARM;
 
 use self::flash_accelerator::{Access, FlashAccelerator};
 use self::instructions::{Block, REFILL};
+use self::trace::Trace;
 use crate::chip::Chip;
 use crate::chip::register_file::RegisterFile;
 use crate::image::{FLASH, PROGRAM_BYTES};
@@ -50,73 +52,11 @@ pub struct Timing {
     pub total: Cost,
     /// What each exception's handler has taken, by its number.
     pub handlers: HashMap<usize, HandlerTime>,
-    /// Blocks of code of an exception's handler, where somebody wants them.
+    /// The runs of one exception's handler, where somebody wants them.
     pub trace: Option<Trace>,
 }
 
-/// The blocks of code that a handler ran: where its cycles went.
-#[derive(Clone, Debug, Default)]
-pub struct Trace {
-    /// Number of the exception.
-    pub exception: usize,
-    /// Runs shorter than this, in cycles, are forgotten.
-    pub from_cycles: u64,
-    /// What the run under way interrupted.
-    interrupted: u32,
-    /// Address and cycles of each block of the run under way.
-    running: Vec<(u32, u32)>,
-    /// The same of each run that was kept, with its end in cycles since power-on and its length.
-    pub kept: Vec<TracedRun>,
-}
-
-/// A run of a handler.
-#[derive(Clone, Debug)]
-pub struct TracedRun {
-    /// When it ended, in cycles since power-on.
-    pub ended: u64,
-    /// How long it took, in cycles.
-    pub cycles: u64,
-    /// Address of what it interrupted.
-    pub interrupted: u32,
-    /// Address and cycles of each block of code.
-    pub blocks: Vec<(u32, u32)>,
-}
-
-impl Trace {
-    /// Traces the handler of an exception, runs of so many cycles or more.
-    pub fn of(exception: usize, from_cycles: u64) -> Self {
-        Self {
-            exception,
-            from_cycles,
-            ..Self::default()
-        }
-    }
-
-    /// A handler begins, in place of what is at an address.
-    pub fn begin(&mut self, exception: usize, interrupted: u32) {
-        if exception == self.exception {
-            self.interrupted = interrupted;
-        }
-    }
-
-    /// A handler ends.
-    pub fn end(&mut self, exception: usize, ended: u64, cycles: u64) {
-        if exception != self.exception {
-            return;
-        }
-        let blocks = std::mem::take(&mut self.running);
-        if cycles >= self.from_cycles {
-            self.kept.push(TracedRun {
-                ended,
-                cycles,
-                interrupted: self.interrupted,
-                blocks,
-            });
-        }
-    }
-}
-
-/// The time of an exception's handler, from the request to the return, in cycles.
+/// The time of an exception's handler, from its entry to the return, in cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HandlerTime {
     /// Runs.
@@ -219,9 +159,9 @@ impl State {
     /// Notes a block of code for whoever traces its handler.
     pub fn note(&mut self, address: u32, cycles: u32) {
         if let Some(trace) = &mut self.timing.trace
-            && self.chip.nvic.runs(trace.exception)
+            && self.chip.nvic.runs(trace.exception())
         {
-            trace.running.push((address, cycles));
+            trace.note(address, cycles);
         }
     }
 
