@@ -296,6 +296,7 @@ mod tests {
     use super::*;
     use ihd_shared::units::{MicroOhm, PicoHenry};
     use std::boxed::Box;
+    use std::vec::Vec;
 
     fn recorder() -> Box<Recorder> {
         Box::new(Recorder::new())
@@ -338,6 +339,38 @@ mod tests {
         assert_eq!(r.read_trajectory(2, &mut bytes), 1);
         assert_eq!(bytes[..4], 4i32.to_le_bytes());
         assert_eq!(r.read_trajectory(3, &mut bytes), 0);
+    }
+
+    /// A chunk that begins at a word is copied another way than one that does not.
+    #[test]
+    fn a_chunk_is_the_same_wherever_its_bytes_lie() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0, 0);
+        let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
+            v: k as i16 - 30,
+            i: 2_047 - 3 * k as i16,
+        });
+        r.push(&pairs, true);
+        for k in 0..31 {
+            r.estimate(entry(k), 60_000, 0);
+        }
+        r.end(1);
+        let mut bytes = [0xAA; 4 * ADC_LOCK_P + 8];
+        let at = bytes.as_ptr().align_offset(4);
+        for (shift, offset) in [(0, 0), (1, 0), (0, 7), (3, 7), (2, 60), (0, 61)] {
+            let out = &mut bytes[at + shift..][..4 * ADC_LOCK_P];
+            out.fill(0xAA);
+            let expected = pairs[usize::from(offset)..].iter();
+            let expected: Vec<u8> = expected.flat_map(|pair| pair.to_le_bytes()).collect();
+            assert_eq!(usize::from(r.read_pairs(offset, out)) * 4, expected.len());
+            assert_eq!(out[..expected.len()], expected);
+            assert!(out[expected.len()..].iter().all(|&byte| byte == 0xAA));
+            let n = usize::from(r.read_trajectory(2, out));
+            let expected: Vec<u8> = (2..2 + n as i32)
+                .flat_map(|k| entry(k).to_le_bytes())
+                .collect();
+            assert_eq!((n, &out[..8 * n]), (29, &expected[..]));
+        }
     }
 
     #[test]
