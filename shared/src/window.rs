@@ -24,7 +24,8 @@ pub const TRAJECTORY_ENTRY_BYTES: usize = 8;
 pub const CHUNK_BYTES: usize = 960;
 
 /// The estimator's R and L at the centre of one block's demodulation kernel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct TrajectoryEntry {
     /// Resistance.
     pub r: MicroOhm,
@@ -33,6 +34,12 @@ pub struct TrajectoryEntry {
 }
 
 impl TrajectoryEntry {
+    /// Bytes as places for entries in the wire's layout, where they begin at a word and are a whole number of entries.
+    pub fn on_bytes(bytes: &mut [u8]) -> Option<&mut [Self]> {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::try_cast_slice_mut(bytes).ok()
+    }
+
     /// The layout on the wire and in files: R in µΩ then L in pH, little-endian signed 32 bit.
     pub fn to_le_bytes(self) -> [u8; TRAJECTORY_ENTRY_BYTES] {
         let mut b = [0; TRAJECTORY_ENTRY_BYTES];
