@@ -3,7 +3,8 @@
 //! On the wire a window is a `WindowStart`, as many `WindowChunk`s and `TrajectoryChunk`s as it needs,
 //! and a `WindowEnd` with the CRC-32 of all pair bytes followed by all trajectory bytes. Pairs are
 //! [`crate::sampling::Pair::to_le_bytes`]; trajectory entries are [`TrajectoryEntry::to_le_bytes`]. Raw
-//! little-endian, because postcard's varints would make samples 40 % longer.
+//! little-endian, because postcard's varints would make samples 40 % longer. A piece that is lost is asked for
+//! again (`ResendWindow`).
 
 use crate::units::{MicroOhm, PicoHenry};
 
