@@ -11,6 +11,7 @@ pub mod capture;
 pub mod correlation;
 pub mod load;
 pub mod noise;
+pub mod printable;
 pub mod quantise;
 pub mod resample;
 pub mod segment;
@@ -18,4 +19,5 @@ pub mod truth;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use load::Load;
+pub use printable::printable;
 pub use segment::{Segment, SegmentError};

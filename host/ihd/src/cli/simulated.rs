@@ -1,6 +1,6 @@
 //! Options of the simulated hob, shared by the commands that start one.
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::Args;
 use ihd_sim::adc::Noise;
 use ihd_sim::hob::HobConfig;
@@ -33,9 +33,9 @@ pub struct SimulatedHobArgs {
     /// Corner of the anti-alias filters in hertz; 0 for none.
     #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().anti_alias_hz)]
     anti_alias: f64,
-    /// Seed of the noise; the same seed gives the same digits.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    seed: u64,
+    /// Seed of the noise; the same seed gives the same digits [default: 1].
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
 }
 
 /// Rms voltage and current at 45 kHz, full power: what `--snr` refers to (measured on
@@ -48,17 +48,22 @@ impl SimulatedHobArgs {
         self.pot
     }
 
+    /// The seed, where one was given.
+    pub fn seed(&self) -> Option<u64> {
+        self.seed
+    }
+
     /// The configuration.
     ///
     /// # Errors
     /// When a value is out of its range.
     pub fn config(&self) -> Result<HobConfig> {
-        ensure!(
+        ensure_usage!(
             (45.0..=65.0).contains(&self.mains),
             "--mains is {} Hz, but must lie between 45 and 65",
             self.mains
         );
-        ensure!(
+        ensure_usage!(
             self.anti_alias == 0.0 || (1e5..=1e7).contains(&self.anti_alias),
             "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
             self.anti_alias
@@ -66,7 +71,7 @@ impl SimulatedHobArgs {
         let noise = match self.snr {
             None => HobConfig::default().noise,
             Some(db) => {
-                ensure!(
+                ensure_usage!(
                     (10.0..=200.0).contains(&db),
                     "--snr is {db} dB, but must lie between 10 and 200"
                 );
@@ -80,7 +85,7 @@ impl SimulatedHobArgs {
             warming: self.warming,
             anti_alias_hz: self.anti_alias,
             noise,
-            seed: self.seed,
+            seed: self.seed.unwrap_or(HobConfig::default().seed),
             ..HobConfig::default()
         })
     }
