@@ -80,7 +80,7 @@ impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
         for &power_w in &self.power {
-            ensure!(
+            ensure_usage!(
                 (1..=RATED_POWER_W).contains(&power_w),
                 "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
             );
@@ -121,17 +121,14 @@ impl TrainerArgs {
             trained::write(&report, &store.join("identified.svg"))?;
         }
         if self.json {
-            println!(
-                "{}",
-                serde_json::to_string_pretty(&training::json(&report))?
-            );
+            super::output::json(&training::json(&report))?;
         } else {
-            print!("{}", training::text(&report));
+            super::output::text(&training::text(&report))?;
             if let Some(store) = &settings.store {
-                println!(
+                say!(
                     "kept     session.mcap, lookup-v*.json and identified.svg in {}",
                     store.display()
-                );
+                )?;
             }
         }
         Ok(())

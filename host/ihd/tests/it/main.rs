@@ -3,6 +3,7 @@
 #[cfg(feature = "pinn")]
 mod command_line;
 mod convert;
+mod exit_codes;
 mod identify;
 mod identify_accuracy;
 mod inspect;
