@@ -1,3 +1,4 @@
 //! The daemon.
 
+pub mod learning;
 pub mod model;

@@ -11,3 +11,5 @@ mod record_replay;
 mod simulate;
 #[cfg(feature = "pinn")]
 mod study_paper;
+#[cfg(feature = "pinn")]
+mod trainer;
