@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use ihd_sim::hob::SimHob;
 use ihd_sim::server::{Server, ServerEvent};
@@ -30,18 +30,18 @@ pub struct HobArgs {
 impl HobArgs {
     /// Runs until interrupted.
     pub fn run(&self) -> Result<()> {
-        ensure!(
+        ensure_usage!(
             self.speed.is_finite() && self.speed > 0.0 && self.speed <= 100.0,
             "--speed is {}, but must lie between 0 and 100",
             self.speed
         );
         let hob = SimHob::new(&self.simulated.config()?);
         let mut server = Server::bind(&self.listen, hob)?;
-        println!(
+        say!(
             "simulated hob with {} on tcp:{}; stop with ^C",
             self.simulated.pot(),
             server.address()
-        );
+        )?;
         let stop: &AtomicBool = interrupt::flag().context("cannot catch ^C")?;
         server.run(self.speed, stop, |event| match event {
             ServerEvent::Connected(from) => println!("{from} connected"),
