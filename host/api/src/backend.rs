@@ -62,12 +62,12 @@ pub trait Backend: Send + Sync + 'static {
         limit: u32,
         since_ms: Option<i64>,
     ) -> Answer<'a, Vec<StoredResult>>;
-    /// Lookups of a device.
+    /// Lookups of a device, newest first.
     fn lookups<'a>(&'a self, device: &'a str) -> Answer<'a, Vec<StoredLookup>>;
     /// Copies the store while it is in use.
     fn backup(&self, to: PathBuf) -> Answer<'_, ()>;
     /// Numbers for `/metrics`, beside those of the devices.
     fn figures(&self) -> Vec<Figure>;
     /// Whether it works.
-    fn alive(&self) -> Alive;
+    fn alive(&self) -> Answer<'_, Alive>;
 }

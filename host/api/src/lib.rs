@@ -12,6 +12,7 @@ pub mod access;
 pub mod backend;
 pub mod client;
 mod connection;
+pub mod daemon_backend;
 pub mod model;
 mod prometheus;
 mod routes;
@@ -20,6 +21,7 @@ pub mod tls;
 
 pub use backend::Backend;
 pub use client::ApiClient;
+pub use daemon_backend::DaemonBackend;
 pub use server::{Server, ServerError, Settings};
 
 /// The API's description in OpenAPI 3.1, as `GET /api/v1/openapi.json` answers it.

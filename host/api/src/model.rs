@@ -33,7 +33,7 @@ pub struct BackupMade {
     pub path: String,
 }
 
-/// A result of the store: what one window taught.
+/// A result of the store: what one window taught. Numbers that came out as none are left empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredResult {
     /// Name of the device.
@@ -49,21 +49,23 @@ pub struct StoredResult {
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
-    pub i_crest_a: f64,
+    pub i_crest_a: Option<f64>,
     /// Mean power, in watt, where it was known.
     pub power_w: Option<f64>,
     /// Mean of R weighted with the squared current, in ohm.
-    pub r_ohm: f64,
+    pub r_ohm: Option<f64>,
     /// The same of L, in henry.
-    pub l_h: f64,
+    pub l_h: Option<f64>,
     /// Standard deviation of R in percent.
-    pub sigma_r_pct: f64,
+    pub sigma_r_pct: Option<f64>,
     /// Standard deviation of L in percent.
-    pub sigma_l_pct: f64,
+    pub sigma_l_pct: Option<f64>,
     /// Whether the gate let it pass.
     pub pass: bool,
     /// Why not; empty where it did.
     pub why: String,
+    /// Whether the lookup is another one for it.
+    pub changed_lookup: bool,
 }
 
 /// A lookup of the store.
@@ -75,7 +77,9 @@ pub struct StoredLookup {
     pub state: String,
     /// Milliseconds since 1970, UTC, of its last change of state.
     pub at_ms: i64,
-    /// Where it came from, or why it was refused.
+    /// Who built it: `host`, or `device` where it was found there.
+    pub origin: String,
+    /// Why it was built, or refused.
     pub why: String,
     /// Its bytes ([`ihd_daemon::model::Command::LookupPush`] takes them).
     pub blob: Vec<u8>,

@@ -18,6 +18,8 @@ pub enum Watched {
     Missed(u64),
     /// Nothing happened for a while, and the daemon is there.
     Heartbeat,
+    /// Something that this version does not know, as JSON: a newer daemon's.
+    Unknown(String),
 }
 
 /// Events until the daemon ends or the link is cut; the last item says which.
@@ -75,9 +77,13 @@ fn event(kind: &str, data: &str) -> io::Result<Watched> {
             let missed: Missed = serde_json::from_str(data).map_err(strange)?;
             Ok(Watched::Missed(missed.missed))
         }
-        _ => serde_json::from_str(data)
-            .map(|notice| Watched::Notice(Box::new(notice)))
-            .map_err(strange),
+        _ => match serde_json::from_str(data) {
+            Ok(notice) => Ok(Watched::Notice(Box::new(notice))),
+            Err(_) => {
+                let unknown: serde_json::Value = serde_json::from_str(data).map_err(strange)?;
+                Ok(Watched::Unknown(unknown.to_string()))
+            }
+        },
     }
 }
 
@@ -127,8 +133,10 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_ends_the_events_with_an_error() {
-        let mut events = Events::new("data: {\n\ndata: {}\n\n".as_bytes());
+    fn nonsense_ends_the_events_with_an_error_and_news_do_not() {
+        let text = "data: {\"event\":\"explosion\"}\n\ndata: {\n\ndata: {}\n\n";
+        let mut events = Events::new(text.as_bytes());
+        assert!(matches!(events.next(), Some(Ok(Watched::Unknown(_)))));
         assert!(events.next().unwrap().is_err());
         assert!(events.next().is_none());
     }

@@ -142,7 +142,10 @@ impl ApiClient {
             .timeout_global(Some(within))
             .build();
         let response = request.call().map_err(|e| self.unreachable(&e))?;
-        let health: Health = self.json(response)?;
+        // A daemon whose store is dead says so with a status of its own: it is a daemon.
+        let text = read_text(response).map_err(|why| self.strange(&why))?;
+        let health: Health =
+            serde_json::from_str(&text).map_err(|e| self.strange(&e.to_string()))?;
         if health.service != "ihd" {
             return Err(self.strange("its health is another service's"));
         }
@@ -294,7 +297,7 @@ impl ApiClient {
         self.json(answer.map_err(|e| self.unreachable(&e))?)
     }
 
-    /// The answer where it is a success; healthz says no with a body of its own.
+    /// The answer where it is a success.
     fn json<T: DeserializeOwned>(&self, response: Response<Body>) -> Result<T, ClientError> {
         let text = read_text(self.checked(response)?).map_err(|why| self.strange(&why))?;
         serde_json::from_str(&text).map_err(|e| self.strange(&e.to_string()))

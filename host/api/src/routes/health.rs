@@ -11,6 +11,7 @@ use axum::response::IntoResponse;
 use ihd_daemon::model::{DeviceReport, DeviceState};
 
 use super::App;
+use crate::backend::Alive;
 use crate::model::{Health, Problem};
 use crate::prometheus::Exposition;
 
@@ -18,7 +19,10 @@ use crate::prometheus::Exposition;
 #[utoipa::path(get, path = "/healthz", tag = "daemon",
     responses((status = 200, body = Health), (status = 503, body = Health)))]
 pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<Health>) {
-    let alive = app.backend.alive();
+    let alive = app.backend.alive().await.unwrap_or(Alive {
+        store: false,
+        supervisor: false,
+    });
     let status = if alive.store && alive.supervisor {
         StatusCode::OK
     } else {

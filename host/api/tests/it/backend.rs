@@ -157,6 +157,7 @@ impl Backend for Fake {
                 version: 3,
                 state: "active".into(),
                 at_ms: 1,
+                origin: "host".into(),
                 why: String::new(),
                 blob: vec![0, 255],
             }]
@@ -177,11 +178,11 @@ impl Backend for Fake {
         }]
     }
 
-    fn alive(&self) -> Alive {
-        Alive {
+    fn alive(&self) -> Answer<'_, Alive> {
+        answer(Ok(Alive {
             store: !self.asked.lock().unwrap().store_dead,
             supervisor: true,
-        }
+        }))
     }
 }
 

@@ -84,7 +84,7 @@ fn a_slow_reader_is_told_and_everything_is_accounted_for() {
         match next(&mut events) {
             Watched::Notice(_) => received += 1,
             Watched::Missed(n) => missed += n,
-            Watched::Heartbeat => {}
+            other => panic!("{other:?}"),
         }
     }
     assert_eq!(received + missed, SENT);
