@@ -65,7 +65,9 @@ impl Backoff {
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^= z >> 31;
-        let wait = self.next.mul_f64(0.75 + 0.5 * (z >> 11) as f64 / (1u64 << 53) as f64);
+        let wait = self
+            .next
+            .mul_f64(0.75 + 0.5 * (z >> 11) as f64 / (1u64 << 53) as f64);
         self.next = (2 * self.next).min(LONGEST);
         wait
     }

@@ -406,7 +406,10 @@ mod tests {
         for (text, words) in [
             ("stor = \"x\"", &["stor", "store"][..]),
             ("[keep]\nwindow = 1", &["window"]),
-            ("[keep]\nwindows = \"some\"", &["windows", "some", "telling"]),
+            (
+                "[keep]\nwindows = \"some\"",
+                &["windows", "some", "telling"],
+            ),
             ("[keep]\nwindows = \"one-in-0\"", &["one-in-0"]),
             ("[keep]\nmax_bytes = 1", &["keep.max_bytes = 1"]),
             ("[learning]\nthreads = 0", &["learning.threads = 0"]),

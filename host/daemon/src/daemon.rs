@@ -73,11 +73,17 @@ impl Daemon {
         let opened = opening.map_err(|_| StoreTrouble::Gone("opening it panicked"))??;
         let mut damage = Vec::new();
         for found in opened.damage {
-            let text = found.to_string();
+            let text = format!(
+                "{} was damaged ({}), and is {} now",
+                found.from.display(),
+                printable(&found.why),
+                found.to.display()
+            );
             tracing::error!(text, "store: a damaged file was set aside");
             damage.push(text);
         }
-        let store = StoreThread::start(opened.store, board.clone()).map_err(DaemonError::NoThread)?;
+        let store =
+            StoreThread::start(opened.store, board.clone()).map_err(DaemonError::NoThread)?;
         let (stop, stopped) = watch::channel(false);
         let context = Context {
             store: store.clone(),
@@ -145,7 +151,14 @@ impl Daemon {
             Err(error) => error.to_string(),
         };
         let ok = outcome.is_ok();
-        tracing::info!(device = handle.face.name, holder, command = text, ok, said, "command");
+        tracing::info!(
+            device = handle.face.name,
+            holder,
+            command = text,
+            ok,
+            said,
+            "command"
+        );
         handle.face.tell(What::Command {
             holder: holder.clone(),
             text: text.clone(),
@@ -181,7 +194,10 @@ impl Daemon {
             Ok(Some(outcome)) => outcome,
             // The device's task has panicked, or is ending.
             Ok(None) => Err(CommandError::Failed {
-                why: format!("{}: the command was not carried out: its task ended", face.name),
+                why: format!(
+                    "{}: the command was not carried out: its task ended",
+                    face.name
+                ),
             }),
             Err(_) => Err(CommandError::Failed {
                 why: format!(
@@ -215,8 +231,13 @@ impl Daemon {
         if let Taken::From(other) = self.lease(face, &holder, force)? {
             let why = format!("{holder} has taken the lease from {other}");
             tracing::warn!(device = face.name, "{why}");
-            self.audit(face, holder.clone(), "take-lease --force".to_owned(), why.clone())
-                .await;
+            self.audit(
+                face,
+                holder.clone(),
+                "take-lease --force".to_owned(),
+                why.clone(),
+            )
+            .await;
             self.end_heating(&handle, why).await;
         }
         let now = Instant::now();
@@ -363,12 +384,11 @@ impl Daemon {
 
 /// Deletes what the store need not keep any more.
 async fn keep_tidy(context: Context) {
-    let mut stop = context.stop.clone();
     loop {
         // The store's trouble is told by its thread.
         let _ = context.store.run(Store::collect_garbage).await;
         tokio::select! {
-            _ = stop.wait_for(|&stopping| stopping) => return,
+            () = context.stopping() => return,
             () = tokio::time::sleep(GARBAGE_EVERY) => {}
         }
     }

@@ -22,7 +22,10 @@ mod tests {
 
     #[test]
     fn a_terminal_is_not_commanded() {
-        assert_eq!(printable("a\u{1b}[2Jb\n\u{9b}"), "a\\u{1b}[2Jb\\u{a}\\u{9b}");
+        assert_eq!(
+            printable("a\u{1b}[2Jb\n\u{9b}"),
+            "a\\u{1b}[2Jb\\u{a}\\u{9b}"
+        );
         assert_eq!(printable(&"x".repeat(1_000)).len(), LONGEST);
     }
 }

@@ -29,9 +29,7 @@ pub fn of_telemetry(t: &Telemetry, before: DeviceState) -> (DeviceState, String)
         State::Heating => (DeviceState::Learning, limit_text(t)),
         State::Idle => (DeviceState::Idle, String::new()),
         State::Probing => match before {
-            DeviceState::WaitingForPot => {
-                (DeviceState::WaitingForPot, pot_text(t.pot).to_owned())
-            }
+            DeviceState::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
             DeviceState::Learning => (DeviceState::Learning, limit_text(t)),
             _ => (DeviceState::Idle, "it looks at the coil".to_owned()),
         },
@@ -146,6 +144,9 @@ pub mod tests {
         let live = live(&t);
         assert_eq!((live.power_w, live.i_crest_a), (1_234.5, 42.0));
         assert!((live.l_h - 20e-6).abs() < 1e-12 && (live.r_ohm - 1.0).abs() < 1e-12);
-        assert_eq!((live.state.as_str(), live.fault_text.as_str()), ("Heating", ""));
+        assert_eq!(
+            (live.state.as_str(), live.fault_text.as_str()),
+            ("Heating", "")
+        );
     }
 }

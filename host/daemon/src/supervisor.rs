@@ -144,7 +144,6 @@ async fn after_panic(face: &Face, why: &str) {
 /// unplugged.
 pub async fn follow_usb(devices: Arc<Devices>, context: Context, board: Board) {
     let mut plugged: BTreeMap<String, watch::Sender<bool>> = BTreeMap::new();
-    let mut stop = context.stop.clone();
     let mut complained = false;
     loop {
         // Listing blocks, for a moment.
@@ -165,7 +164,7 @@ pub async fn follow_usb(devices: Arc<Devices>, context: Context, board: Board) {
             _ => {}
         }
         tokio::select! {
-            _ = stop.wait_for(|&stopping| stopping) => break,
+            () = context.stopping() => break,
             () = tokio::time::sleep(USB_EVERY) => {}
         }
     }

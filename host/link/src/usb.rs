@@ -44,6 +44,27 @@ fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
     Ok(devices.filter(ours).collect())
 }
 
+/// A board on USB.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Its serial number, which `usb:SERIAL` opens; empty where it has none.
+    pub serial_number: String,
+    /// What it calls itself.
+    pub product: String,
+}
+
+/// The boards that are plugged in.
+///
+/// # Errors
+/// [`LinkError::Connect`] where the system cannot list what is on USB.
+pub fn boards() -> Result<Vec<Board>, LinkError> {
+    let board = |device: nusb::DeviceInfo| Board {
+        serial_number: device.serial_number().unwrap_or_default().to_owned(),
+        product: device.product_string().unwrap_or_default().to_owned(),
+    };
+    Ok(controllers()?.into_iter().map(board).collect())
+}
+
 /// The one of `found` that is meant: the only one, or that with the serial number.
 fn choose<T>(
     mut found: Vec<T>,

@@ -40,7 +40,9 @@ impl Session<'_> {
             Command::Sweep { powers_w } => self.start_sweep(&powers_w).await,
             Command::ClearFault => {
                 let cleared = self.ask(Client::clear_fault).await;
-                cleared.map(|()| "fault cleared".to_owned()).map_err(|e| words(&e))
+                cleared
+                    .map(|()| "fault cleared".to_owned())
+                    .map_err(|e| words(&e))
             }
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {

@@ -69,7 +69,11 @@ pub fn next_version(on_device: u32, rows: &[LookupRow]) -> Result<u32, String> {
         )
     })?;
     let highest = on_device.saturating_add(LOOKUP_VERSION_STEP);
-    let used = rows.iter().map(|row| row.version).filter(|&v| v < highest).max();
+    let used = rows
+        .iter()
+        .map(|row| row.version)
+        .filter(|&v| v < highest)
+        .max();
     Ok(next.max(used.map_or(0, |v| v + 1)))
 }
 
@@ -107,22 +111,41 @@ mod tests {
     fn whatever_was_cut_both_sides_come_together() {
         use LookupState::{Active, Pending, Refused, Superseded};
         let push = |v, why| Mend::Push(Box::new(lookup(v)), why);
-        let (cut, lost) = ("it was pending when the link was cut", "the device has lost it");
+        let (cut, lost) = (
+            "it was pending when the link was cut",
+            "the device has lost it",
+        );
         for (on_device, rows, expected) in [
             // Nothing was ever learned: the built-in one is what the device uses.
             (0, vec![], vec![Mend::Adopt]),
             (0, vec![row(0, Active)], vec![Mend::Nothing]),
             // Killed between the push and the answer.
-            (5, vec![row(4, Active), row(5, Pending)], vec![Mend::Activate(5)]),
+            (
+                5,
+                vec![row(4, Active), row(5, Pending)],
+                vec![Mend::Activate(5)],
+            ),
             // Killed between the store and the push.
             (4, vec![row(4, Active), row(5, Pending)], vec![push(5, cut)]),
             (0, vec![row(1, Pending)], vec![Mend::Adopt, push(1, cut)]),
-            (4, vec![row(4, Active), row(5, Refused)], vec![Mend::Nothing]),
+            (
+                4,
+                vec![row(4, Active), row(5, Refused)],
+                vec![Mend::Nothing],
+            ),
             // Flash erased.
-            (0, vec![row(3, Superseded), row(4, Active)], vec![push(4, lost)]),
+            (
+                0,
+                vec![row(3, Superseded), row(4, Active)],
+                vec![push(4, lost)],
+            ),
             // Somebody else pushed.
             (9, vec![row(4, Active), row(5, Pending)], vec![Mend::Adopt]),
-            (3, vec![row(3, Superseded), row(4, Active)], vec![Mend::Adopt]),
+            (
+                3,
+                vec![row(3, Superseded), row(4, Active)],
+                vec![Mend::Adopt],
+            ),
             (u32::MAX, vec![row(4, Active)], vec![Mend::Adopt]),
         ] {
             assert_eq!(mend(&lookup(on_device), &rows), expected, "{on_device}");
@@ -144,7 +167,11 @@ mod tests {
         };
         assert_eq!(next_version(0, &[]), Ok(1));
         assert_eq!(next_version(4, &rows(&[3, 4, 7])), Ok(8));
-        assert_eq!(next_version(0, &rows(&[5_000])), Ok(1), "beyond the device's step");
+        assert_eq!(
+            next_version(0, &rows(&[5_000])),
+            Ok(1),
+            "beyond the device's step"
+        );
         assert_eq!(next_version(0, &rows(&[999])), Ok(1_000));
         assert_eq!(next_version(0, &rows(&[1_000])), Ok(1));
         assert_eq!(next_version(u32::MAX - 1, &[]), Ok(u32::MAX));
@@ -154,7 +181,12 @@ mod tests {
     #[test]
     fn rollback_goes_to_what_was_active_last() {
         use LookupState::{Active, Refused, Superseded};
-        let rows = [row(2, Superseded), row(3, Superseded), row(4, Refused), row(5, Active)];
+        let rows = [
+            row(2, Superseded),
+            row(3, Superseded),
+            row(4, Refused),
+            row(5, Active),
+        ];
         assert_eq!(before_this(5, &rows).map(|l| l.version), Some(3));
         assert_eq!(before_this(5, &[row(5, Active)]), None);
     }

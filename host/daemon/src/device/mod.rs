@@ -74,6 +74,14 @@ pub struct Context {
     pub stop: watch::Receiver<bool>,
 }
 
+impl Context {
+    /// Ready once the daemon stops.
+    pub async fn stopping(&self) {
+        // A daemon that is gone stops its devices, too.
+        let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
+    }
+}
+
 /// The task of one device.
 pub struct DeviceTask {
     /// The device as others see it.
@@ -155,11 +163,10 @@ impl DeviceTask {
 
     /// Answers orders while there is nobody to carry them out; returns when the daemon stops.
     async fn without_device(&self, orders: &mut mpsc::Receiver<Order>) {
-        let mut stop = self.context.stop.clone();
         let mut tick = tokio::time::interval(Duration::from_millis(250));
         loop {
             tokio::select! {
-                _ = stop.wait_for(|&stopping| stopping) => return,
+                () = self.context.stopping() => return,
                 order = orders.recv() => match order {
                     None => return,
                     Some(Order::Command { answer, .. }) => {

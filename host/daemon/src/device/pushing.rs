@@ -72,7 +72,12 @@ impl Session<'_> {
             .store
             .run(move |store| store.adopt_lookup(device, &lookup));
         if adopted.await.is_ok() && version > 0 {
-            tracing::info!(device = self.face.name, version, observed_cells, "lookup active");
+            tracing::info!(
+                device = self.face.name,
+                version,
+                observed_cells,
+                "lookup active"
+            );
             self.face.tell(What::LookupActive {
                 version,
                 observed_cells,
@@ -119,7 +124,9 @@ impl Session<'_> {
     }
 
     async fn try_push(&mut self, lookup: &mut RlLookup, why: &str) -> Result<(), String> {
-        let device = self.device.ok_or("the store does not know the device: nothing is pushed that it could not keep")?;
+        let device = self.device.ok_or(
+            "the store does not know the device: nothing is pushed that it could not keep",
+        )?;
         let rows = self
             .rows()
             .await

@@ -16,10 +16,7 @@ impl Session<'_> {
         }
         let folder = self.context.recordings.clone();
         let name = file_name(&self.face.name, now_ms());
-        let (hello, front_end) = (
-            self.client.hello().clone(),
-            self.client.front_end().clone(),
-        );
+        let (hello, front_end) = (self.client.hello().clone(), self.client.front_end().clone());
         let path = folder.join(name);
         let shown = path.display().to_string();
         let started = self.client.with(move |client| {
@@ -62,7 +59,11 @@ impl Session<'_> {
         let recording = self.face.lock().recording.is_some();
         if recording && let Err(why) = self.stop_recording().await {
             // What was written is there to the last flush.
-            tracing::warn!(device = self.face.name, why, "recording ended with the link");
+            tracing::warn!(
+                device = self.face.name,
+                why,
+                "recording ended with the link"
+            );
         }
     }
 }

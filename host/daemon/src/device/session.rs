@@ -117,12 +117,11 @@ impl<'a> Session<'a> {
         if let Err(error) = self.begin().await {
             return Ended::Link(error.to_string());
         }
-        let mut stop = self.context.stop.clone();
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             let on = tokio::select! {
-                _ = stop.wait_for(|&stopping| stopping) => return Ended::Stopping,
+                () = self.context.stopping() => return Ended::Stopping,
                 event = events.recv() => match event {
                     Some(event) => self.on_event(event).await,
                     None => Err(self.why_ended()),
@@ -150,9 +149,7 @@ impl<'a> Session<'a> {
         let boot = self.client.hello().boot_id;
         {
             let mut inner = self.face.lock();
-            let due = status
-                .windows_recorded
-                .wrapping_add(status.windows_dropped);
+            let due = status.windows_recorded.wrapping_add(status.windows_dropped);
             inner.ledger.connect(boot, due, status.windows_dropped);
         }
         self.end_what_is_nobodys(&status).await?;
@@ -257,8 +254,12 @@ impl<'a> Session<'a> {
             inner.lookup.on_device = Some(t.lookup_version);
             inner.last.replace(t.clone())
         };
-        if before.is_some_and(|b| b.half_cycle.wrapping_sub(t.half_cycle).wrapping_sub(OUT_OF_ORDER) < 1 << 30)
-        {
+        if before.is_some_and(|b| {
+            b.half_cycle
+                .wrapping_sub(t.half_cycle)
+                .wrapping_sub(OUT_OF_ORDER)
+                < 1 << 30
+        }) {
             return Err(Ended::Link(
                 "its half-cycles began anew: it was reset".to_owned(),
             ));

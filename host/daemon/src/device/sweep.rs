@@ -89,7 +89,10 @@ impl Sweep {
             Phase::Next => None,
             _ => Some(self.asked_w),
         };
-        present.into_iter().chain(self.left.iter().copied()).collect()
+        present
+            .into_iter()
+            .chain(self.left.iter().copied())
+            .collect()
     }
 
     /// Time has passed.
@@ -321,7 +324,10 @@ mod tests {
         rig.run(100, State::WaitingForPot, true);
         assert_eq!(rig.sweep.left_w(), [700]);
         rig.run(400, State::Heating, true);
-        assert_eq!((rig.asked, rig.over.as_deref()), (vec![700, 700], Some("done")));
+        assert_eq!(
+            (rig.asked, rig.over.as_deref()),
+            (vec![700, 700], Some("done"))
+        );
     }
 
     #[test]
