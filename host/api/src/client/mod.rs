@@ -97,11 +97,11 @@ impl ApiClient {
         token: Option<String>,
         ca: Option<&Path>,
     ) -> Result<Self, ClientError> {
-        let mut tls = TlsConfig::builder()
-            .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()));
-        if let Some(path) = ca {
-            tls = tls.root_certs(RootCerts::Specific(Arc::new(read_roots(path)?)));
-        }
+        // Nobody but `ca` is trusted: no authority of the web vouches for a hob.
+        let roots = ca.map_or(Ok(Vec::new()), read_roots)?;
+        let tls = TlsConfig::builder()
+            .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))
+            .root_certs(RootCerts::Specific(Arc::new(roots)));
         let agent = Agent::config_builder()
             .tls_config(tls.build())
             // Nobody between: a proxy of the environment must not see the token.
