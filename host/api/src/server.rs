@@ -30,7 +30,8 @@ const AFTER_REFUSAL: Duration = Duration::from_millis(200);
 
 /// What whoever comes too late is told.
 fn full() -> String {
-    let body = r#"{"error":"connections","message":"all places are taken: try again in some seconds"}"#;
+    let body =
+        r#"{"error":"connections","message":"all places are taken: try again in some seconds"}"#;
     format!(
         "HTTP/1.1 503 Service Unavailable\r\nretry-after: 1\r\nconnection: close\r\n\
          content-type: application/json\r\ncontent-length: {}\r\n\r\n{body}",

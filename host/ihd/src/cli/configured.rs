@@ -42,15 +42,18 @@ fn tls_folder(config: &Config) -> PathBuf {
 
 /// How the daemon's API is set up.
 pub fn server_settings(config: &Config) -> Settings {
-    let tls = config.tls.as_ref().map(|tls| match (&tls.certificate, &tls.key) {
-        (Some(certificate), Some(key)) => Certificate::Files {
-            certificate: certificate.clone(),
-            key: key.clone(),
-        },
-        _ => Certificate::Made {
-            folder: tls_folder(config),
-        },
-    });
+    let tls = config
+        .tls
+        .as_ref()
+        .map(|tls| match (&tls.certificate, &tls.key) {
+            (Some(certificate), Some(key)) => Certificate::Files {
+                certificate: certificate.clone(),
+                key: key.clone(),
+            },
+            _ => Certificate::Made {
+                folder: tls_folder(config),
+            },
+        });
     Settings {
         listen: config.listen.to_string(),
         allowed_hosts: config.allowed_hosts.clone(),
@@ -109,7 +112,9 @@ fn token(config: &Config) -> Result<Option<String>> {
         return Ok(None);
     };
     let tokens = Tokens::read(path)?;
-    let token = tokens.at_least(Role::Operate).or(tokens.at_least(Role::Read));
+    let token = tokens
+        .at_least(Role::Operate)
+        .or(tokens.at_least(Role::Read));
     Ok(token.map(str::to_owned))
 }
 

@@ -118,7 +118,8 @@ mod tests {
 
     #[test]
     fn options_are_those_of_the_command_line() {
-        let table = "sim = { pot = \"aluminium\", warming = true, mains = 60, snr = 50.5, speed = 2 }";
+        let table =
+            "sim = { pot = \"aluminium\", warming = true, mains = 60, snr = 50.5, speed = 2 }";
         let config = config(table);
         let simulated = Simulated::of(&config.devices[0].address.sim).unwrap();
         assert_eq!(simulated.hob.mains_hz, 60.0);

@@ -113,7 +113,9 @@ impl RecordArgs {
             words.push("--json".into());
         }
         let options = Self::augment_args(clap::Command::new("record"));
-        Ok(Self::from_arg_matches(&options.try_get_matches_from(words)?)?)
+        Ok(Self::from_arg_matches(
+            &options.try_get_matches_from(words)?,
+        )?)
     }
 
     /// Records and reports.

@@ -47,8 +47,9 @@ pub struct ServeArgs {
 }
 
 /// Options of `ihd trainer` that say nothing to a daemon: devices have theirs in the configuration.
-const ALONE: [&str; 10] = [
-    "device", "power", "replay", "backend", "store", "no_store", "follow", "json", "pot", "warming",
+const ALONE: [&str; 11] = [
+    "device", "power", "replay", "backend", "network", "store", "no_store", "follow", "json",
+    "pot", "warming",
 ];
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

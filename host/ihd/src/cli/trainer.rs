@@ -58,7 +58,7 @@ pub struct TrainerArgs {
     /// TOML file with the network's settings over the preset that it names; what it leaves out keeps
     /// the preset's value.
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    network: Option<PathBuf>,
     /// Folder in which each run gets a folder of its own, for the recording, the lookups and the
     /// figure.
     #[arg(long, value_name = "DIR", default_value = "ihd-store")]
@@ -74,11 +74,18 @@ pub struct TrainerArgs {
     json: bool,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
+    #[cfg(feature = "daemon")]
+    #[command(flatten)]
+    serve: super::serve::ServeArgs,
 }
 
 impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
+        #[cfg(feature = "daemon")]
+        if self.serve.asked()? {
+            return self.serve.run();
+        }
         for &power_w in &self.power {
             ensure!(
                 (1..=RATED_POWER_W).contains(&power_w),
@@ -157,7 +164,7 @@ impl TrainerArgs {
     }
 
     fn pinn_config(&self) -> Result<Config> {
-        let mut config = match &self.config {
+        let mut config = match &self.network {
             None => Config::default(),
             Some(path) => {
                 let text = std::fs::read_to_string(path)

@@ -52,7 +52,10 @@ struct Heated {
 
 /// Heats with one power until ^C or the time is over.
 pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool) -> Result<()> {
-    let time = for_s.map(Duration::try_from_secs_f64).transpose().context("--for")?;
+    let time = for_s
+        .map(Duration::try_from_secs_f64)
+        .transpose()
+        .context("--for")?;
     let command = Command::Power { power_w };
     let mut end = |elapsed: Duration, _: &mut Hob, _: &DeviceReport| {
         Ok(time.is_some_and(|time| elapsed >= time).then_some("time"))
@@ -132,7 +135,11 @@ fn run(
         say!(
             "{}: {} after {:.0} s, of which it heated {:.0} s, {:.1} Wh",
             heated.device,
-            if off.is_ok() && ended.is_ok() { "off" } else { "ended" },
+            if off.is_ok() && ended.is_ok() {
+                "off"
+            } else {
+                "ended"
+            },
             heated.seconds,
             heated.heating_seconds,
             heated.energy_wh
@@ -237,7 +244,11 @@ fn status_line(report: &DeviceReport, elapsed: Duration) -> String {
         0 => String::new(),
         n => format!(", {n} powers to come"),
     };
-    one_line(&format!("{}: {:.0} s, {now}{sweep}", report.name, elapsed.as_secs_f64()))
+    one_line(&format!(
+        "{}: {:.0} s, {now}{sweep}",
+        report.name,
+        elapsed.as_secs_f64()
+    ))
 }
 
 fn did_it_heat(heated: &Heated) -> Result<()> {

@@ -16,10 +16,7 @@ use crate::cli::usage::Usage;
 /// A device that answers.
 pub(super) enum Hob {
     /// Through the daemon.
-    Daemon {
-        client: ApiClient,
-        name: String,
-    },
+    Daemon { client: ApiClient, name: String },
     /// With no daemon between.
     Direct(Box<Direct>),
 }
@@ -44,7 +41,9 @@ impl Hob {
             }
         }
         let (config, address) = configured_or_address(config, wanted)?;
-        Ok(Self::Direct(Box::new(Direct::open(config, address, wanted)?)))
+        Ok(Self::Direct(Box::new(Direct::open(
+            config, address, wanted,
+        )?)))
     }
 
     /// Its name.

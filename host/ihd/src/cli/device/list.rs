@@ -49,7 +49,10 @@ pub(super) fn print(config: &Config, json: bool) -> Result<()> {
     for device in &listed {
         let (name, address) = (one_line(&device.name), one_line(&device.address));
         let state = device.state.unwrap_or("-");
-        say!("{name:<16} {address:<28} {state:<15} {}", one_line(&device.detail))?;
+        say!(
+            "{name:<16} {address:<28} {state:<15} {}",
+            one_line(&device.detail)
+        )?;
     }
     Ok(())
 }

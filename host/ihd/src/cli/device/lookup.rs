@@ -25,7 +25,10 @@ pub(super) fn read(file: &Path) -> Result<Vec<u8>> {
         .read_to_end(&mut blob)
         .with_context(cannot)?;
     RlLookup::from_bytes(&blob).with_context(|| {
-        format!("{} is no lookup (lookup-vN.bin of `ihd trainer`)", file.display())
+        format!(
+            "{} is no lookup (lookup-vN.bin of `ihd trainer`)",
+            file.display()
+        )
     })?;
     Ok(blob)
 }
@@ -56,7 +59,12 @@ pub(super) fn show(hob: &mut Hob, json: bool) -> Result<()> {
         None => say!("{}: the built-in lookup", hob.name())?,
     }
     for row in &stored {
-        say!("version {:<6} {:<11} {}", row.version, one_line(&row.state), one_line(&row.why))?;
+        say!(
+            "version {:<6} {:<11} {}",
+            row.version,
+            one_line(&row.state),
+            one_line(&row.why)
+        )?;
     }
     Ok(())
 }
@@ -65,7 +73,8 @@ fn cells(lookup: &RlLookup) -> Value {
     let row = |codes: &[u16; CURRENTS], unit: f64| -> Vec<f64> {
         codes.iter().map(|code| f64::from(*code) * unit).collect()
     };
-    let observed = |f: usize| -> Vec<bool> { (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect() };
+    let observed =
+        |f: usize| -> Vec<bool> { (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect() };
     json!({
         "version": lookup.version,
         "observed_cells": lookup.observed_cells(),

@@ -107,7 +107,9 @@ pub fn exit_code(error: &anyhow::Error) -> Option<u8> {
     }
     let of_command = |error: &CommandError| match error {
         CommandError::NotConnected { .. } | CommandError::Refused { .. } => 3,
-        CommandError::NoDevice { .. } | CommandError::Leased { .. } | CommandError::Failed { .. } => 1,
+        CommandError::NoDevice { .. }
+        | CommandError::Leased { .. }
+        | CommandError::Failed { .. } => 1,
     };
     if let Some(error) = error.downcast_ref() {
         return Some(of_command(error));

@@ -30,8 +30,12 @@ pub(super) fn record(
     );
     if let Hob::Direct(direct) = hob {
         let name = direct.name().to_owned();
-        let out = out.map_or_else(|| PathBuf::from(format!("{}.mcap", file_name(&name))), Path::to_owned);
-        return record::RecordArgs::of_device(out, duration_s, json)?.record_from(direct.into_client());
+        let out = out.map_or_else(
+            || PathBuf::from(format!("{}.mcap", file_name(&name))),
+            Path::to_owned,
+        );
+        return record::RecordArgs::of_device(out, duration_s, json)?
+            .record_from(direct.into_client());
     }
     if let Some(out) = out {
         ensure_usage!(!out.exists(), "{} is there already", out.display());
@@ -47,8 +51,12 @@ pub(super) fn record(
     let shown = match out {
         None => file,
         Some(out) => {
-            copy_new(Path::new(&file), out)
-                .with_context(|| format!("{file} is recorded, but cannot be copied to {}", out.display()))?;
+            copy_new(Path::new(&file), out).with_context(|| {
+                format!(
+                    "{file} is recorded, but cannot be copied to {}",
+                    out.display()
+                )
+            })?;
             out.display().to_string()
         }
     };
@@ -77,6 +85,12 @@ fn copy_new(from: &Path, to: &Path) -> std::io::Result<()> {
 
 /// An address as the name of a file.
 fn file_name(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+    let plain = |c: char| {
+        if c.is_ascii_alphanumeric() || "-_.".contains(c) {
+            c
+        } else {
+            '-'
+        }
+    };
     name.chars().map(plain).collect()
 }

@@ -48,15 +48,29 @@ pub(super) fn of_live(live: &Live) -> String {
 }
 
 fn of_report(r: &DeviceReport) -> String {
-    let mut text = format!("device     {} ({})\n", one_line(&r.name), one_line(&r.address));
+    let mut text = format!(
+        "device     {} ({})\n",
+        one_line(&r.name),
+        one_line(&r.address)
+    );
     let mut line = |name: &str, what: String| {
         text += &format!("{name:<11}{}\n", one_line(&what));
     };
-    let detail = if r.detail.is_empty() { String::new() } else { format!(": {}", r.detail) };
+    let detail = if r.detail.is_empty() {
+        String::new()
+    } else {
+        format!(": {}", r.detail)
+    };
     line("state", format!("{}{detail}", state(r.state)));
     if let Some(who) = &r.identity {
         let (major, minor) = who.protocol;
-        line("firmware", format!("{} on {}, protocol {major}.{minor}, boot {:08x}", who.build, who.board, who.boot_id));
+        line(
+            "firmware",
+            format!(
+                "{} on {}, protocol {major}.{minor}, boot {:08x}",
+                who.build, who.board, who.boot_id
+            ),
+        );
     }
     if let Some(live) = &r.live {
         line("now", of_live(live));
@@ -74,13 +88,30 @@ fn of_report(r: &DeviceReport) -> String {
     line("lookup", lookup + &pending);
     let w = &r.windows;
     if w.announced > 0 {
-        line("windows", format!(
-            "{} announced: {} stored, {} refused, {} lost, {} dropped by the device, {} not stored; {} learned, {} unfit, {} unlearned",
-            w.announced, w.stored, w.refused, w.lost, w.dropped_by_device, w.not_stored, w.learned, w.unfit, w.unlearned
-        ));
+        line(
+            "windows",
+            format!(
+                "{} announced: {} stored, {} refused, {} lost, {} dropped by the device, {} not stored; {} learned, {} unfit, {} unlearned",
+                w.announced,
+                w.stored,
+                w.refused,
+                w.lost,
+                w.dropped_by_device,
+                w.not_stored,
+                w.learned,
+                w.unfit,
+                w.unlearned
+            ),
+        );
     }
     if let Some(lease) = &r.lease {
-        line("commanded", format!("by {}, for {} s more unless it is renewed", lease.holder, lease.expires_in_s));
+        line(
+            "commanded",
+            format!(
+                "by {}, for {} s more unless it is renewed",
+                lease.holder, lease.expires_in_s
+            ),
+        );
     }
     if !r.sweep_left_w.is_empty() {
         let left: Vec<String> = r.sweep_left_w.iter().map(u16::to_string).collect();
@@ -94,7 +125,9 @@ fn of_report(r: &DeviceReport) -> String {
 
 /// A line stays one, whatever it holds.
 pub(super) fn one_line(text: &str) -> String {
-    output::escaped(text).replace('\n', "\\n").replace('\t', "\\t")
+    output::escaped(text)
+        .replace('\n', "\\n")
+        .replace('\t', "\\t")
 }
 
 #[cfg(test)]
@@ -123,7 +156,10 @@ mod tests {
             connections: 0,
         };
         let text = of_report(&report);
-        assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
+        assert!(
+            text.chars().all(|c| c == '\n' || !c.is_control()),
+            "{text:?}"
+        );
         assert_eq!(text.lines().filter(|l| l.starts_with("state")).count(), 1);
     }
 }

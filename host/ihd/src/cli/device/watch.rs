@@ -33,7 +33,9 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
                     Watched::Heartbeat => {}
                     Watched::Unknown(text) if json => say!("{text}")?,
                     Watched::Unknown(_) => {}
-                    Watched::Missed(n) if json => output::json_line(&serde_json::json!({"event": "missed", "missed": n}))?,
+                    Watched::Missed(n) if json => {
+                        output::json_line(&serde_json::json!({"event": "missed", "missed": n}))?
+                    }
                     Watched::Missed(n) => say!("{n} events missed: this reader was too slow")?,
                     Watched::Notice(notice) if json => output::json_line(&notice)?,
                     Watched::Notice(notice) => show(&notice, &mut shown_ms)?,
@@ -56,25 +58,47 @@ fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
         }
         What::WindowStored { seq, .. } => format!("window {seq} stored"),
         What::WindowRefused { seq, why } => format!("window {seq} refused: {why}"),
-        What::ResultStored { seq, f_sw_hz, r_ohm, l_h, pass, why, .. } => {
-            let verdict = if *pass { String::new() } else { format!(", unfit: {why}") };
+        What::ResultStored {
+            seq,
+            f_sw_hz,
+            r_ohm,
+            l_h,
+            pass,
+            why,
+            ..
+        } => {
+            let verdict = if *pass {
+                String::new()
+            } else {
+                format!(", unfit: {why}")
+            };
             format!(
                 "window {seq}: R {r_ohm:.4} ohm, L {:.3} µH at {:.2} kHz{verdict}",
                 l_h * 1e6,
                 f64::from(*f_sw_hz) * 1e-3
             )
         }
-        What::LookupActive { version, observed_cells } => {
+        What::LookupActive {
+            version,
+            observed_cells,
+        } => {
             format!("lookup {version} active, {observed_cells} cells observed")
         }
         What::LookupRefused { version, why } => format!("lookup {version} refused: {why}"),
         What::Fault { fault: 0, .. } => "fault cleared".to_owned(),
         What::Fault { fault, text } => format!("fault {fault}: {text}"),
         What::Lease { holder, .. } if holder.is_empty() => "nobody commands it now".to_owned(),
-        What::Lease { holder, taken_from } if taken_from.is_empty() => format!("{holder} commands it"),
-        What::Lease { holder, taken_from } => format!("{holder} has taken command from {taken_from}"),
+        What::Lease { holder, taken_from } if taken_from.is_empty() => {
+            format!("{holder} commands it")
+        }
+        What::Lease { holder, taken_from } => {
+            format!("{holder} has taken command from {taken_from}")
+        }
         What::Command { holder, text, ok } => {
-            format!("{holder}: {text}{}", if *ok { "" } else { ", not carried out" })
+            format!(
+                "{holder}: {text}{}",
+                if *ok { "" } else { ", not carried out" }
+            )
         }
         What::Store { text, .. } => format!("store: {text}"),
     };
