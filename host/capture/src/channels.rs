@@ -3,6 +3,8 @@
 
 use std::fmt;
 
+use ihd_signal::printable;
+
 use super::formats::Channel;
 use super::formats::unit::{Quantity, Unit};
 
@@ -205,7 +207,7 @@ const LISTED: usize = 12;
 fn listed(channels: &[Channel]) -> String {
     let one = |(k, c): (usize, &Channel)| {
         let unit = c.unit.map_or(String::new(), |u| format!(" in {u}"));
-        format!("{} `{}`{unit}", k + 1, c.name)
+        format!("{} `{}`{unit}", k + 1, printable(&c.name))
     };
     let shown: Vec<_> = channels.iter().enumerate().take(LISTED).map(one).collect();
     let rest = channels.len().saturating_sub(LISTED);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::mcap::McapFileError;
+use super::mcap::{Losses, McapFileError};
 
 /// Where in a file something is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +86,24 @@ pub enum CaptureError {
         path: PathBuf,
         /// What it is.
         kind: &'static str,
+    },
+    /// No byte.
+    #[error("{} is empty: nothing was written to it", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// No sample.
+    #[error(
+        "{} holds no samples{}{losses}; a recording of a device has them from its first window on",
+        path.display(),
+        if losses.is_none() { "" } else { ": " }
+    )]
+    NoSamples {
+        /// The file.
+        path: PathBuf,
+        /// What of it could not be read.
+        losses: Losses,
     },
     /// The content is in no format that is known.
     #[error("{} is no capture in a format known to ihd: {what}", path.display())]

@@ -15,7 +15,7 @@ use super::formats::isf::{self, IsfSource};
 use super::formats::trc::{self, TrcSource};
 use super::formats::wfm::{self, WfmSource};
 use super::formats::{Progress, Source, mat, npz};
-use super::mcap::{self, McapFileError};
+use super::mcap::{self, McapFileError, Salvaged};
 
 /// Bytes by which a format is recognised.
 const HEAD: usize = 4096;
@@ -28,7 +28,7 @@ pub(super) enum Opener {
     /// Header first, then the samples of the wanted channels; the columns matter to tables alone.
     Channels(fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>),
     /// As a whole capture, in a format of our own.
-    Whole(fn(&Path) -> Result<Capture, McapFileError>),
+    Whole(fn(&Path) -> Result<Salvaged, McapFileError>),
 }
 
 /// What recognises and opens a format.
@@ -75,7 +75,7 @@ pub static FORMATS: [Format; 8] = [
         name: "MCAP",
         reading: Some(Reading {
             recognises: |head| head.starts_with(::mcap::MAGIC),
-            open: Opener::Whole(mcap::read),
+            open: Opener::Whole(mcap::salvage),
         }),
         writing: Some(Writing {
             ending: "mcap",
@@ -251,6 +251,11 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
         path: path.to_owned(),
         source,
     })?;
+    if head.is_empty() {
+        return Err(CaptureError::Empty {
+            path: path.to_owned(),
+        });
+    }
     opener(&head).map_err(|what| CaptureError::Unknown {
         path: path.to_owned(),
         what: format!("{what}; readable are {}", readable()),
@@ -259,9 +264,6 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
 
 /// What opens a file that begins with `head`.
 fn opener(head: &[u8]) -> Result<&'static Opener, &'static str> {
-    if head.is_empty() {
-        return Err("it is empty");
-    }
     if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
         return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");
     }

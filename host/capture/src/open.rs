@@ -9,6 +9,7 @@ use super::error::CaptureError;
 use super::format::{Opener, recognise, regular};
 use super::formats::unit::Unit;
 use super::formats::{Channel, Samples, Source};
+use super::mcap::{Losses, Salvaged};
 use super::pair::overlap;
 
 /// What the user specifies of a file, and a second one with the other channel.
@@ -42,10 +43,121 @@ pub fn open_with(
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
+    Ok(salvage_with(path, options, progress)?.capture)
+}
+
+/// Opens what can be read of a capture, and says what could not: only MCAP can be read behind a damage.
+///
+/// # Errors
+/// As [`open`], when nothing can be read.
+pub fn salvage_with(
+    path: &Path,
+    options: &OpenOptions,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Salvaged, CaptureError> {
     let opener = recognise(path)?;
     if let Opener::Whole(read) = opener {
-        return adjusted(path, read(path)?, options);
+        let Salvaged { capture, losses } = read(path)?;
+        let capture = adjusted(path, capture, options)?;
+        return Ok(Salvaged { capture, losses });
     }
+    let capture = separate(path, opener, options, progress)?;
+    let losses = Losses::default();
+    Ok(Salvaged { capture, losses })
+}
+
+/// The channel of a file that has one only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoneChannel {
+    /// The file's format.
+    pub format: String,
+    /// The channel's name; may be empty.
+    pub name: String,
+    /// Its unit, where the file or the user states one.
+    pub unit: Option<String>,
+    /// Largest magnitude it can show, in its unit, where the file states it.
+    pub full_scale: Option<f64>,
+    /// Number of samples.
+    pub samples: usize,
+    /// Sampling rate in hertz; `None` for uneven times and none.
+    pub rate_hz: Option<f64>,
+    /// Time of the first sample in seconds, where the file states times.
+    pub start_s: Option<f64>,
+    /// From first to last sample in seconds.
+    pub duration_s: Option<f64>,
+    /// Smallest sample, in the unit.
+    pub min: f64,
+    /// Largest sample.
+    pub max: f64,
+    /// Mean.
+    pub mean: f64,
+    /// Rms value, the mean taken off.
+    pub rms: f64,
+}
+
+/// What a file holds that has one channel only; `None` for any other, and beside a second file.
+///
+/// # Errors
+/// As [`open`].
+pub fn lone_channel(
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Option<LoneChannel>, CaptureError> {
+    let opener = recognise(path)?;
+    if matches!(opener, Opener::Whole(_)) || options.second.is_some() {
+        return Ok(None);
+    }
+    let mut file = Opened::new(path, opener, options)?;
+    let [channel] = file.source.channels() else {
+        return Ok(None);
+    };
+    let channel = channel.clone();
+    let samples = file.source.read(&[0], &mut |_| ());
+    let Samples { time, columns } = samples.map_err(|e| e.in_file(path))?;
+    let x = columns.first().map_or(&[][..], Vec::as_slice);
+    let n = x.len().max(1) as f64;
+    let all = || x.iter().map(|x| f64::from(*x));
+    let mean = all().sum::<f64>() / n;
+    let square = all().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n;
+    let time = options
+        .rate_hz
+        .map(|hz| TimeBase::Even {
+            t0_s: 0.0,
+            dt_s: 1.0 / hz,
+        })
+        .or(time);
+    let at = |k: usize| time.as_ref().and_then(|t| t.at(k));
+    let last_s = at(x.len().saturating_sub(1));
+    Ok(Some(LoneChannel {
+        format: file
+            .source
+            .metadata()
+            .remove("format")
+            .unwrap_or_else(|| "text".to_owned()),
+        name: channel.name,
+        unit: channel.unit.map(|u| u.to_string()),
+        full_scale: channel.full_scale,
+        samples: x.len(),
+        rate_hz: match time {
+            Some(TimeBase::Even { dt_s, .. }) => Some(1.0 / dt_s),
+            _ => None,
+        },
+        start_s: at(0),
+        duration_s: at(0).zip(last_s).map(|(first, last)| last - first),
+        min: all().fold(f64::INFINITY, f64::min),
+        max: all().fold(f64::NEG_INFINITY, f64::max),
+        mean,
+        rms: libm::sqrt(square),
+    }))
+}
+
+/// Opens one file or two whose channels are read one by one.
+fn separate(
+    path: &Path,
+    opener: &Opener,
+    options: &OpenOptions,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Capture, CaptureError> {
     let mut files = vec![Opened::new(path, opener, options)?];
     if let Some(second) = &options.second {
         files.push(Opened::new(second, recognise(second)?, options)?);

@@ -1,17 +1,38 @@
 //! The `ihd` command.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
+use ihd::cli::{self, Cli, output};
 
 fn main() -> ExitCode {
     #[cfg(unix)]
     sigpipe::reset();
-    match ihd::cli::Cli::parse().run() {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(answer) => return shown(&answer),
+    };
+    match cli.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("ihd: {}", ihd::cli::message(&error));
-            ihd::cli::exit_code(&error).into()
+            output::complain(format_args!("ihd: {}", cli::message(&error)));
+            cli::exit_code(&error).into()
         }
+    }
+}
+
+/// Shows help, version or what is wrong with the arguments.
+fn shown(answer: &clap::Error) -> ExitCode {
+    let printed = answer.print().and_then(|()| std::io::stdout().flush());
+    match (printed, answer.exit_code()) {
+        (Err(error), 0) => {
+            output::complain(format_args!(
+                "ihd: cannot write to standard output: {error}"
+            ));
+            ExitCode::FAILURE
+        }
+        (_, 0) => ExitCode::SUCCESS,
+        _ => ExitCode::from(2),
     }
 }

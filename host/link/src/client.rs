@@ -26,6 +26,11 @@ const LATE: Duration = Duration::from_millis(50);
 /// 70 kB.
 const MAX_EVENTS: usize = 256;
 
+/// Reads, and bytes, that [`Client::next_event`] takes of what is there when its time is over: a whole window
+/// comes in a thousand packets over USB.
+const LATE_READS: u32 = 4_096;
+const LATE_BYTES: usize = 4 << 20;
+
 /// A device, connected and compatible.
 pub struct Client {
     transport: Box<dyn Transport>,
@@ -247,12 +252,14 @@ impl Client {
     }
 
     /// The next event, in the order the device sent them; `None` when `timeout` has passed on the
-    /// transport's clock. A zero `timeout` takes what is there.
+    /// transport's clock, whatever else has come meanwhile. A zero `timeout` takes what is there, within
+    /// bounds: a device that sends without end and completes nothing is left after some megabytes.
     ///
     /// # Errors
     /// [`LinkError::Recording`] once when the recording fails, and what the transport reports.
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
         let deadline = self.transport.clock() + timeout;
+        let (mut late_reads, mut late_bytes) = (0, 0);
         loop {
             if let Some(error) = self.tap.take_failure() {
                 return Err(LinkError::Recording(error));
@@ -261,11 +268,48 @@ impl Client {
                 return Ok(Some(event));
             }
             let left = deadline.saturating_sub(self.transport.clock());
-            if self.receive(left)? == 0 {
+            if left.is_zero() {
+                late_reads += 1;
+            }
+            if late_reads > LATE_READS || late_bytes > LATE_BYTES {
                 return Ok(None);
             }
+            let length = self.receive(left)?;
             self.drop_answers();
+            if length == 0 {
+                return Ok(self.incoming.events.pop_front());
+            }
+            if left.is_zero() {
+                late_bytes += length;
+            }
         }
+    }
+
+    /// Takes what comes within `timeout`, for whoever cannot take an event now. When too many wait, telemetry
+    /// is dropped; when too many are none, the bytes stay with the transport: what the device then finds
+    /// no room for it counts itself.
+    #[cfg(feature = "async")]
+    pub(crate) fn wait_without_events(&mut self, timeout: Duration) -> Result<(), LinkError> {
+        let events = &mut self.incoming.events;
+        if events.len() >= MAX_EVENTS / 2 {
+            let before = events.len();
+            events.retain(|event| !matches!(event, Event::Telemetry(_)));
+            let dropped = (before - events.len()) as u32;
+            self.events_dropped = self.events_dropped.wrapping_add(dropped);
+        }
+        if self.incoming.events.len() < MAX_EVENTS / 2 {
+            self.receive(timeout)?;
+            self.drop_answers();
+        } else {
+            std::thread::sleep(timeout);
+        }
+        Ok(())
+    }
+
+    /// An event was dropped by whoever passes them on.
+    #[cfg(feature = "async")]
+    pub(crate) fn count_dropped_event(&mut self) {
+        self.events_dropped = self.events_dropped.wrapping_add(1);
     }
 
     /// A command that is answered by a [`Reply`].

@@ -106,6 +106,9 @@ pub enum LinkError {
         /// Why.
         source: EncodeError,
     },
+    /// The client's thread ended in a panic: a fault of this program.
+    #[error("the link's thread panicked: this is a fault of this program; connect again")]
+    Panicked,
     /// The recording failed and was ended; the link itself goes on.
     #[error("recording stopped, the link goes on: {0}")]
     Recording(io::Error),

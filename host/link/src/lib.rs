@@ -11,10 +11,14 @@
 //! back (the crate `ihd-capture`) share it, so that both see the same windows and count the same damage.
 
 pub mod assembler;
+#[cfg(feature = "async")]
+pub mod asynchronous;
 pub mod client;
 pub mod counters;
 pub mod device_spec;
 pub mod error;
+#[cfg(test)]
+mod fake;
 pub mod incoming;
 pub mod protocol_1;
 pub mod protocol_doc;
@@ -26,6 +30,8 @@ pub mod transport;
 pub mod usb;
 pub mod window;
 
+#[cfg(feature = "async")]
+pub use asynchronous::AsyncClient;
 pub use client::Client;
 pub use counters::Counters;
 pub use device_spec::DeviceSpec;

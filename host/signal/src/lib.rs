@@ -6,10 +6,12 @@
 //!            Correlator, WhiteNoise   AdcGrid, quantise: the same samples as a board sees them
 //! ```
 
+pub mod atomic;
 pub mod capture;
 pub mod correlation;
 pub mod load;
 pub mod noise;
+pub mod printable;
 pub mod quantise;
 pub mod resample;
 pub mod segment;
@@ -17,4 +19,5 @@ pub mod truth;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use load::Load;
+pub use printable::printable;
 pub use segment::{Segment, SegmentError};

@@ -1,1 +1,53 @@
-//! What the daemon keeps.
+//! What the daemon keeps: windows, results, lookups, what was learned, events and commands.
+//!
+//! ```text
+//!  ihd-store/
+//!    ihd.db                    devices, sessions, results, lookups, learned, events, audit: FULL
+//!    windows-2026-11-22.db     that day's windows, bit for bit: NORMAL; retention deletes such files
+//!    ihd.lock                  held by the one process that writes
+//!    ihd.db.damaged-…          set aside at a start, never read again
+//! ```
+//!
+//! [`Store`] writes, and is one process's; [`Reader`] reads beside it. What a method has returned `Ok` for is
+//! committed. docs/store.md has the tables, queries and what to do with a damaged file.
+
+mod backup;
+pub mod clock;
+mod database;
+mod error;
+pub mod folder;
+mod journal;
+mod lookups;
+mod payload;
+mod reader;
+mod results;
+mod retention;
+pub mod schema;
+mod settings;
+mod start;
+mod store;
+mod text;
+mod windows;
+
+pub use backup::backup;
+pub use error::StoreError;
+pub use folder::Damage;
+pub use ihd_signal::atomic;
+pub use journal::{AuditRow, EventRow};
+pub use lookups::{LookupRow, LookupState};
+pub use reader::{DeviceRow, Reader, SessionRow};
+pub use results::{NewResult, ResultFilter, ResultRow};
+pub use retention::Collected;
+pub use settings::{Keep, Retention, Settings, UnknownKeep};
+pub use start::Opened;
+pub use store::{Figures, Store};
+pub use windows::{Kept, WindowFilter, WindowRow};
+
+/// A device in the store.
+pub type DeviceId = i64;
+
+/// A connection in the store.
+pub type SessionId = i64;
+
+/// A result in the store.
+pub type ResultId = i64;

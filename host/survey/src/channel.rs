@@ -12,6 +12,13 @@ use super::track::Track;
 /// Offset above which it is reported, in percent of the rms value.
 const OFFSET_PCT: f64 = 1.0;
 
+/// Voltage of a hob's coil, above which a probe's factor is wrong: a half-bridge on 230 V gives 330 V, a resonant
+/// one of a quasi-resonant hob up to 1.2 kV, which its switch would not survive by much.
+const LARGEST_V: f64 = 2e3;
+
+/// Current of a hob's coil, above which a probe's factor is wrong: 3.7 kW at 230 V take 80 A at the crest.
+const LARGEST_A: f64 = 300.0;
+
 /// SNR below which it is reported, in decibel: the paper's noisiest case is 30.
 const NOISY_DB: f64 = 25.0;
 
@@ -108,6 +115,18 @@ fn report(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Ve
             channel: which,
             samples: clipped.samples,
             level: clipped.level,
+        });
+    }
+    let most = match which {
+        Channel::Voltage => LARGEST_V,
+        Channel::Current => LARGEST_A,
+    };
+    let peak = c.max.abs().max(c.min.abs());
+    if peak > most {
+        findings.push(Finding::Implausible {
+            channel: which,
+            peak,
+            most,
         });
     }
     let of_rms_pct = 100.0 * c.mean.abs() / c.rms;

@@ -18,6 +18,12 @@ pub enum SurveyError {
         /// Times; as many as voltages where the time base is even.
         stamps: usize,
     },
+    /// No samples at all.
+    #[error("{name} holds no samples")]
+    Empty {
+        /// The capture.
+        name: String,
+    },
     /// Times that cannot be.
     #[error(
         "{name}: the time from sample to sample is {dt_s} s, the first sample's {t0_s} s; the step must be a finite \

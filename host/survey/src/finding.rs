@@ -160,6 +160,15 @@ pub enum Finding {
         /// Its share of the rms value in percent.
         of_rms_pct: f64,
     },
+    /// More than the coil of a hob carries: a probe's factor is wrong.
+    Implausible {
+        /// Which.
+        channel: Channel,
+        /// Largest magnitude of its samples, in the channel's unit.
+        peak: f64,
+        /// What it stays below, in the channel's unit.
+        most: f64,
+    },
     /// Much noise.
     Noisy {
         /// Which.
@@ -184,11 +193,16 @@ pub enum Finding {
         l_pct: f64,
     },
     /// Voltage and current are exchanged.
-    Swapped,
+    Swapped {
+        /// The user has exchanged them.
+        by_user: bool,
+    },
     /// One probe is the wrong way round: R and L are negative.
     Inverted {
         /// R as it stands, in ohm.
         r_ohm: f64,
+        /// The user has changed the sign of one channel.
+        by_user: bool,
     },
     /// R is negative while L is not: the channels are not simultaneous.
     NegativeResistance {
@@ -219,6 +233,7 @@ impl Finding {
             | Self::MainsDiffers { .. }
             | Self::MainsUnknown { .. }
             | Self::Offset { .. }
+            | Self::Implausible { .. }
             | Self::Noisy { .. }
             | Self::CoarselySampled { .. }
             | Self::Gap { .. }
@@ -226,7 +241,7 @@ impl Finding {
             | Self::Aliasing { .. } => Severity::Warning,
             Self::TimeNotAscending { .. }
             | Self::Clipping { .. }
-            | Self::Swapped
+            | Self::Swapped { .. }
             | Self::Inverted { .. }
             | Self::NegativeResistance { .. }
             | Self::Dead { .. } => Severity::Error,
@@ -351,14 +366,29 @@ impl fmt::Display for Finding {
                  voltage's edges fall on the fundamental: about {r_pct:.1} % of R and {l_pct:.1} % \
                  of L without an anti-alias filter; shift the sampling rate by some percent"
             ),
-            Self::Swapped => write!(
+            Self::Swapped { by_user } => write!(
                 f,
-                "voltage and current are exchanged (the impedance falls with frequency): use --swap"
+                "voltage and current are exchanged (the impedance falls with frequency): {} --swap",
+                if *by_user { "leave out" } else { "use" }
             ),
-            Self::Inverted { r_ohm } => write!(
+            Self::Inverted { r_ohm, by_user } => write!(
                 f,
-                "R is {r_ohm:.3} ohm and L negative too: one probe is the wrong way round; use \
-                 --invert i"
+                "R is {r_ohm:.3} ohm and L negative too: one probe is the wrong way round; {}",
+                if *by_user {
+                    "leave out --invert"
+                } else {
+                    "use --invert i"
+                }
+            ),
+            Self::Implausible {
+                channel,
+                peak,
+                most,
+            } => write!(
+                f,
+                "the {channel} reaches {peak:.0} {unit}; that of a hob stays below {most:.0} {unit}: check the \
+                 probe's factor (--probe) and the unit (--units)",
+                unit = channel.unit()
             ),
             Self::NegativeResistance { r_ohm, skew_s } => write!(
                 f,

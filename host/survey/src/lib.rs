@@ -45,6 +45,10 @@ pub struct Hints {
     pub mains_hz: Option<f64>,
     /// Time of a mains zero crossing in seconds.
     pub zero_crossing_s: Option<f64>,
+    /// The user has exchanged the channels of the file.
+    pub swapped: bool,
+    /// The user has changed the sign of one channel.
+    pub inverted: bool,
 }
 
 /// A part of a capture that an estimator can work on.
@@ -139,7 +143,7 @@ impl Survey {
         let current = channel::survey(Channel::Current, capture, &pieces, &tracks, &mut findings);
         let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
         let (wiring, loads) = if alive {
-            wiring_findings(&tracks, strongest, wiring, &mut findings);
+            wiring_findings(&tracks, strongest, wiring, hints, &mut findings);
             let load = |t: &Track| impedance::of_order(t, 0, wiring);
             (wiring, tracks.iter().map(load).collect())
         } else {
@@ -253,6 +257,9 @@ fn check(capture: &Capture) -> Result<(), SurveyError> {
             stamps,
         });
     }
+    if capture.is_empty() {
+        return Err(SurveyError::Empty { name: name() });
+    }
     match capture.time {
         // Far from zero, time has too few digits for its steps: 1e9 s for steps of 0.1 µs.
         TimeBase::Even { t0_s, dt_s }
@@ -295,10 +302,13 @@ fn wiring_findings(
     tracks: &[Track],
     strongest: usize,
     wiring: Wiring,
+    hints: &Hints,
     findings: &mut Vec<Finding>,
 ) {
     if wiring.swapped {
-        findings.push(Finding::Swapped);
+        findings.push(Finding::Swapped {
+            by_user: hints.swapped,
+        });
     }
     let Some(track) = tracks.get(strongest) else {
         return;
@@ -311,7 +321,10 @@ fn wiring_findings(
         return;
     };
     if wiring.inverted {
-        findings.push(Finding::Inverted { r_ohm: z.r_ohm });
+        findings.push(Finding::Inverted {
+            r_ohm: z.r_ohm,
+            by_user: hints.inverted,
+        });
     } else if z.r_ohm < 0.0 {
         let omega = std::f64::consts::TAU * track.f_sw_hz;
         findings.push(Finding::NegativeResistance {

@@ -190,7 +190,7 @@ impl<A: Arrays> Source for ArraySource<A> {
                 Clock::Even { t0_s, dt_s } => Some(TimeBase::Even { t0_s, dt_s }),
                 Clock::Array { index, scale } => {
                     let length = self.arrays[index].length as usize;
-                    let mut stamps = Vec::with_capacity(length);
+                    let mut stamps = Vec::with_capacity(length.min(RESERVED));
                     self.vector(index, |t| stamps.push(t * scale))?;
                     let base = time_base(stamps, 0.0, None);
                     Some(base.map_err(|e| {
@@ -204,13 +204,17 @@ impl<A: Arrays> Source for ArraySource<A> {
             let Some(&index) = self.columns.get(*channel) else {
                 continue;
             };
-            let mut values = Vec::with_capacity(self.arrays[index].length as usize);
+            let length = self.arrays[index].length as usize;
+            let mut values = Vec::with_capacity(length.min(RESERVED));
             self.vector(index, |x| values.push(x as f32))?;
             columns.push(values);
         }
         Ok(Samples { time, columns })
     }
 }
+
+/// Numbers that room is made for before they are seen: a length is only a claim.
+const RESERVED: usize = 1 << 16;
 
 /// Largest ratio of a compressed array's sizes that is believed beyond [`SMALL`]: samples with noise
 /// reach 20, deflate's limit is 1032.

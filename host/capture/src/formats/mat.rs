@@ -237,13 +237,16 @@ impl<'a> Matrix<'a> {
             let mut value = 0.0;
             self.numbers(1, &mut |x| value = x)?;
             array.scalar = Some(value);
+        } else {
+            // Only its length is looked at: it must be there.
+            self.storage(count)?;
         }
         array.length = count;
         Ok(Some(array))
     }
 
-    /// The `count` numbers of the real part.
-    fn numbers(&mut self, count: u64, each: &mut dyn FnMut(f64)) -> Result<(), FormatError> {
+    /// How the `count` numbers of the real part are stored, in how many bytes, and the data of a small element.
+    fn storage(&mut self, count: u64) -> Result<(Kind, u64, Option<[u8; 4]>), FormatError> {
         let (code, length, small) = self.tag()?;
         let kind = match code {
             1 => Kind::I8,
@@ -270,8 +273,15 @@ impl<'a> Matrix<'a> {
             let what = format!("{count} numbers declared, {length} bytes of them in {packed}");
             return Err(self.wrong(what));
         }
+        Ok((kind, bytes, small))
+    }
+
+    /// The `count` numbers of the real part.
+    fn numbers(&mut self, count: u64, each: &mut dyn FnMut(f64)) -> Result<(), FormatError> {
+        let (kind, bytes, small) = self.storage(count)?;
         match small {
-            Some(small) => super::input::decode(&small[..length as usize], kind, self.endian, each),
+            // At most four bytes.
+            Some(small) => super::input::decode(&small[..bytes as usize], kind, self.endian, each),
             None => {
                 let at = self.element.at;
                 decode_from(&mut self.bytes, bytes, kind, self.endian, each)

@@ -116,3 +116,10 @@ pub enum McapFileError {
         source: ::mcap::McapError,
     },
 }
+
+impl McapFileError {
+    /// Whether a part of the file is damaged, behind which it may be read on.
+    pub fn is_damage(&self) -> bool {
+        matches!(self, Self::Damaged { .. } | Self::TooLong { .. })
+    }
+}

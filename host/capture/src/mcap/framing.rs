@@ -7,14 +7,18 @@ use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use ::mcap::records::{ChunkHeader, Record, op};
-use ::mcap::{MAGIC, parse_record};
+use ::mcap::MAGIC;
+use ::mcap::records::op;
 
 use super::McapFileError;
+use super::records::{self, CHUNK_HEADER, PACKING_AT, ZSTD};
 
 /// Largest record, and largest chunk unpacked, that is read: `Writer` makes chunks of 1 MiB, other
 /// tools of up to some 10 MiB.
 pub const MAX_RECORD: u64 = 64 << 20;
+
+/// Bytes read at once when a chunk is searched for.
+const SEARCH_BLOCK: u64 = 1 << 16;
 
 /// Bytes of a record's opcode and length.
 const PREFIX: u64 = 9;
@@ -152,15 +156,114 @@ impl Frames {
         }
     }
 
-    /// Goes on to the next record. After [`McapFileError::Damaged`] the next call goes on behind
-    /// the damage, after the end it finds the end again.
+    /// Where the record that was read last began.
+    pub fn at(&self) -> u64 {
+        self.at
+    }
+
+    /// Goes on to the next record. After an error that [`McapFileError::is_damage`] the next call goes on
+    /// behind the damage, after the end it finds the end again.
     pub fn step(&mut self) -> Result<Step, McapFileError> {
         if self.ended {
             return Ok(Step::End);
         }
         let step = self.next_step();
         self.ended = matches!(step, Ok(Step::End));
+        if step.as_ref().is_err_and(McapFileError::is_damage) {
+            self.resume()?;
+        }
         step
+    }
+
+    /// Behind a damaged record: the next one where its length says, or else, as the length may be what is wrong,
+    /// the next chunk that can be found.
+    fn resume(&mut self) -> Result<(), McapFileError> {
+        if self.next <= self.at || !self.begins_a_record(self.next)? {
+            let found = self.chunk_from(self.at + 1)?;
+            self.next = found.unwrap_or(self.length);
+        }
+        self.seek(self.next)
+    }
+
+    fn seek(&mut self, to: u64) -> Result<(), McapFileError> {
+        let sought = self.input.seek(SeekFrom::Start(to));
+        sought.map(drop).map_err(|e| self.failed(e))
+    }
+
+    /// Whether a record that this format has begins there and ends within the file.
+    fn begins_a_record(&mut self, at: u64) -> Result<bool, McapFileError> {
+        let Some(left) = self.length.checked_sub(at + PREFIX) else {
+            return Ok(at == self.length);
+        };
+        self.seek(at)?;
+        let mut prefix = [0; PREFIX as usize];
+        self.input
+            .read_exact(&mut prefix)
+            .map_err(|e| self.failed(e))?;
+        let [opcode, length @ ..] = prefix;
+        let known = (op::HEADER..=op::DATA_END).contains(&opcode);
+        Ok(known && u64::from_le_bytes(length) <= left)
+    }
+
+    /// Where the first chunk packed with zstd begins from `from` on.
+    fn chunk_from(&mut self, from: u64) -> Result<Option<u64>, McapFileError> {
+        /// From a record's beginning to the name of its packing.
+        const TO_PACKING: usize = PREFIX as usize + PACKING_AT;
+        const WHOLE: usize = PREFIX as usize + CHUNK_HEADER;
+        self.seek(from)?;
+        let mut window = Vec::new();
+        let mut at = from;
+        loop {
+            let mut block = self.input.by_ref().take(SEARCH_BLOCK);
+            let read = block.read_to_end(&mut window);
+            let read = read.map_err(|e| self.failed(e))?;
+            let marks = window.windows(ZSTD.len()).enumerate();
+            for (mark, _) in marks.filter(|(_, bytes)| **bytes == ZSTD) {
+                let Some(begin) = mark.checked_sub(TO_PACKING) else {
+                    continue;
+                };
+                let Some((&[op::CHUNK, ref length @ ..], head)) =
+                    window[begin..].split_first_chunk::<{ PREFIX as usize }>()
+                else {
+                    continue;
+                };
+                let length = u64::from_le_bytes(*length);
+                if length <= MAX_RECORD && records::begins_as_chunk(head, length) {
+                    return Ok(Some(at + begin as u64));
+                }
+            }
+            if read == 0 {
+                return Ok(None);
+            }
+            // What may be the beginning of one is looked at again.
+            let keep = window.len().min(WHOLE - 1);
+            at += (window.len() - keep) as u64;
+            window.drain(..window.len() - keep);
+        }
+    }
+
+    /// The records of the summary at the end of a whole file, which repeats schemas and channels. Nothing where
+    /// there is none.
+    pub fn summary(&mut self) -> Result<Vec<u8>, McapFileError> {
+        const FOOTER: u64 = PREFIX + 20;
+        let end = self.length.saturating_sub(FOOTER + MAGIC.len() as u64);
+        let mut footer = [0; FOOTER as usize];
+        self.seek(end)?;
+        let read = self.input.read_exact(&mut footer);
+        let mut summary = Vec::new();
+        if let (Ok(()), [op::FOOTER, rest @ ..]) = (read, &footer)
+            && let Some(start) = rest[8..].first_chunk::<8>()
+            && let start = u64::from_le_bytes(*start)
+            && start > 0
+            && end.checked_sub(start).is_some_and(|l| l <= MAX_RECORD)
+        {
+            self.seek(start)?;
+            let mut all = self.input.by_ref().take(end - start);
+            let read = all.read_to_end(&mut summary);
+            read.map_err(|e| self.failed(e))?;
+        }
+        self.seek(self.next)?;
+        Ok(summary)
     }
 
     fn next_step(&mut self) -> Result<Step, McapFileError> {
@@ -177,8 +280,12 @@ impl Frames {
             .map_err(|e| self.failed(e))?;
         let [opcode, length @ ..] = prefix;
         let declared = u64::from_le_bytes(length);
-        if matches!(opcode, op::DATA_END | op::FOOTER) {
-            return Ok(Step::End);
+        match (opcode, declared) {
+            (op::DATA_END, 4) | (op::FOOTER, 20) => return Ok(Step::End),
+            (op::DATA_END | op::FOOTER, _) => {
+                return Err(self.damaged(format!("an end mark of {declared} bytes")));
+            }
+            _ => {}
         }
         let needed = matches!(
             opcode,
@@ -188,6 +295,13 @@ impl Frames {
             return Err(self.too_long("a record", declared));
         }
         if declared > left - PREFIX {
+            // Cut here, or the length is wrong: then there is more behind.
+            if self.chunk_from(self.at + 1)?.is_some() {
+                let left = left - PREFIX;
+                let what =
+                    format!("a record declares {declared} bytes, {left} are left in the file");
+                return Err(self.damaged(what));
+            }
             self.cut = true;
             return Ok(Step::End);
         }
@@ -198,7 +312,10 @@ impl Frames {
                 self.read_body(declared)?;
                 Ok(Step::Record(opcode))
             }
-            _ => self.pass(),
+            _ => {
+                self.look_for_a_chunk(declared)?;
+                self.pass()
+            }
         }
     }
 
@@ -216,6 +333,21 @@ impl Frames {
         Ok(Step::Passed)
     }
 
+    /// What nothing is known of must not be a chunk whose kind is damaged.
+    fn look_for_a_chunk(&mut self, length: u64) -> Result<(), McapFileError> {
+        if length < CHUNK_HEADER as u64 {
+            return Ok(());
+        }
+        let mut head = [0; CHUNK_HEADER];
+        self.input
+            .read_exact(&mut head)
+            .map_err(|e| self.failed(e))?;
+        if records::begins_as_chunk(&head, length) {
+            return Err(self.damaged("a chunk that is marked as another record"));
+        }
+        Ok(())
+    }
+
     fn take_chunk(&mut self, length: u64) -> Result<Step, McapFileError> {
         if length >= CHUNK_TIMES as u64 {
             let times = peek_times(&mut self.input).map_err(|e| self.failed(e))?;
@@ -225,15 +357,11 @@ impl Frames {
             }
         }
         self.read_body(length)?;
-        let Record::Chunk { header, data } =
-            parse_record(op::CHUNK, &self.body).map_err(|e| self.damaged(e))?
-        else {
-            return Err(self.damaged("a chunk that is none"));
-        };
-        if header.uncompressed_size > MAX_RECORD {
-            return Err(self.too_long("a chunk", header.uncompressed_size));
+        let chunk = records::chunk(&self.body).map_err(|why| self.damaged(why))?;
+        if chunk.unpacked > MAX_RECORD {
+            return Err(self.too_long("a chunk", chunk.unpacked));
         }
-        let unpacked = unpack(&header, &data, &mut self.chunk);
+        let unpacked = unpack(&chunk, &mut self.chunk);
         unpacked.map_err(|why| self.damaged(why))?;
         Ok(Step::Chunk)
     }
@@ -270,13 +398,13 @@ fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
     Ok((time(0), time(8)))
 }
 
-fn unpack(header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>) -> Result<(), String> {
-    let size = header.uncompressed_size as usize;
+fn unpack(chunk: &records::Chunk<'_>, into: &mut Vec<u8>) -> Result<(), String> {
+    let size = chunk.unpacked as usize;
     into.clear();
-    match header.compression.as_str() {
-        "" => into.extend_from_slice(data),
+    match chunk.packing {
+        "" => into.extend_from_slice(chunk.data),
         "zstd" => {
-            let unpacked = zstd::bulk::decompress(data, size);
+            let unpacked = zstd::bulk::decompress(chunk.data, size);
             *into = unpacked.map_err(|e| format!("its chunk does not unpack: {e}"))?;
         }
         other => {
@@ -288,7 +416,7 @@ fn unpack(header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>) -> Result<(), S
     if into.len() != size {
         return Err("its chunk unpacks to another size than it declares".into());
     }
-    if header.uncompressed_crc != 0 && crc32(into) != header.uncompressed_crc {
+    if chunk.crc != 0 && crc32(into) != chunk.crc {
         return Err("its chunk fails its CRC-32".into());
     }
     Ok(())

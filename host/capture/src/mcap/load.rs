@@ -1,6 +1,7 @@
 //! Whole captures, or parts of them, from the file.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::Path;
 
 use ihd_signal::{Capture, FrequencyStep, TimeBase};
@@ -16,12 +17,90 @@ use super::writer::nanoseconds;
 /// Most pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
 pub const MAX_PAIRS: usize = 1 << 27;
 
+/// What of a file could not be read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// Where what is whole ends, in bytes, of a file without its end mark.
+    pub cut_at: Option<u64>,
+    /// Damaged records, each a chunk at most, that were passed over.
+    pub damaged: u32,
+    /// The first of them: file, byte and what is wrong.
+    pub first_damage: Option<String>,
+}
+
+impl Losses {
+    /// Whether the file was read whole.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn take(&mut self, damage: &McapFileError) {
+        self.damaged = self.damaged.saturating_add(1);
+        self.first_damage.get_or_insert_with(|| damage.to_string());
+    }
+}
+
+impl fmt::Display for Losses {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(at) = self.cut_at {
+            write!(
+                f,
+                "the file is cut: it ends without its end mark, what is whole ends at byte {at}"
+            )?;
+        }
+        if let Some(first) = &self.first_damage {
+            let and = if self.cut_at.is_some() { "; " } else { "" };
+            let n = self.damaged;
+            write!(
+                f,
+                "{and}{n} damaged records were passed over, the first: {first}"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// What could be read of a file, and what could not.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Salvaged {
+    /// What could be read.
+    pub capture: Capture,
+    /// What could not.
+    pub losses: Losses,
+}
+
 /// Reads a whole capture. A file that was cut gives what is whole.
 ///
 /// # Errors
 /// [`McapFileError`].
 pub fn read(path: &Path) -> Result<Capture, McapFileError> {
-    gather(Reader::open(path)?, f64::NEG_INFINITY, f64::INFINITY)
+    let all = (f64::NEG_INFINITY, f64::INFINITY);
+    let salvaged = gather(Reader::open(path)?, all, &mut Err)?;
+    Ok(salvaged.capture)
+}
+
+/// Reads what is whole of a capture: a damaged chunk costs itself, a cut what lies behind it.
+///
+/// # Errors
+/// [`McapFileError`] when the file cannot be read, is none, or holds nothing but damage.
+pub fn salvage(path: &Path) -> Result<Salvaged, McapFileError> {
+    let all = (f64::NEG_INFINITY, f64::INFINITY);
+    let mut losses = Losses::default();
+    let mut first = None;
+    let mut salvaged = gather(Reader::open(path)?, all, &mut |error| {
+        if !error.is_damage() {
+            return Err(error);
+        }
+        losses.take(&error);
+        first.get_or_insert(error);
+        Ok(())
+    })?;
+    if let (true, Some(first)) = (salvaged.capture.is_empty(), first) {
+        return Err(first);
+    }
+    losses.cut_at = salvaged.losses.cut_at;
+    salvaged.losses = losses;
+    Ok(salvaged)
 }
 
 /// Reads the samples and events from `from_s` to `to_s`, in seconds after the capture's beginning,
@@ -32,7 +111,7 @@ pub fn read(path: &Path) -> Result<Capture, McapFileError> {
 pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
     let first_ns = lead_in(path, nanoseconds(from_s))?;
     let reader = Reader::open(path)?.between(first_ns, nanoseconds(to_s));
-    gather(reader, from_s, to_s)
+    Ok(gather(reader, (from_s, to_s), &mut Err)?.capture)
 }
 
 /// A capture being put together.
@@ -44,7 +123,14 @@ struct Gathered {
     dt_s: f64,
 }
 
-fn gather(mut reader: Reader, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
+/// What to do about an error: end with it, or go on.
+type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
+
+fn gather(
+    mut reader: Reader,
+    (from_s, to_s): (f64, f64),
+    on_error: OnError<'_>,
+) -> Result<Salvaged, McapFileError> {
     let mut gathered = Gathered {
         capture: Capture {
             name: reader.path().display().to_string(),
@@ -66,12 +152,19 @@ fn gather(mut reader: Reader, from_s: f64, to_s: f64) -> Result<Capture, McapFil
         t0_s: 0.0,
         dt_s: 0.0,
     };
-    while let Some(item) = reader.next_item()? {
-        let result = match item {
-            Item::Metadata { name, entries } => gathered.take_metadata(&name, entries),
-            Item::Message(message) => gathered.take_message(message, from_s, to_s),
+    loop {
+        let result = match reader.next_item() {
+            Ok(None) => break,
+            Err(error) => {
+                on_error(error)?;
+                continue;
+            }
+            Ok(Some(Item::Metadata { name, entries })) => gathered.take_metadata(&name, entries),
+            Ok(Some(Item::Message(message))) => gathered.take_message(message, from_s, to_s),
         };
-        result.map_err(|why| reader.damaged(why))?;
+        if let Err(why) = result {
+            on_error(reader.damaged(why))?;
+        }
         if gathered.capture.len() > MAX_PAIRS {
             return Err(McapFileError::TooManyPairs {
                 path: reader.path().into(),
@@ -79,7 +172,14 @@ fn gather(mut reader: Reader, from_s: f64, to_s: f64) -> Result<Capture, McapFil
             });
         }
     }
-    Ok(gathered.finish())
+    let losses = Losses {
+        cut_at: reader.is_cut().then(|| reader.at()),
+        ..Losses::default()
+    };
+    Ok(Salvaged {
+        capture: gathered.finish(),
+        losses,
+    })
 }
 
 impl Gathered {

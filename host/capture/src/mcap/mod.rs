@@ -16,13 +16,14 @@ mod framing;
 pub mod load;
 mod notes;
 pub mod reader;
+mod records;
 pub mod save;
 pub mod session;
 pub mod topics;
 pub mod writer;
 
 pub use error::McapFileError;
-pub use load::{read, read_between};
+pub use load::{Losses, Salvaged, read, read_between, salvage};
 pub use notes::link_counters;
 pub use reader::Reader;
 pub use save::write;

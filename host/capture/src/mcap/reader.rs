@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ::mcap::parse_record;
-use ::mcap::records::{Record, op};
+use ::mcap::records::op;
 
 use super::McapFileError;
 use super::framing::{Frames, Step, record_at};
+use super::records;
 use super::topics::{Layout, PROFILE, SAMPLES_I16, Topic};
 
 /// What our own writer puts into the header: its files have every channel in their first chunk.
@@ -77,24 +77,22 @@ impl Reader {
             Step::Record(op::HEADER) => {}
             _ => return Err(McapFileError::NotMcap { path: path.into() }),
         }
-        let header = parse_record(op::HEADER, reader.frames.record());
-        let Record::Header(header) = header.map_err(|e| reader.frames.damaged(e))? else {
-            return Err(McapFileError::NotMcap { path: path.into() });
-        };
-        if header.profile != PROFILE {
+        let header = records::header(reader.frames.record());
+        let (profile, library) = header.map_err(|why| reader.frames.damaged(why))?;
+        if profile != PROFILE {
             let kind = PROFILE.split(' ').next().unwrap_or_default();
-            let hint = if header.profile.starts_with(kind) {
+            let hint = if profile.starts_with(kind) {
                 "; it was written by a later ihd: use that one, or newer"
             } else {
                 "; it was not recorded by ihd"
             };
             return Err(McapFileError::Profile {
                 path: path.into(),
-                found: header.profile,
+                found: profile,
                 hint,
             });
         }
-        reader.indexed = header.library.starts_with(OUR_LIBRARY);
+        reader.indexed = library.starts_with(OUR_LIBRARY);
         Ok(reader)
     }
 
@@ -110,6 +108,11 @@ impl Reader {
         self.frames.is_cut()
     }
 
+    /// Bytes from the file's beginning to where the record that was read last begins.
+    pub fn at(&self) -> u64 {
+        self.frames.at()
+    }
+
     /// The file.
     pub fn path(&self) -> &Path {
         self.frames.path()
@@ -123,7 +126,7 @@ impl Reader {
     /// The next item; `None` at the end.
     ///
     /// # Errors
-    /// [`McapFileError`]. After [`McapFileError::Damaged`] the next call goes on behind the damage.
+    /// [`McapFileError`]. After one that [`McapFileError::is_damage`] the next call goes on behind the damage.
     pub fn next_item(&mut self) -> Result<Option<Item<'_>>, McapFileError> {
         let found = loop {
             if let Some(at) = self.in_chunk {
@@ -132,7 +135,7 @@ impl Reader {
                     None => continue,
                 }
             }
-            match self.frames.step()? {
+            match self.step()? {
                 Step::End => return Ok(None),
                 Step::Passed => {}
                 Step::Chunk => self.in_chunk = Some(0),
@@ -163,6 +166,23 @@ impl Reader {
             log_time_ns: found.message.log_time_ns,
             data: &bytes[found.from..found.to],
         })))
+    }
+
+    /// The next record or chunk. Channels that a damaged chunk held are taken from the summary, where there is one.
+    fn step(&mut self) -> Result<Step, McapFileError> {
+        let step = self.frames.step();
+        if self.channels.is_empty() && step.as_ref().is_err_and(McapFileError::is_damage) {
+            let summary = self.frames.summary()?;
+            let mut at = 0;
+            while let Ok(Some((raw, next))) = record_at(&summary, at) {
+                at = next;
+                if matches!(raw.opcode, op::SCHEMA | op::CHANNEL) {
+                    // The damage is reported already.
+                    let _ = take(raw.opcode, raw.body, &mut self.schemas, &mut self.channels);
+                }
+            }
+        }
+        step
     }
 
     fn wants(&self, message: &Header) -> bool {
@@ -203,14 +223,9 @@ impl Reader {
     }
 
     fn metadata(&self) -> Result<Item<'static>, McapFileError> {
-        match parse_record(op::METADATA, self.frames.record()) {
-            Ok(Record::Metadata(m)) => Ok(Item::Metadata {
-                name: m.name,
-                entries: m.metadata,
-            }),
-            Ok(_) => Err(self.frames.damaged("metadata that is none")),
-            Err(why) => Err(self.frames.damaged(why)),
-        }
+        let (name, entries) =
+            records::metadata(self.frames.record()).map_err(|why| self.frames.damaged(why))?;
+        Ok(Item::Metadata { name, entries })
     }
 }
 
@@ -236,29 +251,26 @@ fn take(
     schemas: &mut BTreeMap<u16, String>,
     channels: &mut BTreeMap<u16, Option<Channel>>,
 ) -> Result<Option<Header>, String> {
-    if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-        return Ok(None);
-    }
-    match parse_record(opcode, body).map_err(|e| e.to_string())? {
-        Record::Schema { header, .. } => {
-            schemas.insert(header.id, header.name);
+    match opcode {
+        op::SCHEMA => {
+            let (id, name) = records::schema(body)?;
+            schemas.insert(id, name);
         }
-        Record::Channel(channel) => {
+        op::CHANNEL => {
+            let channel = records::channel(body)?;
             let schema = schemas.get(&channel.schema_id).map_or("", String::as_str);
             channels.insert(channel.id, known(&channel.topic, schema)?);
         }
-        Record::Message { header, data } => {
-            let channel = channels.get(&header.channel_id);
+        op::MESSAGE => {
+            let head = records::message(body)?;
+            let channel = channels.get(&head.channel_id);
             let channel = channel.ok_or_else(|| {
-                format!(
-                    "a message of channel {}, which is missing",
-                    header.channel_id
-                )
+                format!("a message of channel {}, which is missing", head.channel_id)
             })?;
             return Ok(channel.map(|channel| Header {
                 channel,
-                log_time_ns: header.log_time,
-                data_len: data.len(),
+                log_time_ns: head.log_time_ns,
+                data_len: head.data_len,
             }));
         }
         _ => {}

@@ -376,7 +376,7 @@ impl SessionReader {
                 }
                 Ok(Some(_)) => {}
                 Ok(None) => return Ok(()),
-                Err(damage @ McapFileError::Damaged { .. }) => {
+                Err(damage) if damage.is_damage() => {
                     self.file_damage.get_or_insert(damage);
                 }
                 Err(other) => return Err(other),

@@ -1,15 +1,16 @@
 //! `ihd calibrate`: skew, gain and offsets of a measuring chain from a capture of a reference.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use ihd_signal::Capture;
 use ihd_survey::Survey;
 use ihd_survey::calibration::{Calibration, Reference, estimate};
 
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
+use super::output;
 use super::simulate::quantity::quantity;
 
 /// Find skew, gain and offsets of a measuring chain from a capture of a known load.
@@ -21,7 +22,8 @@ use super::simulate::quantity::quantity;
     ihd calibrate empty.csv --reference no-pot,r=0.1,l=72u --out bench.toml\n  \
     ihd calibrate dummy.csv --reference r=3.3,l=25u --out bench.json --json\n  \
     ihd identify capture.csv --calibration bench.toml\n\n\
-    Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage")]
+    Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage, 7 the file is empty, cut or\n\
+    damaged (what could be read is the result)")]
 pub struct CalibrateArgs {
     #[command(flatten)]
     capture: CaptureArgs,
@@ -70,22 +72,37 @@ impl CalibrateArgs {
     /// # Errors
     /// What the capture's reader, the survey or the calibration reports; a file that cannot be written.
     pub fn run(&self) -> Result<()> {
-        let capture = self.capture.open()?;
-        let survey = Survey::of(&capture, &self.hints.hints())?;
-        let found = estimate(&capture, &survey, self.reference)?;
+        let loaded = self.capture.open()?;
+        loaded.finish(self.calibrate(&loaded.capture))
+    }
+
+    fn calibrate(&self, capture: &Capture) -> Result<()> {
+        let hints = self.capture.hints(self.hints.hints());
+        let survey = Survey::of(capture, &hints)?;
+        let found = estimate(capture, &survey, self.reference)?;
+        for doubt in found.doubts() {
+            output::complain(format_args!("warning: {doubt}"));
+        }
         if let Some(path) = &self.out {
+            // What is there may be of another chain, or no calibration at all: then there is nothing to compare.
+            if let Ok(before) = Calibration::read(path) {
+                for what in found.contradicts(&before) {
+                    let path = path.display();
+                    output::complain(format_args!(
+                        "warning: {path}, which this replaces, says otherwise: {what}"
+                    ));
+                }
+            }
             found.write(path)?;
         }
-        let mut text = if self.json {
-            serde_json::to_string_pretty(&found)? + "\n"
-        } else {
-            summary(&found)
-        };
-        if let (Some(path), false) = (&self.out, self.json) {
-            text += &format!("written    {}\n", path.display());
+        if self.json {
+            return output::json(&found);
         }
-        std::io::stdout().write_all(text.as_bytes())?;
-        Ok(())
+        output::text(&summary(&found))?;
+        match &self.out {
+            Some(path) => say!("written    {}", path.display()),
+            None => Ok(()),
+        }
     }
 }
 

@@ -2,15 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::{Args, ValueEnum};
-use ihd_capture::OpenOptions;
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
-use ihd_capture::open::open_with;
+use ihd_capture::mcap::{Losses, Salvaged};
+use ihd_capture::open::salvage_with;
+use ihd_capture::{CaptureError, OpenOptions};
 use ihd_signal::Capture;
 use ihd_survey::calibration::Calibration;
+use ihd_survey::{Hints, SurveyError};
 
+use super::output;
 use super::simulate::quantity::{list, quantity};
 
 /// Whose sign to change.
@@ -107,12 +110,21 @@ impl CaptureArgs {
         }
     }
 
+    /// What the user knows, beside the arguments of `hints`.
+    pub fn hints(&self, hints: Hints) -> Hints {
+        Hints {
+            swapped: self.swap,
+            inverted: self.invert.len() == 1,
+            ..hints
+        }
+    }
+
     /// Opens the capture.
     ///
     /// # Errors
     /// [`ihd_capture::CaptureError`] or [`ihd_survey::calibration::CalibrationFileError`],
     /// naming the file and what to do.
-    pub fn open(&self) -> Result<Capture> {
+    pub fn open(&self) -> Result<Loaded> {
         self.open_with(&mut |_| ())
     }
 
@@ -120,18 +132,88 @@ impl CaptureArgs {
     ///
     /// # Errors
     /// As [`CaptureArgs::open`].
-    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Capture> {
+    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Loaded> {
         if let Some(rate_hz) = self.rate {
             let sound = rate_hz.is_finite() && rate_hz > 0.0;
-            ensure!(
+            ensure_usage!(
                 sound,
                 "--rate is {rate_hz}, but a sampling rate is positive"
             );
         }
-        let mut capture = open_with(&self.file, &self.options(), progress)?;
-        if let Some(path) = &self.calibration {
-            Calibration::read(path)?.apply(&mut capture);
+        let Salvaged {
+            mut capture,
+            losses,
+        } = salvage_with(&self.file, &self.options(), progress)?;
+        if capture.is_empty() {
+            return Err(CaptureError::NoSamples {
+                path: self.file.clone(),
+                losses,
+            }
+            .into());
         }
-        Ok(capture)
+        if let Some(path) = &self.calibration {
+            let calibration = Calibration::read(path)?;
+            for doubt in calibration.doubts() {
+                output::complain(format_args!("warning: {}: {doubt}", path.display()));
+            }
+            calibration.apply(&mut capture);
+        }
+        Ok(Loaded { capture, losses })
+    }
+}
+
+/// A capture, and what of its file could not be read.
+pub struct Loaded {
+    /// What could be read.
+    pub capture: Capture,
+    losses: Losses,
+}
+
+/// A part of the file could not be read; what could be was worked on.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{file}: {losses}; {pairs} pairs of samples were read, {ms:.3} ms from first to last{but}")]
+pub struct Incomplete {
+    file: String,
+    losses: Losses,
+    pairs: usize,
+    ms: f64,
+    but: String,
+}
+
+impl Loaded {
+    /// What could not be read, in words; `None` for a whole file.
+    pub fn incomplete(&self) -> Option<Incomplete> {
+        let last = self.capture.time.at(self.capture.len().saturating_sub(1));
+        let span = self.capture.time.at(0).zip(last);
+        (!self.losses.is_none()).then(|| Incomplete {
+            file: self.capture.name.clone(),
+            losses: self.losses.clone(),
+            pairs: self.capture.len(),
+            ms: span.map_or(0.0, |(first, last)| (last - first) * 1e3),
+            but: String::new(),
+        })
+    }
+
+    /// What a command ends with that made `result` of the capture: a file that was not read whole is told whatever
+    /// came of it.
+    ///
+    /// # Errors
+    /// `result`'s, or [`Incomplete`] where that would be no error, or says no more than that the rest is not enough.
+    pub fn finish(&self, result: Result<()>) -> Result<()> {
+        let Some(incomplete) = self.incomplete() else {
+            return result;
+        };
+        match result {
+            Ok(()) => Err(incomplete.into()),
+            Err(error) if error.is::<SurveyError>() => Err(Incomplete {
+                but: format!("; {error}"),
+                ..incomplete
+            }
+            .into()),
+            Err(error) => {
+                output::complain(format_args!("warning: {incomplete}"));
+                Err(error)
+            }
+        }
     }
 }

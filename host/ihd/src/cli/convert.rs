@@ -2,13 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::Args;
 use ihd_capture::format;
 use ihd_signal::{Capture, TimeBase};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
+use super::output;
+use super::usage::Usage;
 
 /// Convert a capture: what scopes write to MCAP, CSV, NPZ or Parquet.
 ///
@@ -19,7 +21,9 @@ use super::capture_args::CaptureArgs;
     ihd convert scope.csv --out capture.mcap\n  \
     ihd convert coil_voltage.wfm coil_current.wfm --out capture.mcap\n  \
     ihd convert scope.csv --channels CH1,CH3 --probe 100,10 --invert i --out capture.npz\n  \
-    ihd convert table.csv --columns 1,4,2 --units V,mA --out capture.mcap --json")]
+    ihd convert table.csv --columns 1,4,2 --units V,mA --out capture.mcap --json\n\n\
+    Exit codes: 0 converted, 1 failed, 2 wrong usage, 7 the file is empty, cut or damaged (what could be\n\
+    read is converted)")]
 pub struct ConvertArgs {
     #[command(flatten)]
     capture: CaptureArgs,
@@ -38,10 +42,10 @@ impl ConvertArgs {
     /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].
     pub fn run(&self) -> Result<()> {
         // A wrong ending is refused before a long file is read.
-        format::check(&self.out)?;
+        format::check(&self.out).map_err(Usage::of)?;
         for input in self.capture.paths() {
             let same = input.canonicalize().ok().zip(self.out.canonicalize().ok());
-            ensure!(
+            ensure_usage!(
                 same.is_none_or(|(input, out)| input != out),
                 "{} is also what is read: give --out another name",
                 self.out.display()
@@ -52,11 +56,11 @@ impl ConvertArgs {
         bar.set_style(ProgressStyle::with_template(style)?);
         let mut at = |share: f64| bar.set_position((share * 1000.0) as u64);
         bar.set_message("reading");
-        let capture = self.capture.open_with(&mut at)?;
+        let loaded = self.capture.open_with(&mut at)?;
         bar.set_message("writing");
-        format::write(&capture, &self.out, &mut at)?;
+        format::write(&loaded.capture, &self.out, &mut at)?;
         bar.finish_and_clear();
-        self.report(&capture)
+        loaded.finish(self.report(&loaded.capture))
     }
 
     fn report(&self, capture: &Capture) -> Result<()> {
@@ -90,20 +94,18 @@ impl ConvertArgs {
                 "v_V": [v.0, v.1],
                 "i_A": [i.0, i.1],
             });
-            println!("{}", serde_json::to_string_pretty(&summary)?);
-            return Ok(());
+            return output::json(&summary);
         }
         let rate = rate_hz.map_or("uneven times".to_owned(), |hz| {
             format!("{} MS/s", hz * 1e-6)
         });
-        println!("read     {} ({format})", capture.name);
-        println!(
+        say!("read     {} ({format})", capture.name)?;
+        say!(
             "samples  {samples} of each channel, {rate}, {} ms",
             duration_s * 1e3
-        );
-        println!("voltage  {} to {} V", v.0, v.1);
-        println!("current  {} to {} A", i.0, i.1);
-        println!("wrote    {}", self.out.display());
-        Ok(())
+        )?;
+        say!("voltage  {} to {} V", v.0, v.1)?;
+        say!("current  {} to {} A", i.0, i.1)?;
+        say!("wrote    {}", self.out.display())
     }
 }

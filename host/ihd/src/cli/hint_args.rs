@@ -26,6 +26,7 @@ impl HintArgs {
             f_sw_hz: self.fsw,
             mains_hz: self.mains,
             zero_crossing_s: self.zero_crossing,
+            ..Hints::default()
         }
     }
 }

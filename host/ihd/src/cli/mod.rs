@@ -1,5 +1,10 @@
 //! The `ihd` command.
 
+#[macro_use]
+pub mod output;
+#[macro_use]
+pub mod usage;
+
 pub mod calibrate;
 pub mod capture_args;
 pub mod convert;
@@ -19,9 +24,13 @@ pub mod trainer;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use ihd_capture::CaptureError;
 use ihd_link::LinkError;
 use ihd_sim::server::ServerError;
+use ihd_survey::SurveyError;
 use ihd_train::replay::ReplayError;
+
+use self::capture_args::Incomplete;
 
 /// Identifies an induction hob's load and teaches its controller.
 #[derive(Debug, Parser)]
@@ -70,10 +79,13 @@ impl Cli {
     }
 }
 
-/// The exit code of an error: 3 device or link, 4 the device does not heat, 5 nothing fit for the lookup,
-/// 6 a replay that differs, 7 a capture unfit for identification, 1 anything else. Wrong usage is 2,
-/// by clap; so is the name of a preset that there is not.
+/// The exit code of an error: 2 wrong usage, 3 device or link, 4 the device does not heat, 5 nothing fit for the
+/// lookup, 6 a replay that differs, 7 a capture that is unfit for identification, empty, cut or damaged, 1 anything
+/// else. What clap refuses is 2 too.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
+    if error.chain().any(|cause| cause.is::<usage::Usage>()) {
+        return 2;
+    }
     #[cfg(feature = "pinn")]
     if let Some(ihd_pinn::PinnError::UnknownName { .. }) = error.downcast_ref() {
         return 2;
@@ -91,7 +103,18 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<replay::Differs>() {
         return 6;
     }
-    if error.is::<inspect::UnfitCapture>() {
+    let empty = matches!(
+        error.downcast_ref(),
+        Some(CaptureError::Empty { .. } | CaptureError::NoSamples { .. })
+    );
+    if empty
+        || error.is::<inspect::UnfitCapture>()
+        || error.is::<inspect::SingleChannel>()
+        || error.is::<Incomplete>()
+    {
+        return 7;
+    }
+    if let Some(SurveyError::Empty { .. }) = error.downcast_ref() {
         return 7;
     }
     if let Some(ReplayError::Link(_) | ReplayError::NotLocked { .. }) = error.downcast_ref() {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
@@ -120,9 +120,9 @@ impl RecordArgs {
 
     fn check(&self) -> Result<()> {
         let positive = |x: Option<f64>| x.is_none_or(|x| x.is_finite() && x > 0.0);
-        ensure!(positive(self.duration), "--duration must be more than 0 s");
-        ensure!(positive(self.max_size), "--max-size must be more than 0");
-        ensure!(
+        ensure_usage!(positive(self.duration), "--duration must be more than 0 s");
+        ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
+        ensure_usage!(
             self.power.is_none_or(|w| w <= RATED_POWER_W),
             "--power must be at most {RATED_POWER_W} W"
         );

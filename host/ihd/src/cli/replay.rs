@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use ihd_link::{Client, DeviceSpec};
+use ihd_signal::Capture;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
@@ -12,6 +13,7 @@ use ihd_train::replay::{Outcome, Settings, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
+use super::output;
 use super::simulate::quantity::quantity;
 use crate::report::table::Table;
 
@@ -24,7 +26,8 @@ use crate::report::table::Table;
     ihd replay half-cycle.mcap\n  \
     ihd replay scope.wfm --device usb --fsw 45k\n  \
     ihd replay kitchen.mcap --device tcp:127.0.0.1:4711 --speed 1 --json\n\n\
-    Exit codes: 0 identical, 1 failed, 2 wrong usage, 3 device or link, 6 the device differs")]
+    Exit codes: 0 identical, 1 failed, 2 wrong usage, 3 device or link, 6 the device differs,\n\
+    7 the capture is empty, cut or damaged (what could be read is replayed)")]
 pub struct ReplayArgs {
     #[command(flatten)]
     capture: CaptureArgs,
@@ -62,19 +65,24 @@ impl ReplayArgs {
     /// # Errors
     /// [`Differs`] when the device computes something else; else what keeps it from being compared.
     pub fn run(&self) -> Result<()> {
-        ensure!(
+        ensure_usage!(
             self.speed
                 .is_none_or(|s| s.is_finite() && (1e-3..=1e3).contains(&s)),
             "--speed must lie between 0.001 and 1000"
         );
-        let capture = self.capture.open()?;
-        let hints = Hints {
+        let loaded = self.capture.open()?;
+        loaded.finish(self.replay(&loaded.capture))
+    }
+
+    fn replay(&self, capture: &Capture) -> Result<()> {
+        let hints = self.capture.hints(Hints {
             f_sw_hz: self.fsw,
             mains_hz: self.mains,
             zero_crossing_s: self.zero_crossing,
-        };
-        let survey = Survey::of(&capture, &hints)?;
-        let segments = survey.segments(&capture);
+            ..Hints::default()
+        });
+        let survey = Survey::of(capture, &hints)?;
+        let segments = survey.segments(capture);
         let settings = Settings {
             speed: self.speed,
             ..Settings::default()
@@ -97,9 +105,9 @@ impl ReplayArgs {
         bar.finish_and_clear();
         let outcome = outcome?;
         if self.json {
-            println!("{}", serde_json::to_string_pretty(&outcome)?);
+            output::json(&outcome)?;
         } else {
-            print!("{}", text(&outcome));
+            output::text(&text(&outcome))?;
         }
         if outcome.is_identical() {
             Ok(())

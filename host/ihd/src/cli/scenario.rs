@@ -1,6 +1,5 @@
 //! `ihd scenario`: the firmware against a file of events, in simulated time.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -9,6 +8,7 @@ use ihd_sim::scenario::file::Scenario;
 use ihd_sim::scenario::run::run;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::output;
 use crate::report::scenario;
 
 /// Run the firmware in simulated time against a file of events: power, pots, mains, faults.
@@ -61,12 +61,9 @@ impl ScenarioArgs {
         if let Some(plot) = &self.plot {
             scenario::figure::write(&record, plot)?;
         }
-        let text = match self.json {
-            true => serde_json::to_string(&record)? + "\n",
-            false => scenario::text(&record),
-        };
-        std::io::stdout()
-            .write_all(text.as_bytes())
-            .context("cannot write to standard output")
+        match self.json {
+            true => output::json_line(&record),
+            false => output::text(&scenario::text(&record)),
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Options of the simulated hob, shared by the commands that start one.
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::Args;
 use ihd_sim::adc::Noise;
 use ihd_sim::hob::HobConfig;
@@ -58,12 +58,12 @@ impl SimulatedHobArgs {
     /// # Errors
     /// When a value is out of its range.
     pub fn config(&self) -> Result<HobConfig> {
-        ensure!(
+        ensure_usage!(
             (45.0..=65.0).contains(&self.mains),
             "--mains is {} Hz, but must lie between 45 and 65",
             self.mains
         );
-        ensure!(
+        ensure_usage!(
             self.anti_alias == 0.0 || (1e5..=1e7).contains(&self.anti_alias),
             "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
             self.anti_alias
@@ -71,7 +71,7 @@ impl SimulatedHobArgs {
         let noise = match self.snr {
             None => HobConfig::default().noise,
             Some(db) => {
-                ensure!(
+                ensure_usage!(
                     (10.0..=200.0).contains(&db),
                     "--snr is {db} dB, but must lie between 10 and 200"
                 );

@@ -114,7 +114,8 @@ impl Wire {
     pub fn window(&mut self, start: &WindowStart, samples: &Samples) -> io::Result<()> {
         let mut out = self.framed(start);
         let mut digest = CRC32.digest();
-        let chunk = |k: usize, bytes: usize| u16::try_from(k * CHUNK_BYTES / bytes).unwrap_or(u16::MAX);
+        let chunk =
+            |k: usize, bytes: usize| u16::try_from(k * CHUNK_BYTES / bytes).unwrap_or(u16::MAX);
         for (k, data) in samples.pairs.chunks(CHUNK_BYTES).enumerate() {
             digest.update(data);
             out.extend(self.framed(&WindowChunk {

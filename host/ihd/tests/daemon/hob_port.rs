@@ -26,7 +26,9 @@ fn hob(options: &[&str]) -> Hob {
 
 fn connect(hob: &Hob) -> TcpStream {
     let stream = TcpStream::connect(hob.address).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(40))).unwrap();
+    stream
+        .set_read_timeout(Some(Duration::from_secs(40)))
+        .unwrap();
     stream
 }
 
@@ -52,8 +54,10 @@ fn a_host_that_says_no_hello_is_let_go_after_five_seconds() {
     // Frames that are no hello do not help.
     let mut chatty = connect(&hob);
     let mut own = chatty.try_clone().unwrap();
-    thread::spawn(move || while own.write_all(&framed(&GetStatus {})).is_ok() {
-        thread::sleep(Duration::from_millis(100));
+    thread::spawn(move || {
+        while own.write_all(&framed(&GetStatus {})).is_ok() {
+            thread::sleep(Duration::from_millis(100));
+        }
     });
     let took = until_let_go(&mut chatty);
     assert!((4.5..9.0).contains(&took.as_secs_f64()), "{took:?}");
@@ -85,9 +89,16 @@ fn a_host_that_reads_nothing_and_floods_costs_no_memory() {
     let mut hob = hob(&["--panel", "5"]);
     let before = hob.process.rss();
     let mut stream = connect(&hob);
-    stream.set_write_timeout(Some(Duration::from_millis(200))).unwrap();
-    stream.write_all(&framed(&ours(ROLE_HOST, 0, 0, "test", "test"))).unwrap();
-    let stream_all = Stream { telemetry_every: 1, windows_every: 1 };
+    stream
+        .set_write_timeout(Some(Duration::from_millis(200)))
+        .unwrap();
+    stream
+        .write_all(&framed(&ours(ROLE_HOST, 0, 0, "test", "test")))
+        .unwrap();
+    let stream_all = Stream {
+        telemetry_every: 1,
+        windows_every: 1,
+    };
     stream.write_all(&framed(&stream_all)).unwrap();
     let status = framed(&GetStatus {}).repeat(1_000);
     let mut chance = Chance::new(1);
@@ -106,5 +117,8 @@ fn a_host_that_reads_nothing_and_floods_costs_no_memory() {
     let transport = TcpTransport::connect(&hob.address.to_string()).unwrap();
     let mut client = Client::connect(Box::new(transport)).unwrap();
     let status = client.status().unwrap();
-    assert!(status.telemetry_dropped > 0, "what was left unread is counted: {status:?}");
+    assert!(
+        status.telemetry_dropped > 0,
+        "what was left unread is counted: {status:?}"
+    );
 }

@@ -21,8 +21,10 @@ pub type Serve = fn(&mut Wire) -> io::Result<()>;
 /// All of them.
 pub const ALL: &[(&str, Serve)] = &[
     // Before the handshake.
-    ("silence", |w| loop {
-        w.next(A_WHILE)?;
+    ("silence", |w| {
+        loop {
+            w.next(A_WHILE)?;
+        }
     }),
     ("closes at once", |_| Ok(())),
     ("ssh banner", |w| {
@@ -45,7 +47,11 @@ pub const ALL: &[(&str, Serve)] = &[
         flood(w, &hello.repeat(100))
     }),
     ("unasked replies", |w| {
-        let reply = w.framed(&Reply { to: 1, outcome: Outcome::Ok, detail: 0 });
+        let reply = w.framed(&Reply {
+            to: 1,
+            outcome: Outcome::Ok,
+            detail: 0,
+        });
         flood(w, &reply.repeat(1_000))
     }),
     ("closes after the hello", |w| {
@@ -53,13 +59,23 @@ pub const ALL: &[(&str, Serve)] = &[
         w.send(&Polite::new(1).hello)
     }),
     ("another magic", |w| with_hello(w, |d| d.hello.magic = 0)),
-    ("role of a host", |w| with_hello(w, |d| d.hello.role = ROLE_HOST)),
-    ("other major", |w| with_hello(w, |d| d.hello.protocol_major += 1)),
-    ("major of old", |w| with_hello(w, |d| d.hello.protocol_major = 0)),
-    ("huge version", |w| {
-        with_hello(w, |d| (d.hello.protocol_major, d.hello.protocol_minor) = (u16::MAX, u16::MAX))
+    ("role of a host", |w| {
+        with_hello(w, |d| d.hello.role = ROLE_HOST)
     }),
-    ("other table", |w| with_hello(w, |d| d.hello.schema_hash ^= 1)),
+    ("other major", |w| {
+        with_hello(w, |d| d.hello.protocol_major += 1)
+    }),
+    ("major of old", |w| {
+        with_hello(w, |d| d.hello.protocol_major = 0)
+    }),
+    ("huge version", |w| {
+        with_hello(w, |d| {
+            (d.hello.protocol_major, d.hello.protocol_minor) = (u16::MAX, u16::MAX)
+        })
+    }),
+    ("other table", |w| {
+        with_hello(w, |d| d.hello.schema_hash ^= 1)
+    }),
     ("escapes in its name", |w| {
         with_hello(w, |d| {
             let build = "\u{1b}[2J\u{1b}]0;gone\u{7}\u{9b}31m";
@@ -83,7 +99,11 @@ pub const ALL: &[(&str, Serve)] = &[
     ("telemetry numbers jump", |w| {
         shaken(w, |w, k| {
             let seq = k.wrapping_mul(0x2345_6789);
-            w.send(&Telemetry { dropped: u32::MAX - k, half_cycle: !seq, ..telemetry(seq) })
+            w.send(&Telemetry {
+                dropped: u32::MAX - k,
+                half_cycle: !seq,
+                ..telemetry(seq)
+            })
         })
     }),
     ("window that never ends", never_ending_window),
@@ -118,7 +138,9 @@ pub const ALL: &[(&str, Serve)] = &[
             start.half_cycle = 1_000u32.wrapping_sub(k);
         })
     }),
-    ("the same window again", |w| windows(w, |_, start| start.seq = 7)),
+    ("the same window again", |w| {
+        windows(w, |_, start| start.seq = 7)
+    }),
     ("windows numbered backwards", |w| {
         windows(w, |k, start| start.seq = 1_000u32.wrapping_sub(k))
     }),
@@ -133,7 +155,11 @@ pub const ALL: &[(&str, Serve)] = &[
         let code = CODE_MAX.to_le_bytes();
         let ends = Pair::from_le_bytes([code[0], code[1], code[0], code[1]]);
         shaken(w, move |w, k| {
-            let samples = if k % 2 == 0 { flat(Pair::from_le_bytes([0; 4])) } else { flat(ends) };
+            let samples = if k % 2 == 0 {
+                flat(Pair::from_le_bytes([0; 4]))
+            } else {
+                flat(ends)
+            };
             w.window(&samples.start(k), &samples)
         })
     }),
@@ -147,7 +173,9 @@ pub const ALL: &[(&str, Serve)] = &[
             d.lookup = lookup.to_bytes().to_vec();
         })
     }),
-    ("lookup that is none", |w| with_hello(w, |d| d.lookup = vec![0xA5; 900])),
+    ("lookup that is none", |w| {
+        with_hello(w, |d| d.lookup = vec![0xA5; 900])
+    }),
     ("empty lookup", |w| with_hello(w, |d| d.lookup = Vec::new())),
     ("lookup version is another than said", |w| {
         with_hello(w, |d| d.status.lookup_version = 12)
@@ -191,8 +219,12 @@ pub const ALL: &[(&str, Serve)] = &[
         }
         Ok(())
     }),
-    ("payloads cut short", |w| damaged_payloads(w, |bytes| bytes.truncate(bytes.len() / 2))),
-    ("payloads with more behind", |w| damaged_payloads(w, |bytes| bytes.extend([0xFF; 100]))),
+    ("payloads cut short", |w| {
+        damaged_payloads(w, |bytes| bytes.truncate(bytes.len() / 2))
+    }),
+    ("payloads with more behind", |w| {
+        damaged_payloads(w, |bytes| bytes.extend([0xFF; 100]))
+    }),
     ("unknown messages", |w| {
         shaken(w, |w, k| w.send_raw((k % 251) as u8, &[0xEE; 64]))
     }),
@@ -244,16 +276,16 @@ fn with_hello(w: &mut Wire, change: fn(&mut Polite)) -> io::Result<()> {
 
 /// Answers politely until the host wants something streamed, and then does `more` between two answers, with the
 /// numbers from 0.
-fn shaken(
-    w: &mut Wire,
-    mut more: impl FnMut(&mut Wire, u32) -> io::Result<()>,
-) -> io::Result<()> {
+fn shaken(w: &mut Wire, mut more: impl FnMut(&mut Wire, u32) -> io::Result<()>) -> io::Result<()> {
     let mut device = Polite::new(3);
     device.status.state = State::Heating;
     let wants = |stream: &Stream| stream.telemetry_every > 0 || stream.windows_every > 0;
     let mut k = 0;
     loop {
-        device.attend(w, Duration::from_millis(if wants(&device.stream) { 1 } else { 50 }))?;
+        device.attend(
+            w,
+            Duration::from_millis(if wants(&device.stream) { 1 } else { 50 }),
+        )?;
         if wants(&device.stream) {
             more(w, k)?;
             k = k.wrapping_add(1);
@@ -274,7 +306,11 @@ fn telemetry_flood(w: &mut Wire) -> io::Result<()> {
 fn telemetry_of_extremes(w: &mut Wire) -> io::Result<()> {
     shaken(w, |w, k| {
         let odd = k % 2 == 1;
-        let (small, large) = if odd { (i32::MIN, u32::MAX) } else { (i32::MAX, 0) };
+        let (small, large) = if odd {
+            (i32::MIN, u32::MAX)
+        } else {
+            (i32::MAX, 0)
+        };
         w.send(&Telemetry {
             dropped: large,
             half_cycle: large,
@@ -307,7 +343,11 @@ fn never_ending_window(w: &mut Wire) -> io::Result<()> {
         }
         let data = [0x11; 960];
         let offset = (k as u16).wrapping_mul(240);
-        let chunk = w.framed(&WindowChunk { seq: 0, offset, data: Raw(&data) });
+        let chunk = w.framed(&WindowChunk {
+            seq: 0,
+            offset,
+            data: Raw(&data),
+        });
         w.bytes(&chunk)
     })
 }
@@ -323,7 +363,11 @@ fn lying_lengths(w: &mut Wire) -> io::Result<()> {
         };
         w.send(&start)?;
         for offset in [0, 0, 1, u16::MAX, start.pairs] {
-            let chunk = w.framed(&WindowChunk { seq: k, offset, data: Raw(&data) });
+            let chunk = w.framed(&WindowChunk {
+                seq: k,
+                offset,
+                data: Raw(&data),
+            });
             w.bytes(&chunk)?;
         }
         w.send(&WindowEnd { seq: k, crc32: k })
@@ -360,8 +404,15 @@ fn windows_of_noise(w: &mut Wire) -> io::Result<()> {
 fn faults(w: &mut Wire) -> io::Result<()> {
     shaken(w, |w, k| {
         let fault = Fault::from_number(k as u16);
-        w.send(&FaultEvent { half_cycle: k, fault })?;
-        w.send(&Telemetry { fault, state: State::LockedOut, ..telemetry(k) })
+        w.send(&FaultEvent {
+            half_cycle: k,
+            fault,
+        })?;
+        w.send(&Telemetry {
+            fault,
+            state: State::LockedOut,
+            ..telemetry(k)
+        })
     })
 }
 
@@ -383,8 +434,14 @@ fn another_command(w: &mut Wire) -> io::Result<()> {
     loop {
         if let Some((id, _)) = w.next(A_WHILE)? {
             let to = id.wrapping_add(1);
-            w.send(&Reply { to, outcome: Outcome::Ok, detail: 0 })?;
-            w.send(&LookupBlob { blob: Raw(&[1, 2, 3]) })?;
+            w.send(&Reply {
+                to,
+                outcome: Outcome::Ok,
+                detail: 0,
+            })?;
+            w.send(&LookupBlob {
+                blob: Raw(&[1, 2, 3]),
+            })?;
         }
     }
 }

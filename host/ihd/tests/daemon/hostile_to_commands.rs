@@ -40,7 +40,13 @@ fn against_all(name: &str, arguments: &[&str], allowed: &[i32]) {
         }
     });
     let wrong = wrong.into_inner().unwrap();
-    assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), hostile::ALL.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} of {}:\n{}",
+        wrong.len(),
+        hostile::ALL.len(),
+        wrong.join("\n")
+    );
 }
 
 fn against(
@@ -63,13 +69,23 @@ fn against(
     let began = Instant::now();
     let mut process = Process::spawn(&mut command).map_err(failed)?;
     let status = process.wait(DEADLINE);
-    let took = format!("{:.1} s, {:.0} MB", began.elapsed().as_secs_f64(), process.peak_rss as f64 * 1e-6);
+    let took = format!(
+        "{:.1} s, {:.0} MB",
+        began.elapsed().as_secs_f64(),
+        process.peak_rss as f64 * 1e-6
+    );
     let said = fs::read(&err).unwrap_or_default();
-    let last = String::from_utf8_lossy(&said).lines().last().unwrap_or_default().to_owned();
+    let last = String::from_utf8_lossy(&said)
+        .lines()
+        .last()
+        .unwrap_or_default()
+        .to_owned();
     let Some(status) = status else {
         return Err(format!("goes on after {took}: {last}"));
     };
-    let code = status.code().unwrap_or_else(|| -status.signal().unwrap_or(0));
+    let code = status
+        .code()
+        .unwrap_or_else(|| -status.signal().unwrap_or(0));
     if !allowed.contains(&code) {
         return Err(format!("exit {code} after {took}: {last}"));
     }
@@ -77,8 +93,13 @@ fn against(
         return Err(format!("too much memory: exit {code} after {took}: {last}"));
     }
     for bytes in [said, fs::read(&out).unwrap_or_default()] {
-        if let Some(c) = String::from_utf8_lossy(&bytes).chars().find(|c| c.is_control() && *c != '\n') {
-            return Err(format!("a control character {c:?} of {scenario} reached the terminal"));
+        if let Some(c) = String::from_utf8_lossy(&bytes)
+            .chars()
+            .find(|c| c.is_control() && *c != '\n')
+        {
+            return Err(format!(
+                "a control character {c:?} of {scenario} reached the terminal"
+            ));
         }
     }
     Ok(format!("exit {code} after {took}: {last}"))

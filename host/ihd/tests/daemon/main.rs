@@ -3,9 +3,16 @@
 #![cfg(all(feature = "daemon", target_os = "linux"))]
 
 mod chance;
+mod daemon;
 mod device;
 mod hob_port;
 mod hostile;
 mod hostile_to_commands;
+mod hostile_to_daemon;
+mod http;
+mod kills;
+mod many;
+mod player;
 mod process;
 mod proxy;
+mod soak;

@@ -7,9 +7,10 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use std::{fs, io, thread};
 
-/// The command under test, without colours and with nobody's configuration.
+/// The command under test, of this build or of `IHD_BIN`.
 pub fn ihd(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
+    let built = env!("CARGO_BIN_EXE_ihd").into();
+    let mut command = Command::new(std::env::var_os("IHD_BIN").unwrap_or(built));
     command.current_dir(folder).stdin(Stdio::null());
     command
 }
@@ -37,7 +38,9 @@ impl Process {
 
     /// Asks it to end (SIGTERM).
     pub fn terminate(&self) {
-        let _ = Command::new("kill").arg(self.child.id().to_string()).status();
+        let _ = Command::new("kill")
+            .arg(self.child.id().to_string())
+            .status();
     }
 
     /// Whether it has ended.
@@ -64,7 +67,11 @@ impl Process {
     pub fn rss(&mut self) -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.child.id()));
         let field = |name: &str| {
-            let line = status.as_deref().ok()?.lines().find(|l| l.starts_with(name))?;
+            let line = status
+                .as_deref()
+                .ok()?
+                .lines()
+                .find(|l| l.starts_with(name))?;
             line.split_whitespace().nth(1)?.parse::<u64>().ok()
         };
         self.peak_rss = self.peak_rss.max(1024 * field("VmHWM:").unwrap_or(0));
@@ -73,9 +80,20 @@ impl Process {
 
     /// Processor time that it has taken, in seconds.
     pub fn processor_s(&self) -> f64 {
-        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap_or_default();
-        let fields: Vec<_> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
-        let ticks = |k: usize| fields.get(k).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+        let stat =
+            fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap_or_default();
+        let fields: Vec<_> = stat
+            .rsplit(')')
+            .next()
+            .unwrap_or("")
+            .split_whitespace()
+            .collect();
+        let ticks = |k: usize| {
+            fields
+                .get(k)
+                .and_then(|f| f.parse::<f64>().ok())
+                .unwrap_or(0.0)
+        };
         (ticks(11) + ticks(12)) / 100.0
     }
 }
@@ -96,7 +114,9 @@ impl Hob {
     /// `ihd hob --listen 127.0.0.1:0` with more options.
     pub fn start(folder: &Path, options: &[&str]) -> io::Result<Self> {
         let mut command = ihd(folder);
-        command.args(["hob", "--listen", "127.0.0.1:0"]).args(options);
+        command
+            .args(["hob", "--listen", "127.0.0.1:0"])
+            .args(options);
         let mut process = Process::spawn(command.stdout(Stdio::piped()))?;
         let mut lines = BufReader::new(process.child.stdout.take().expect("piped")).lines();
         let first = lines.next().transpose()?.unwrap_or_default();

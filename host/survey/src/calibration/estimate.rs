@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use ihd_signal::Capture;
 use nalgebra::Complex;
 
-use super::{Calibration, Reference};
+use super::{CONTRADICT, Calibration, Reference, WELL_KNOWN_S};
 use crate::impedance::{Wiring, of_order};
 use crate::track::{ORDERS, Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
@@ -99,6 +99,7 @@ pub fn estimate(
         reference: reference.to_string(),
         assumed,
         capture: survey.name.clone(),
+        contradictions: found.contradiction.into_iter().collect(),
     })
 }
 
@@ -106,6 +107,8 @@ pub fn estimate(
 struct Found {
     skew: (f64, f64),
     gain: (f64, f64),
+    /// In what the capture's own frequencies disagree.
+    contradiction: Option<String>,
 }
 
 /// Impedances of every span at every harmonic that stands out of the noise.
@@ -205,9 +208,75 @@ fn no_pot(
     });
     let [(a, sigma_a), (b, sigma_b)] = fits;
     let systematic = 0.5 * (a - b).abs();
+    let skew = (0.5 * (a + b), sigma_a.max(sigma_b).hypot(systematic));
+    let known = r_ohm.map(|r_ohm| r_ohm / l_own_h);
     Ok(Found {
-        skew: (0.5 * (a + b), sigma_a.max(sigma_b).hypot(systematic)),
+        skew,
         gain,
+        contradiction: contradiction(points, least, skew, known),
+    })
+}
+
+/// Whether one skew and one R/L explain what every frequency shows. A channel with a narrow band delays each harmonic
+/// otherwise, and turns R negative: no single number takes that out.
+///
+/// `known`: R over L at the lowest frequency, in 1/s, where given; else it is that which explains most.
+fn contradiction(
+    points: &[Point],
+    least: f64,
+    (skew_s, sigma_s): (f64, f64),
+    known: Option<f64>,
+) -> Option<String> {
+    let missing = |p: &Point| FRAC_PI_2 - p.z.im.atan2(p.z.re);
+    let rho_of = |exponent: f64| {
+        known.unwrap_or_else(|| {
+            weighted(points.iter().map(|p| {
+                let a = (p.omega / least).powf(exponent) / p.omega;
+                ((missing(p) - p.omega * skew_s) / a, p.sigma / a)
+            }))
+            .0
+        })
+    };
+    let off = |p: &Point, exponent: f64, rho: f64| {
+        (missing(p) - (p.omega / least).powf(exponent) / p.omega * rho) / p.omega - skew_s
+    };
+    // The exponent under which less is left.
+    let worst = |exponent: f64| {
+        let rho = rho_of(exponent);
+        let each = points.iter().map(|p| {
+            let allowed_s = CONTRADICT * (p.sigma / p.omega).hypot(sigma_s).max(WELL_KNOWN_S);
+            (
+                off(p, exponent, rho) / allowed_s,
+                off(p, exponent, rho),
+                p.omega,
+            )
+        });
+        let worst = each.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+        (worst.unwrap_or((0.0, 0.0, least)), rho)
+    };
+    let ends = SKIN.map(worst);
+    let (worst, rho) = if ends[0].0.0.abs() <= ends[1].0.0.abs() {
+        ends[0]
+    } else {
+        ends[1]
+    };
+    if worst.0.abs() > 1.0 {
+        return Some(format!(
+            "at {:.1} kHz the current lags by {:.1} ns, over all by {:.1} ns: a delay that changes with frequency is no \
+             skew but a probe with too little bandwidth; use another one",
+            worst.2 / TAU * 1e-3,
+            (skew_s + worst.1) * 1e9,
+            skew_s * 1e9
+        ));
+    }
+    // Far below zero, or more of it than an empty coil has.
+    (known.is_none() && !(-0.01 * least..0.2 * least).contains(&rho)).then(|| {
+        format!(
+            "with a skew of {:.1} ns the empty coil would have R of {:.3} times its reactance: that is no skew of \
+             sampling but a channel's bandwidth; use another probe",
+            skew_s * 1e9,
+            rho / least
+        )
     })
 }
 
@@ -293,12 +362,27 @@ fn load(
     } else {
         weighted(gains.into_iter())
     };
-    let skew = weighted(skews.into_iter());
+    let skew = weighted(skews.iter().copied());
     if skew.0.is_nan() || skew.0.abs() > super::LARGEST_SKEW_S {
         return Err(wrong(format!(
             "it would take a skew of {:.1} µs",
             skew.0 * 1e6
         )));
     }
-    Ok(Found { skew, gain })
+    // The fundamentals of several frequencies must say the same.
+    let off = |s: &(f64, f64)| (s.0 - skew.0).abs() / s.1.hypot(skew.1).max(WELL_KNOWN_S);
+    let worst = skews.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
+    let contradiction = worst.filter(|s| off(s) > CONTRADICT).map(|s| {
+        format!(
+            "one switching frequency shows a skew of {:.1} ns, all together {:.1} ns: is the reference the same at all \
+             of them?",
+            s.0 * 1e9,
+            skew.0 * 1e9
+        )
+    });
+    Ok(Found {
+        skew,
+        gain,
+        contradiction,
+    })
 }

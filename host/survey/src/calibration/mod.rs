@@ -45,7 +45,13 @@ pub struct Calibration {
     pub assumed: Vec<String>,
     /// The capture it comes from.
     pub capture: String,
+    /// What in that capture contradicts it, in words.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contradictions: Vec<String>,
 }
+
+/// Standard deviations by which two numbers differ that contradict each other.
+const CONTRADICT: f64 = 5.0;
 
 /// Why a calibration file could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +73,9 @@ pub enum CalibrationFileError {
         what: String,
     },
 }
+
+/// What a skew is known to that costs next to nothing, in seconds: docs/accuracy.md.
+const WELL_KNOWN_S: f64 = 1e-9;
 
 /// Largest skew in seconds that is believed; the simulator's limit.
 const LARGEST_SKEW_S: f64 = 10e-6;
@@ -130,6 +139,52 @@ impl Calibration {
             }
         }
         Ok(())
+    }
+
+    /// Why it is not to be trusted, in words: what its capture contradicted, and a skew that is known worse than
+    /// it is large.
+    pub fn doubts(&self) -> Vec<String> {
+        let mut doubts = self.contradictions.clone();
+        // A skew that is known to a nanosecond is known, however small it is.
+        if self.skew_sigma_s > self.skew_s.abs() && self.skew_sigma_s > WELL_KNOWN_S {
+            doubts.push(format!(
+                "a skew of {:.1} ± {:.1} ns cannot be told from none: capture longer, with more current or a known r=",
+                self.skew_s * 1e9,
+                self.skew_sigma_s * 1e9
+            ));
+        }
+        if self.gain_ratio_sigma > (self.gain_ratio - 1.0).abs() && self.gain_ratio_sigma > 0.01 {
+            doubts.push(format!(
+                "a ratio of the gains of {:.4} ± {:.4} cannot be told from 1",
+                self.gain_ratio, self.gain_ratio_sigma
+            ));
+        }
+        doubts
+    }
+
+    /// In what another calibration of the same chain says otherwise, beyond what both claim to know.
+    pub fn contradicts(&self, other: &Self) -> Vec<String> {
+        let mut found = Vec::new();
+        let sigma_s = self.skew_sigma_s.hypot(other.skew_sigma_s);
+        if (self.skew_s - other.skew_s).abs() > CONTRADICT * sigma_s.max(0.1 * WELL_KNOWN_S) {
+            found.push(format!(
+                "a skew of {:.2} ± {:.2} ns, now {:.2} ± {:.2} ns",
+                other.skew_s * 1e9,
+                other.skew_sigma_s * 1e9,
+                self.skew_s * 1e9,
+                self.skew_sigma_s * 1e9
+            ));
+        }
+        let sigma = self.gain_ratio_sigma.hypot(other.gain_ratio_sigma);
+        // 0 stands for a ratio that was assumed, which says nothing.
+        let both = self.gain_ratio_sigma > 0.0 && other.gain_ratio_sigma > 0.0;
+        if both && (self.gain_ratio - other.gain_ratio).abs() > CONTRADICT * sigma {
+            found.push(format!(
+                "a ratio of the gains of {:.5}, now {:.5}",
+                other.gain_ratio, self.gain_ratio
+            ));
+        }
+        found
     }
 
     /// Takes offsets, gain and skew out of a capture: what it then holds was measured at the times of

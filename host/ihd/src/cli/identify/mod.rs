@@ -9,13 +9,17 @@ use clap::{Args, ValueEnum};
 use ihd_identify::accuracy::{Accuracy, fundamental};
 use ihd_identify::pinn::preset_names;
 use ihd_identify::{Method, Settings, Watch, reconstruction, run_watched};
-use ihd_survey::{Severity, Survey};
+use ihd_signal::Capture;
+use ihd_survey::{Finding, Severity, Survey};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use self::report::Outcome;
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
+use super::inspect::UnfitCapture;
+use super::output;
 use super::simulate::quantity::quantity;
+use super::usage::Usage;
 use crate::report::identified;
 
 /// Identify R(t) and L(t) of the load in a capture.
@@ -28,7 +32,8 @@ use crate::report::identified;
     ihd identify capture.csv --method all --plot identified.svg\n  \
     ihd identify capture.mcap --method pinn --preset hybrid --backend flex\n  \
     ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
-    Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage")]
+    Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 R and L would be wrong, or the file is\n\
+    empty, cut or damaged (what could be read is identified)")]
 pub struct IdentifyArgs {
     /// Estimators, with commas between them, or all
     #[arg(
@@ -123,22 +128,37 @@ impl IdentifyArgs {
     pub fn run(&self) -> Result<()> {
         let settings = self.settings()?;
         let methods = MethodWord::chosen(&self.method);
-        if methods.contains(&Method::Pinn) {
+        if self.preset.is_some() || self.backend.is_some() {
+            ensure_usage!(
+                cfg!(feature = "pinn"),
+                "this ihd is built without the method pinn, which --preset and --backend are for: build it with \
+                 --features pinn"
+            );
+            settings.pinn.check().map_err(Usage::of)?;
+        } else if methods.contains(&Method::Pinn) {
             settings.pinn.check()?;
         }
-        let capture = self.capture.open()?;
-        let survey = Survey::of(&capture, &self.hints.hints())?;
+        let loaded = self.capture.open()?;
+        loaded.finish(self.identify(&loaded.capture, &settings, &methods))
+    }
+
+    fn identify(&self, capture: &Capture, settings: &Settings, methods: &[Method]) -> Result<()> {
+        let hints = self.capture.hints(self.hints.hints());
+        let survey = Survey::of(capture, &hints)?;
         for finding in survey
             .findings
             .iter()
             .filter(|f| f.severity() > Severity::Note)
         {
-            eprintln!("{}: {finding}", finding.severity());
+            output::complain(format_args!("{}: {finding}", finding.severity()));
         }
         if survey.worst() == Some(Severity::Error) && !self.anyway {
-            bail!("R and L would be wrong; mend the capture as advised, or go on with --anyway");
+            let is_error = |f: &&Finding| f.severity() == Severity::Error;
+            let errors = survey.findings.iter().filter(is_error).count();
+            return Err(UnfitCapture(errors))
+                .context("mend the capture as advised, or go on with --anyway");
         }
-        let segments = survey.segments(&capture);
+        let segments = survey.segments(capture);
         let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
         bar.set_style(
             ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}")
@@ -147,13 +167,13 @@ impl IdentifyArgs {
         let truth = (!capture.truth.is_empty()).then(|| fundamental(&capture.truth));
         let mut outcomes = Vec::new();
         for segment in &segments {
-            for &method in &methods {
+            for &method in methods {
                 bar.set_message(method.name());
                 let mut watch = Watch {
                     truth: truth.as_ref(),
                     report: &mut |text| bar.set_message(format!("{method}: {text}")),
                 };
-                let result = run_watched(method, segment, &settings, &mut watch);
+                let result = run_watched(method, segment, settings, &mut watch);
                 let result = result.map(|mut estimate| {
                     reconstruction::complete(segment, &mut estimate);
                     estimate
@@ -184,12 +204,9 @@ impl IdentifyArgs {
             identified::draw(&capture.name, &segments, &found, &capture.truth, path)?;
         }
         if self.json {
-            println!(
-                "{}",
-                serde_json::to_string_pretty(&report::json(&outcomes))?
-            );
+            output::json(&report::json(&outcomes))?;
         } else {
-            print!("{}", report::text(&survey, &capture, &segments, &outcomes));
+            output::text(&report::text(&survey, capture, &segments, &outcomes))?;
         }
         if outcomes.iter().all(|o| o.result.is_err()) {
             bail!("no method could identify {}", self.capture.path().display());

@@ -2,15 +2,16 @@
 
 mod report;
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use ihd_capture::open::{LoneChannel, lone_channel};
 use ihd_survey::{Finding, Severity, Survey};
 
-use super::capture_args::CaptureArgs;
+use super::capture_args::{CaptureArgs, Loaded};
 use super::hint_args::HintArgs;
+use super::output;
 use crate::report::survey;
 
 /// Show what is in a capture: channels, rate, switching frequency, mains, noise, and what is wrong.
@@ -20,7 +21,8 @@ use crate::report::survey;
     ihd inspect scope_ch1.isf scope_ch2.isf --plot capture.svg\n  \
     ihd inspect capture.mcap --json | jq '.findings[].message'\n\n\
     Exit codes: 0 fit for identification, 1 cannot be read or has no switching frequency, 2 wrong \
-    usage, 7 R and L would be wrong (a finding of severity error)")]
+    usage, 7 R and L would be wrong (a finding of severity error), or the file is empty, cut, damaged or of\n\
+    one channel (what could be read is shown)")]
 pub struct InspectArgs {
     #[command(flatten)]
     capture: CaptureArgs,
@@ -39,22 +41,48 @@ pub struct InspectArgs {
 #[error("R and L of this capture would be wrong: {0} findings of severity error")]
 pub struct UnfitCapture(pub usize);
 
+/// One channel gives neither R nor L.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0} holds one channel: R and L need the file with the other one too, as in `ihd inspect {0} OTHER`"
+)]
+pub struct SingleChannel(pub String);
+
 impl InspectArgs {
     /// Opens, surveys, reports.
     ///
     /// # Errors
     /// What the capture's reader or the survey reports; [`UnfitCapture`] after the report.
     pub fn run(&self) -> Result<()> {
-        let capture = self.capture.open()?;
-        let survey = Survey::of(&capture, &self.hints.hints())?;
-        let text = if self.json {
-            serde_json::to_string_pretty(&report::json(&survey))? + "\n"
+        if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options())? {
+            return self.single(&lone);
+        }
+        let loaded = self.capture.open()?;
+        loaded.finish(self.inspect(&loaded))
+    }
+
+    /// A file of one channel: what it is. R and L need the other one.
+    fn single(&self, lone: &LoneChannel) -> Result<()> {
+        if self.json {
+            output::json(&report::lone_json(lone))?;
         } else {
-            report::text(&capture, &survey)
-        };
-        std::io::stdout().write_all(text.as_bytes())?;
+            output::text(&report::lone_text(lone))?;
+        }
+        Err(SingleChannel(self.capture.path().display().to_string()).into())
+    }
+
+    fn inspect(&self, loaded: &Loaded) -> Result<()> {
+        let capture = &loaded.capture;
+        let hints = self.capture.hints(self.hints.hints());
+        let survey = Survey::of(capture, &hints)?;
+        let incomplete = loaded.incomplete().map(|what| what.to_string());
+        if self.json {
+            output::json(&report::json(&survey, incomplete))?;
+        } else {
+            output::text(&report::text(capture, &survey))?;
+        }
         if let Some(path) = &self.plot {
-            survey::write(&capture, &survey, path)?;
+            survey::write(capture, &survey, path)?;
         }
         let is_error = |f: &&Finding| f.severity() == Severity::Error;
         match survey.findings.iter().filter(is_error).count() {

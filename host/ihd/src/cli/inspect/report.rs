@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use ihd_capture::open::LoneChannel;
 use ihd_signal::Capture;
 use ihd_survey::mains::Source;
 use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
@@ -19,12 +20,15 @@ struct Reported<'a> {
 }
 
 /// The survey as one JSON object; its numbers in the units that their names state.
-pub fn json(survey: &Survey) -> impl Serialize {
+pub fn json(survey: &Survey, incomplete: Option<String>) -> impl Serialize {
     #[derive(Serialize)]
     struct Report<'a> {
         #[serde(flatten)]
         survey: &'a Survey,
         findings: Vec<Reported<'a>>,
+        /// What of the file could not be read.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        incomplete: Option<String>,
     }
     let reported = |finding| Reported {
         severity: Finding::severity(finding),
@@ -34,7 +38,53 @@ pub fn json(survey: &Survey) -> impl Serialize {
     Report {
         survey,
         findings: survey.findings.iter().map(reported).collect(),
+        incomplete,
     }
+}
+
+/// One channel as one JSON object.
+pub fn lone_json(lone: &LoneChannel) -> impl Serialize {
+    serde_json::json!({
+        "format": lone.format,
+        "channel": lone.name,
+        "unit": lone.unit,
+        "full_scale": lone.full_scale,
+        "samples": lone.samples,
+        "rate_hz": lone.rate_hz,
+        "start_s": lone.start_s,
+        "duration_s": lone.duration_s,
+        "min": lone.min,
+        "max": lone.max,
+        "mean": lone.mean,
+        "rms": lone.rms,
+    })
+}
+
+/// One channel for a person.
+pub fn lone_text(lone: &LoneChannel) -> String {
+    let unit = lone.unit.as_deref().unwrap_or("(no unit)");
+    let name = if lone.name.is_empty() {
+        "(no name)"
+    } else {
+        &lone.name
+    };
+    let rate = lone.rate_hz.map_or("uneven times".to_owned(), |hz| {
+        format!("{:.4} MS/s", hz * 1e-6)
+    });
+    let time = match (lone.start_s, lone.duration_s) {
+        (Some(from), Some(length)) => {
+            format!("{rate}, {:.3} ms from {:.3} ms", length * 1e3, from * 1e3)
+        }
+        _ => "no time in the file".to_owned(),
+    };
+    let range = lone
+        .full_scale
+        .map_or(String::new(), |full| format!(" of ±{full:.4} {unit}"));
+    format!(
+        "format     {}\nchannel    {name}, in {unit}\nsamples    {}, {time}\n\
+         values     {:.4} to {:.4} {unit}{range}, {:.4} {unit} rms, mean {:.4} {unit}\n",
+        lone.format, lone.samples, lone.min, lone.max, lone.rms, lone.mean
+    )
 }
 
 /// The survey for a person.

@@ -17,6 +17,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use self::event::event;
 use self::quantity::{list, quantity};
+use crate::cli::usage::Usage;
 use crate::report::recording;
 
 /// Load models, as words on the command line.
@@ -174,7 +175,7 @@ fn set<T>(slot: &mut T, value: Option<T>) {
 impl SimulateArgs {
     /// The settings that the arguments mean.
     pub fn settings(&self) -> Result<Settings> {
-        let mut s = Settings::preset(&self.preset)?;
+        let mut s = Settings::preset(&self.preset).map_err(Usage::of)?;
         set(&mut s.f_sw_hz, self.fsw);
         set(&mut s.mains_hz, self.mains);
         set(
@@ -195,7 +196,7 @@ impl SimulateArgs {
         s.events.clone_from(&self.at);
         set(&mut s.seed, self.seed);
         self.sensing.apply(&mut s);
-        s.check()?;
+        s.check().map_err(Usage::of)?;
         Ok(s)
     }
 
@@ -215,11 +216,11 @@ impl SimulateArgs {
         report::summary(&recording, took)?;
         if let Some(path) = &self.out {
             file::write(&recording, path, self.clean)?;
-            println!("recording  {}", path.display());
+            say!("recording  {}", path.display())?;
         }
         if let Some(path) = &self.plot {
             recording::write(&recording, path)?;
-            println!("figure     {}", path.display());
+            say!("figure     {}", path.display())?;
         }
         Ok(())
     }

@@ -26,21 +26,21 @@ fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f
 /// Operating point, truth, resonance interval and speed.
 pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
     let s = &recording.settings;
-    println!(
+    say!(
         "simulated  {} at {} kHz, {} Hz mains, {} ms, seed {}",
         s.pot,
         s.f_sw_hz / 1e3,
         s.mains_hz,
         s.duration_s * 1e3,
         s.seed
-    );
-    println!(
+    )?;
+    say!(
         "samples    {} of {} bit; {:.2} s, real time / {:.0}",
         recording.v_code.len(),
         s.sensing.bits,
         took.as_secs_f64(),
         took.as_secs_f64() / s.duration_s
-    );
+    )?;
     let loaded: Vec<_> = recording
         .truth
         .iter()
@@ -48,7 +48,7 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
         .collect();
     let (_, peak_a) = range(&loaded, |t| t.i_a);
     if loaded.is_empty() {
-        println!("current    none above {SMALLEST_A} A");
+        say!("current    none above {SMALLEST_A} A")?;
         return Ok(());
     }
     let power = recording
@@ -57,15 +57,15 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
         .map(|t| t.p_w / t.f_sw_hz)
         .sum::<f64>()
         / recording.truth.iter().map(|t| 1.0 / t.f_sw_hz).sum::<f64>();
-    println!("current    up to {peak_a:.2} A (fundamental), mean power {power:.1} W");
+    say!("current    up to {peak_a:.2} A (fundamental), mean power {power:.1} W")?;
     let (r, l) = (range(&loaded, |t| t.r_ohm[0]), range(&loaded, |t| t.l_h[0]));
-    println!(
+    say!(
         "truth      R {:.3} to {:.3} ohm, L {:.2} to {:.2} µH at {SMALLEST_A} A and more",
         r.0,
         r.1,
         l.0 * 1e6,
         l.1 * 1e6
-    );
+    )?;
     let at_peak = loaded.iter().max_by(|a, b| a.i_a.total_cmp(&b.i_a));
     if let Some(peak) = at_peak {
         let list: Vec<_> = ORDERS
@@ -73,19 +73,19 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
             .zip(peak.l_h)
             .map(|(h, l)| format!("{h}: {:.2}", l * 1e6))
             .collect();
-        println!(
+        say!(
             "harmonics  L in µH at the largest current, {}; P/I² {:.3} ohm",
             list.join(", "),
             peak.r_power_ohm
-        );
+        )?;
     }
     let capacitance_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
     let f_khz = |l_h: f64| 1e-3 / (std::f64::consts::TAU * (l_h * capacitance_f).sqrt());
-    println!(
+    say!(
         "resonance  {:.1} to {:.1} kHz with {RESONANCE_CAPACITANCE_NF} nF (paper: 27 to 36 simulated, 29 to 34 measured)",
         f_khz(l.1),
         f_khz(l.0)
-    );
+    )?;
     if s.load == LoadKind::Surrogate {
         table_error(recording)?;
     }
@@ -96,40 +96,52 @@ fn table_error(recording: &Recording) -> Result<()> {
     let s = &recording.settings;
     let models = prepared::field_models(&s.pot, s.winding_r_ohm)?;
     let error = prepared::surrogate_pot(&s.pot, s.winding_r_ohm)?.error(&models)?;
-    println!(
+    say!(
         "table      off its describing function by up to {:.2} % of R, {:.2} % of L",
-        error.r_pct, error.l_pct
-    );
+        error.r_pct,
+        error.l_pct
+    )?;
     Ok(())
 }
 
 /// The list of the field model's approximations and their cost.
 pub fn approximations() -> Result<()> {
-    println!(
+    say!(
         "{:<54} {:>7} {:>6} {:>9} {:>9}",
-        "approximation", "f/kHz", "I/A", "dR/%", "dL/%"
-    );
+        "approximation",
+        "f/kHz",
+        "I/A",
+        "dR/%",
+        "dL/%"
+    )?;
     for c in approximation::all()? {
-        println!(
+        say!(
             "{:<54} {:>7.1} {:>6.1} {:>9.4} {:>9.4}",
             c.what,
             c.f_hz / 1e3,
             c.i_a,
             c.r_pct,
             c.l_pct
-        );
+        )?;
     }
-    println!("\nfield model in the circuit, second half-cycle, above 2 A, mean deviation in %:");
-    println!(
+    say!("\nfield model in the circuit, second half-cycle, above 2 A, mean deviation in %:")?;
+    say!(
         "{:<10} {:>12} {:>12} {:>12} {:>12}",
-        "preset", "table R", "table L", "current", "P/I2 - R"
-    );
+        "preset",
+        "table R",
+        "table L",
+        "current",
+        "P/I2 - R"
+    )?;
     for (name, _) in PRESETS {
         let d = comparison::surrogate_against_field(&Settings::preset(name)?)?;
-        println!(
+        say!(
             "{name:<10} {:>12.2} {:>12.2} {:>12.2} {:>12.2}",
-            d.r_pct, d.l_pct, d.i_pct, d.power_r_pct
-        );
+            d.r_pct,
+            d.l_pct,
+            d.i_pct,
+            d.power_r_pct
+        )?;
     }
     Ok(())
 }

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::identify::MethodWord;
+use crate::cli::output;
 use crate::study::estimators::{Plan, study, table};
 
 /// Compare every estimator on simulated captures with truth: four switching frequencies, no noise and
@@ -46,7 +47,7 @@ pub struct EstimatorsArgs {
 impl EstimatorsArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
-        ensure!(self.seeds > 0, "--seeds is 0: give one at least");
+        ensure_usage!(self.seeds > 0, "--seeds is 0: give one at least");
         let plan = Plan {
             methods: MethodWord::chosen(&self.method),
             seeds: if self.quick { 2 } else { self.seeds },
@@ -71,8 +72,11 @@ impl EstimatorsArgs {
         if let Some(path) = &self.docs {
             write_into(path, &section)?;
         }
-        println!("{}", if self.json { &json } else { &section });
-        Ok(())
+        if self.json {
+            output::json(&cells)
+        } else {
+            output::text(&format!("{section}\n"))
+        }
     }
 }
 

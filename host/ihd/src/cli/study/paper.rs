@@ -4,13 +4,14 @@ use std::fmt::{self, Display, Formatter};
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use ihd_identify::Method;
 use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::cli::output;
 use crate::cli::simulate::LoadWord;
 use crate::study::estimators::{F_SW_HZ, SNR_DB};
 use crate::study::paper::{Contender, Job, publish, study};
@@ -143,8 +144,8 @@ fn preset_help() -> String {
 impl PaperArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
-        ensure!(self.seeds > 0, "--seeds is 0: give one at least");
-        ensure!(self.epochs != Some(0), "--epochs is 0: give one at least");
+        ensure_usage!(self.seeds > 0, "--seeds is 0: give one at least");
+        ensure_usage!(self.epochs != Some(0), "--epochs is 0: give one at least");
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the folder {}", self.out.display()))?;
         let presets = match &self.presets {
@@ -162,12 +163,12 @@ impl PaperArgs {
         bar.finish_and_clear();
         let report = publish(&cells, &presets, &self.out)?;
         if self.json {
-            println!("{}", serde_json::to_string_pretty(&cells)?);
+            output::json(&cells)?;
         } else {
             let text = std::fs::read_to_string(&report)
                 .with_context(|| format!("cannot read {}", report.display()))?;
-            print!("{text}");
-            println!("kept in {}", self.out.display());
+            output::text(&text)?;
+            say!("kept in {}", self.out.display())?;
         }
         Ok(())
     }
@@ -213,7 +214,7 @@ impl PaperArgs {
         for name in names {
             // Cells are files by name.
             let taken = Method::ALL.iter().any(|method| method.name() == name);
-            ensure!(!taken, "{name} is an estimator: rename the preset's file");
+            ensure_usage!(!taken, "{name} is an estimator: rename the preset's file");
             let preset = presets.get(name)?;
             let epochs = preset.config.vi_mlp.and(cut);
             contenders.push((Contender::Pinn(preset.name), epochs));

@@ -1,0 +1,107 @@
+//! Standard output and standard error: a reader that is gone or a disk that is full is an error and
+//! no panic, and nothing that a device or a file holds reaches a terminal raw.
+
+use std::fmt::Arguments;
+use std::io::Write;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+/// Prints a line. Usable as `println!`, but for what it returns.
+macro_rules! say {
+    ($($argument:tt)*) => {
+        $crate::cli::output::line(format_args!($($argument)*))
+    };
+}
+
+/// Writes a line to standard output, control characters escaped.
+///
+/// # Errors
+/// When standard output cannot be written.
+pub fn line(arguments: Arguments<'_>) -> Result<()> {
+    text(&format!("{arguments}\n"))
+}
+
+/// Writes text to standard output, control characters but line ends and tabs escaped.
+///
+/// # Errors
+/// When standard output cannot be written.
+pub fn text(text: &str) -> Result<()> {
+    raw(escaped(text).as_bytes())
+}
+
+/// Writes a value as JSON to standard output, on several lines.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn json(value: &impl Serialize) -> Result<()> {
+    raw(json_text(&serde_json::to_string_pretty(value)?).as_bytes())
+}
+
+/// Writes a value as one line of JSON to standard output.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn json_line(value: &impl Serialize) -> Result<()> {
+    raw(json_text(&serde_json::to_string(value)?).as_bytes())
+}
+
+/// A line on standard error. What cannot even be said there is not said.
+pub fn complain(arguments: Arguments<'_>) {
+    let text = escaped(&format!("{arguments}\n"));
+    let _ = std::io::stderr().write_all(text.as_bytes());
+}
+
+fn raw(bytes: &[u8]) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    out.write_all(bytes)
+        .and_then(|()| out.flush())
+        .context("cannot write to standard output")
+}
+
+/// Control characters but line ends and tabs as `\u{1b}`.
+pub fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c.is_control() && !matches!(c, '\n' | '\t') {
+            out.extend(c.escape_unicode());
+        } else {
+            out.push(c);
+        }
+    }
+    out
+}
+
+/// JSON with a line end. Its own escapes leave DEL and U+0080 to U+009F as they are.
+fn json_text(json: &str) -> String {
+    let mut out = String::with_capacity(json.len() + 1);
+    for c in json.chars() {
+        if c.is_control() && c != '\n' {
+            out.push_str(&format!("\\u{:04x}", u32::from(c)));
+        } else {
+            out.push(c);
+        }
+    }
+    out.push('\n');
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_keeps_its_lines_and_loses_its_escapes() {
+        let shown = escaped("a\tb\n\x1b]0;owned\x07c\u{9b}");
+        assert_eq!(shown, "a\tb\n\\u{1b}]0;owned\\u{7}c\\u{9b}");
+    }
+
+    #[test]
+    fn json_stays_what_it_says() {
+        let value = serde_json::json!({ "name": "\x1b]0;owned\x07\n\u{7f}\u{9b}" });
+        let text = json_text(&serde_json::to_string_pretty(&value).unwrap());
+        assert!(text.chars().all(|c| !c.is_control() || c == '\n'), "{text}");
+        let back: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(back, value);
+    }
+}

@@ -1,0 +1,22 @@
+//! Wrong usage that clap cannot see: values out of range, names that there are not.
+
+/// What is wrong with the arguments; `ihd` exits with 2.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Usage(pub String);
+
+impl Usage {
+    /// Any error whose message names the argument.
+    pub fn of(error: impl std::fmt::Display) -> Self {
+        Self(error.to_string())
+    }
+}
+
+/// Returns [`Usage`] with a message unless the condition holds.
+macro_rules! ensure_usage {
+    ($condition:expr, $($message:tt)+) => {
+        if !$condition {
+            return Err($crate::cli::usage::Usage(format!($($message)+)).into());
+        }
+    };
+}

@@ -1,0 +1,145 @@
+//! A device for tests, which answers as it is told and sends what it is told.
+
+use std::time::Duration;
+
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello, Message, Outcome, Reply};
+
+use super::{LinkError, Transport};
+
+/// What the device has sent and nobody has received yet.
+#[derive(Default)]
+pub struct Sent {
+    bytes: Vec<u8>,
+    frame_seq: u16,
+    /// The link ends once these bytes are received.
+    pub closed: bool,
+}
+
+impl Sent {
+    /// Sends a message.
+    pub fn message<M: Message>(&mut self, message: &M) {
+        let mut frame = [0; MAX_ENCODED];
+        let length = encode(message, self.frame_seq, &mut frame).expect("fits a frame");
+        self.frame_seq = self.frame_seq.wrapping_add(1);
+        self.bytes.extend_from_slice(&frame[..length]);
+    }
+
+    /// Sends bytes that may be anything.
+    pub fn raw(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// Answers that a command is done.
+    pub fn done(&mut self, to: u8) {
+        let outcome = Outcome::Ok;
+        self.message(&Reply {
+            to,
+            outcome,
+            detail: 0,
+        });
+    }
+
+    /// Answers a hello as a device does that fits.
+    pub fn greet(&mut self) {
+        self.message(&hello());
+        self.message(&front_end());
+    }
+}
+
+/// The device's hello.
+pub fn hello() -> Hello {
+    ours(ROLE_DEVICE, 0, 7, "fake 1.0", "fake")
+}
+
+/// What the device's codes stand for.
+pub fn front_end() -> FrontEnd {
+    FrontEnd {
+        v_full_scale_mv: 1_000_000,
+        i_full_scale_ma: 100_000,
+        bus_full_scale_mv: 500_000,
+        mains_full_scale_mv: 500_000,
+        bits: 12,
+    }
+}
+
+type OnMessage = dyn FnMut(&AnyMessage<'_>, &mut Sent) + Send;
+type OnWait = dyn FnMut(&mut Sent) + Send;
+
+/// The device. Its clock goes on with what is received and with what is waited for.
+pub struct Fake {
+    deframer: Deframer,
+    sent: Sent,
+    time: Duration,
+    on_message: Box<OnMessage>,
+    on_wait: Box<OnWait>,
+    per_read: usize,
+}
+
+impl Fake {
+    /// `on_message` answers the host's messages; `on_wait` may send when the host waits and nothing is there.
+    pub fn new(
+        on_message: impl FnMut(&AnyMessage<'_>, &mut Sent) + Send + 'static,
+        on_wait: impl FnMut(&mut Sent) + Send + 'static,
+    ) -> Self {
+        Self {
+            deframer: Deframer::new(),
+            sent: Sent::default(),
+            time: Duration::ZERO,
+            on_message: Box::new(on_message),
+            on_wait: Box::new(on_wait),
+            per_read: usize::MAX,
+        }
+    }
+
+    /// Gives at most so many bytes a read.
+    pub fn per_read(mut self, bytes: usize) -> Self {
+        self.per_read = bytes;
+        self
+    }
+}
+
+impl Transport for Fake {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        for &byte in bytes {
+            if let Some(Ok(frame)) = self.deframer.push(byte)
+                && let Ok(message) = AnyMessage::decode(frame.id, frame.payload)
+            {
+                (self.on_message)(&message, &mut self.sent);
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        if self.sent.bytes.is_empty() {
+            (self.on_wait)(&mut self.sent);
+        }
+        let n = self.sent.bytes.len().min(buf.len()).min(self.per_read);
+        if n == 0 {
+            if self.sent.closed {
+                return Err(LinkError::Closed {
+                    device: self.describe(),
+                });
+            }
+            self.time += timeout;
+            std::thread::sleep(timeout.min(Duration::from_millis(1)));
+            return Ok(0);
+        }
+        buf[..n].copy_from_slice(&self.sent.bytes[..n]);
+        self.sent.bytes.drain(..n);
+        // As over a serial line of 921,600 bit/s.
+        self.time += Duration::from_nanos(10_851 * n as u64);
+        Ok(n)
+    }
+
+    fn describe(&self) -> String {
+        "fake".into()
+    }
+
+    fn clock(&self) -> Duration {
+        self.time
+    }
+}

@@ -1,0 +1,124 @@
+//! Files that are there whole or not at all.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Tells files apart that one process writes at a time.
+static WRITTEN: AtomicU32 = AtomicU32::new(0);
+
+/// Writes a file so that its name stands for the old bytes or for all of the new ones, whatever ends the
+/// process or the power meanwhile: a temporary file in the same folder, fsync, rename, fsync of the folder.
+///
+/// # Errors
+/// What the operating system reports; the old file is then as it was, and the temporary one removed.
+pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let temporary = beside(path)?;
+    let written = File::create_new(&temporary).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()
+    });
+    let done = written.and_then(|()| rename(&temporary, path));
+    if done.is_err() {
+        // That it cannot be removed either is of no use here.
+        let _ = fs::remove_file(&temporary);
+    }
+    done
+}
+
+/// Renames, and makes that last: the folder of the new name is synchronised.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    fs::rename(from, to)?;
+    synchronise_folder(folder_of(to))
+}
+
+/// Makes what was created, renamed or removed in a folder last. Only Unix knows of that.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn synchronise_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(unix) {
+        File::open(folder)?.sync_all()?;
+    }
+    Ok(())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+fn beside(path: &Path) -> io::Result<PathBuf> {
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
+    let mut temporary = std::ffi::OsString::from(".");
+    temporary.push(name);
+    let n = WRITTEN.fetch_add(1, Ordering::Relaxed);
+    temporary.push(format!(".{}-{n}.tmp", std::process::id()));
+    Ok(path.with_file_name(temporary))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("ihd-atomic-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_file_is_replaced_and_nothing_is_left_beside_it() {
+        let folder = folder("replaced");
+        let path = folder.join("a.bin");
+        write(&path, b"old").unwrap();
+        write(&path, b"new bytes").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new bytes");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_cannot_be_written_leaves_the_old_file_and_nothing_else() {
+        let folder = folder("refused");
+        let path = folder.join("a");
+        fs::create_dir(&path).unwrap();
+        fs::write(path.join("kept"), b"x").unwrap();
+        assert!(write(&path, b"bytes").is_err());
+        assert_eq!(fs::read(path.join("kept")).unwrap(), b"x");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        assert!(write(Path::new("/"), b"").is_err());
+        assert!(write(&folder.join("none/a"), b"").is_err());
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// A reader sees the old bytes or the new ones, never a part.
+    #[test]
+    fn a_reader_never_sees_a_part() {
+        let folder = folder("reader");
+        let path = folder.join("a");
+        write(&path, &[0; 100_000]).unwrap();
+        std::thread::scope(|scope| {
+            let writer = scope.spawn(|| {
+                for k in 1..=50 {
+                    write(&path, &[k; 100_000]).unwrap();
+                }
+            });
+            while !writer.is_finished() {
+                let bytes = fs::read(&path).unwrap();
+                assert_eq!(bytes.len(), 100_000);
+                assert!(bytes.iter().all(|b| *b == bytes[0]));
+            }
+        });
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,0 +1,57 @@
+//! The time that rows are stamped with, and the day that a window's file is named by.
+
+use std::sync::Arc;
+
+use jiff::{Timestamp, tz::Offset};
+
+/// What tells the time in milliseconds since 1970, UTC: the machine's clock, or that of a test.
+pub type Clock = Arc<dyn Fn() -> i64 + Send + Sync>;
+
+/// The machine's clock.
+pub fn of_the_machine() -> Clock {
+    Arc::new(|| Timestamp::now().as_millisecond())
+}
+
+/// The day, in UTC, as `YYYY-MM-DD`: the order of the words is that of the days. A time that no calendar
+/// has is that of 1970.
+pub fn day(at_ms: i64) -> String {
+    let at = Timestamp::from_millisecond(at_ms).unwrap_or(Timestamp::UNIX_EPOCH);
+    Offset::UTC.to_datetime(at).date().to_string()
+}
+
+/// A time as RFC 3339 writes it, in UTC: `2026-11-22T08:30:00.125Z`.
+pub fn rfc3339(at_ms: i64) -> String {
+    let at = Timestamp::from_millisecond(at_ms).unwrap_or(Timestamp::UNIX_EPOCH);
+    format!("{at:.3}")
+}
+
+/// Whether a word is a day, as [`day`] writes it.
+pub fn is_day(word: &str) -> bool {
+    word.parse::<jiff::civil::Date>()
+        .is_ok_and(|date| date.to_string() == word)
+}
+
+/// The beginning of a day in milliseconds since 1970.
+pub fn of_day(word: &str) -> Option<i64> {
+    let date: jiff::civil::Date = word.parse().ok()?;
+    let midnight = date.at(0, 0, 0, 0);
+    let at = Offset::UTC.to_timestamp(midnight).ok()?;
+    Some(at.as_millisecond())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_day_ends_at_midnight_in_utc() {
+        // 2026-11-23T00:00:00Z by `date -u -d 2026-11-23 +%s`.
+        let midnight = 1_795_392_000_000;
+        assert_eq!(day(midnight - 1), "2026-11-22");
+        assert_eq!(day(midnight), "2026-11-23");
+        assert_eq!(of_day("2026-11-23"), Some(midnight));
+        assert_eq!(rfc3339(midnight - 1), "2026-11-22T23:59:59.999Z");
+        assert_eq!(day(i64::MAX), "1970-01-01");
+        assert!(is_day("2024-02-29") && !is_day("2025-02-29") && !is_day("2025-2-9"));
+    }
+}

@@ -1,0 +1,202 @@
+//! What can go wrong with the store.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use rusqlite::ErrorCode;
+
+/// Why the store did not do what was asked. Nothing of what was asked has then been done.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// Another process writes to the store.
+    #[error(
+        "{}: another process{holder} uses this store; stop it, or give this one a folder of its own",
+        folder.display()
+    )]
+    InUse {
+        /// The store's folder.
+        folder: PathBuf,
+        /// ` (process 4711)` where it said so.
+        holder: String,
+    },
+    /// There is no store.
+    #[error("{}: there is no store here (no ihd.db); --store or the configuration's `store` names its folder", folder.display())]
+    NoStore {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// Written by a later ihd.
+    #[error(
+        "{}: version {found} of its tables, and this ihd knows {known}: use the ihd that wrote it, or a newer one",
+        file.display()
+    )]
+    Newer {
+        /// The database.
+        file: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The latest known.
+        known: i64,
+    },
+    /// Not a database of ours, or one that is broken.
+    #[error("{}: damaged: {why}", file.display())]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The database reports an error.
+    #[error("{}: {doing}: {source}", file.display())]
+    Database {
+        /// The database.
+        file: PathBuf,
+        /// What was being done.
+        doing: &'static str,
+        /// SQLite's own words.
+        source: rusqlite::Error,
+        /// Whether there is no room left.
+        full: bool,
+    },
+    /// The operating system reports an error.
+    #[error("{}: {doing}: {source}", file.display())]
+    Files {
+        /// The file or folder.
+        file: PathBuf,
+        /// What was being done.
+        doing: &'static str,
+        /// The operating system's own words.
+        source: io::Error,
+    },
+    /// There is no such session.
+    #[error("there is no session {session} in the store")]
+    NoSession {
+        /// Its number.
+        session: i64,
+    },
+    /// There is no such lookup.
+    #[error("the store holds no lookup of version {version} of that device")]
+    NoLookup {
+        /// Its version.
+        version: u32,
+    },
+    /// The lookup is in another state than what was asked supposes.
+    #[error("the lookup of version {version} is {state}, and cannot be refused")]
+    LookupState {
+        /// Its version.
+        version: u32,
+        /// Its state.
+        state: super::LookupState,
+    },
+    /// A stored window cannot be unpacked.
+    #[error("{}: window {seq} of {device:?} (boot {boot}): {why}", file.display())]
+    Window {
+        /// The day's file.
+        file: PathBuf,
+        /// The device's name.
+        device: String,
+        /// The device's boot.
+        boot: u32,
+        /// The window's number.
+        seq: u32,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Something is in the way.
+    #[error("{}: there is such a file already; nothing was written", path.display())]
+    Exists {
+        /// What is in the way.
+        path: PathBuf,
+    },
+    /// A window could not be written as a capture.
+    #[error(transparent)]
+    Export(#[from] ihd_capture::exports::ExportError),
+}
+
+impl StoreError {
+    /// Whether there was no room left: of the disk, of a quota, or of a file's size. The same call works
+    /// when there is room again.
+    pub fn is_full(&self) -> bool {
+        match self {
+            Self::Database { full, .. } => *full,
+            Self::Files { source, .. } => is_full(source),
+            _ => false,
+        }
+    }
+
+    /// Whether a database turned out to be broken.
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Damaged { .. } | Self::Window { .. } => true,
+            Self::Database { source, .. } => is_damage(source),
+            _ => false,
+        }
+    }
+
+    /// What `doing` something with `file` failed of.
+    pub(crate) fn database(
+        file: &Path,
+        doing: &'static str,
+    ) -> impl FnOnce(rusqlite::Error) -> Self + use<> {
+        let file = file.to_owned();
+        move |source| {
+            let full = match source.sqlite_error_code() {
+                Some(ErrorCode::DiskFull) => true,
+                // SQLite tells a full disk from other errors of a write, but no quota and no limit of a
+                // file's size, and no full disk where it cannot make its shared memory.
+                Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) => {
+                    file.parent().is_some_and(has_no_room)
+                }
+                _ => false,
+            };
+            Self::Database {
+                file,
+                doing,
+                source,
+                full,
+            }
+        }
+    }
+
+    /// What `doing` something with `file` failed of.
+    pub(crate) fn files(
+        file: &Path,
+        doing: &'static str,
+    ) -> impl FnOnce(io::Error) -> Self + use<> {
+        let file = file.to_owned();
+        move |source| Self::Files {
+            file,
+            doing,
+            source,
+        }
+    }
+}
+
+/// Whether SQLite says that the file is broken, or none of its own.
+pub(crate) fn is_damage(error: &rusqlite::Error) -> bool {
+    matches!(
+        error.sqlite_error_code(),
+        Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
+    )
+}
+
+fn is_full(error: &io::Error) -> bool {
+    use io::ErrorKind as K;
+    matches!(
+        error.kind(),
+        K::StorageFull | K::QuotaExceeded | K::FileTooLarge
+    )
+}
+
+/// Whether a few pages more cannot be written in a folder.
+fn has_no_room(folder: &Path) -> bool {
+    let path = folder.join(format!(".room-{}.tmp", std::process::id()));
+    let tried = File::create(&path).and_then(|mut file| {
+        file.write_all(&[0; 1 << 16])?;
+        file.sync_all()
+    });
+    // That it cannot be removed says nothing about room.
+    let _ = fs::remove_file(&path);
+    tried.is_err_and(|error| is_full(&error))
+}

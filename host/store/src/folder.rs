@@ -1,0 +1,241 @@
+//! The store's folder: which file is which, who writes, and what is set aside.
+
+use std::fs::{self, File, TryLockError};
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::StoreError;
+use super::clock::is_day;
+
+/// What holds everything but the windows.
+pub const RECORDS: &str = "ihd.db";
+
+/// Held by the process that writes.
+const LOCK: &str = "ihd.lock";
+
+/// What stands between a damaged file's name and the time at which it was set aside.
+const DAMAGED: &str = ".damaged-";
+
+/// What SQLite keeps beside a database.
+const BESIDE: [&str; 2] = ["-wal", "-shm"];
+
+/// A file that was found damaged, and set aside.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Damage {
+    /// Its path before.
+    pub from: PathBuf,
+    /// Its path now.
+    pub to: PathBuf,
+    /// What is wrong with it.
+    pub why: String,
+}
+
+/// One day of windows.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct DayFile {
+    /// `YYYY-MM-DD`, in UTC.
+    pub day: String,
+    /// The database.
+    pub path: PathBuf,
+}
+
+/// The database of a day's windows.
+pub fn of_day(folder: &Path, day: &str) -> PathBuf {
+    folder.join(format!("windows-{day}.db"))
+}
+
+/// Every day that there are windows of, oldest first.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn days(folder: &Path) -> Result<Vec<DayFile>, StoreError> {
+    let mut days = Vec::new();
+    for name in names(folder)? {
+        let day = name
+            .strip_prefix("windows-")
+            .and_then(|rest| rest.strip_suffix(".db"))
+            .filter(|day| is_day(day));
+        days.extend(day.map(|day| DayFile {
+            day: day.to_owned(),
+            path: folder.join(&name),
+        }));
+    }
+    days.sort();
+    Ok(days)
+}
+
+/// Windows that were found damaged and set aside, oldest day first.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let mut found: Vec<PathBuf> = names(folder)?
+        .into_iter()
+        .filter(|name| name.starts_with("windows-") && name.contains(DAMAGED))
+        .filter(|name| !BESIDE.iter().any(|beside| name.ends_with(beside)))
+        .map(|name| folder.join(name))
+        .collect();
+    found.sort();
+    Ok(found)
+}
+
+fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
+    let reading = || StoreError::files(folder, "reading the folder");
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(reading())? {
+        let name = entry.map_err(reading())?.file_name();
+        names.extend(name.into_string());
+    }
+    Ok(names)
+}
+
+/// Bytes that a database takes, with what SQLite keeps beside it; nothing where it is not.
+pub fn size(path: &Path) -> u64 {
+    let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
+    length(path) + length(&beside(path, "-wal"))
+}
+
+fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
+/// Deletes a database with what is beside it; gives the bytes that it took.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn delete(path: &Path) -> Result<u64, StoreError> {
+    let bytes = size(path);
+    let deleting = || StoreError::files(path, "deleting");
+    match fs::metadata(path) {
+        Ok(about) if about.is_dir() => fs::remove_dir_all(path).map_err(deleting())?,
+        _ => fs::remove_file(path).map_err(deleting())?,
+    }
+    for ending in BESIDE {
+        remove_if_there(&beside(path, ending))?;
+    }
+    Ok(bytes)
+}
+
+fn remove_if_there(path: &Path) -> Result<(), StoreError> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(StoreError::files(path, "deleting")(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Removes what SQLite kept beside databases that are gone: it would be taken for that of a new one.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn remove_orphans(folder: &Path) -> Result<(), StoreError> {
+    for name in names(folder)? {
+        for ending in BESIDE {
+            let Some(database) = name.strip_suffix(ending) else {
+                continue;
+            };
+            let path = folder.join(&name);
+            if database.ends_with(".db") && !folder.join(database).exists() && path.is_file() {
+                remove_if_there(&path)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Renames a damaged database, and what is beside it, so that nobody takes it for a good one and nothing is
+/// lost.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<Damage, StoreError> {
+    let to = free_name(path, at_ms);
+    let moving = || StoreError::files(path, "setting the damaged file aside");
+    if path.exists() {
+        fs::rename(path, &to).map_err(moving())?;
+    }
+    // Of a log, what was committed last may be read out of it.
+    let log = beside(path, "-wal");
+    if log.exists() {
+        fs::rename(&log, beside(&to, "-wal")).map_err(moving())?;
+    }
+    let shared = beside(path, "-shm");
+    if shared.is_dir() {
+        fs::rename(&shared, beside(&to, "-shm")).map_err(moving())?;
+    } else {
+        remove_if_there(&shared)?;
+    }
+    if let Some(folder) = path.parent() {
+        ihd_signal::atomic::synchronise_folder(folder).map_err(moving())?;
+    }
+    let from = path.to_owned();
+    Ok(Damage { from, to, why })
+}
+
+/// `NAME.damaged-20261122T083000Z`, with a number behind it where that is taken.
+fn free_name(path: &Path, at_ms: i64) -> PathBuf {
+    let at: String = super::clock::rfc3339(at_ms)
+        .chars()
+        .take_while(|c| *c != '.')
+        .filter(|c| !matches!(c, '-' | ':'))
+        .collect();
+    let first = beside(path, &format!("{DAMAGED}{at}Z"));
+    (1..)
+        .map(|n| match n {
+            1 => first.clone(),
+            _ => beside(&first, &format!("-{n}")),
+        })
+        .find(|name| !name.exists() && !beside(name, "-wal").exists())
+        .unwrap_or(first)
+}
+
+/// The right to write, as long as it lives. The system takes it back from a process that ends.
+#[derive(Debug)]
+pub struct Lock {
+    _file: File,
+}
+
+impl Lock {
+    /// Takes it, and says in the file who holds it.
+    ///
+    /// # Errors
+    /// [`StoreError::InUse`], or what the operating system reports.
+    pub fn take(folder: &Path) -> Result<Self, StoreError> {
+        let path = folder.join(LOCK);
+        let failed = || StoreError::files(&path, "locking the store");
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(failed())?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(in_use(folder, &mut file)),
+            Err(TryLockError::Error(error)) => return Err(failed()(error)),
+        }
+        // On a full disk nobody hears who it is, and the lock holds all the same.
+        let _ = file
+            .set_len(0)
+            .and_then(|()| write!(file, "{}", std::process::id()));
+        Ok(Self { _file: file })
+    }
+}
+
+fn in_use(folder: &Path, file: &mut File) -> StoreError {
+    let mut text = String::new();
+    let read = file
+        .rewind()
+        .and_then(|()| file.take(16).read_to_string(&mut text));
+    let process = read.ok().and_then(|_| text.trim().parse::<u32>().ok());
+    StoreError::InUse {
+        folder: folder.to_owned(),
+        holder: process.map_or(String::new(), |p| format!(" (process {p})")),
+    }
+}

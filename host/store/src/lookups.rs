@@ -1,0 +1,273 @@
+//! Lookups: pending before they are pushed, active when the device says so, and what became of the others.
+
+use std::fmt;
+
+use ihd_shared::lookup::RlLookup;
+use rusqlite::types::{FromSql, FromSqlError, FromSqlResult, ValueRef};
+use rusqlite::{Connection, OptionalExtension, Transaction, params};
+use serde::Serialize;
+
+use super::text::printable;
+use super::{DeviceId, Store, StoreError};
+
+/// What a lookup is to its device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LookupState {
+    /// Pushed, or about to be, and not heard of since.
+    Pending,
+    /// The device uses it.
+    Active,
+    /// Another one came after it.
+    Superseded,
+    /// The device did not take it.
+    Refused,
+}
+
+impl fmt::Display for LookupState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Pending => "pending",
+            Self::Active => "active",
+            Self::Superseded => "superseded",
+            Self::Refused => "refused",
+        })
+    }
+}
+
+impl FromSql for LookupState {
+    fn column_result(value: ValueRef<'_>) -> FromSqlResult<Self> {
+        match value.as_str()? {
+            "pending" => Ok(Self::Pending),
+            "active" => Ok(Self::Active),
+            "superseded" => Ok(Self::Superseded),
+            "refused" => Ok(Self::Refused),
+            _ => Err(FromSqlError::InvalidType),
+        }
+    }
+}
+
+/// A lookup in the store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LookupRow {
+    /// The device's name.
+    pub device: String,
+    /// Its version.
+    pub version: u32,
+    /// What it is to the device.
+    pub state: LookupState,
+    /// Who built it: `host`, or `device` where it was found there.
+    pub origin: String,
+    /// When its state changed last, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// Why it was built, or refused.
+    pub why: String,
+    /// Its bytes ([`RlLookup::from_bytes`]).
+    #[serde(skip)]
+    pub blob: Vec<u8>,
+}
+
+const ROWS: &str = "
+SELECT devices.name, version, state, origin, at_ms, why, blob
+FROM lookups JOIN devices ON devices.id = lookups.device
+WHERE ?1 IS NULL OR lookups.device = ?1
+ORDER BY lookups.device, lookups.id";
+
+/// Every lookup of a device, or of all, oldest first.
+pub(crate) fn rows(
+    connection: &Connection,
+    device: Option<DeviceId>,
+) -> rusqlite::Result<Vec<LookupRow>> {
+    let mut statement = connection.prepare(ROWS)?;
+    let rows = statement.query_map([device], |row| {
+        Ok(LookupRow {
+            device: row.get(0)?,
+            version: row.get(1)?,
+            state: row.get(2)?,
+            origin: row.get(3)?,
+            at_ms: row.get(4)?,
+            why: row.get(5)?,
+            blob: row.get(6)?,
+        })
+    })?;
+    rows.collect()
+}
+
+impl Store {
+    /// Stores a lookup that is about to be pushed. Another one that was pending is superseded; the same
+    /// one, pushed once more, is no second.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn pend_lookup(
+        &mut self,
+        device: DeviceId,
+        lookup: &RlLookup,
+        why: &str,
+    ) -> Result<(), StoreError> {
+        let (at_ms, blob, why) = (self.now(), lookup.to_bytes(), printable(why));
+        self.change("storing a lookup", |change| {
+            change.execute(
+                "UPDATE lookups SET state = 'superseded', at_ms = ?2
+                 WHERE device = ?1 AND state = 'pending' AND blob <> ?3",
+                params![device, at_ms, blob],
+            )?;
+            let same = change.execute(
+                "UPDATE lookups SET at_ms = ?2, why = ?4
+                 WHERE device = ?1 AND state = 'pending' AND blob = ?3",
+                params![device, at_ms, blob, why],
+            )?;
+            if same == 0 {
+                insert(change, device, lookup, ("pending", "host"), at_ms, &why)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The device uses the lookup of this version: it is active, and the one before it superseded. That it
+    /// was superseded or refused before does not matter: the device knows best. Done twice it is done once.
+    ///
+    /// # Errors
+    /// [`StoreError::NoLookup`], or what the database reports.
+    pub fn activate_lookup(&mut self, device: DeviceId, version: u32) -> Result<(), StoreError> {
+        let at_ms = self.now();
+        let found = self.change("activating a lookup", |change| {
+            let found = newest(change, device, version)?;
+            if let Some((id, _)) = found {
+                make_active(change, device, id, at_ms)?;
+            }
+            Ok(found)
+        })?;
+        found.map(drop).ok_or(StoreError::NoLookup { version })
+    }
+
+    /// The device did not take the lookup of this version.
+    ///
+    /// # Errors
+    /// [`StoreError::NoLookup`]; [`StoreError::LookupState`] where the device uses it, or another one has
+    /// taken its place; else what the database reports.
+    pub fn refuse_lookup(
+        &mut self,
+        device: DeviceId,
+        version: u32,
+        why: &str,
+    ) -> Result<(), StoreError> {
+        let (at_ms, why) = (self.now(), printable(why));
+        let found = self.change("refusing a lookup", |change| {
+            let found = newest(change, device, version)?;
+            if let Some((id, LookupState::Pending)) = found {
+                change.execute(
+                    "UPDATE lookups SET state = 'refused', at_ms = ?2, why = ?3 WHERE id = ?1",
+                    params![id, at_ms, why],
+                )?;
+            }
+            Ok(found)
+        })?;
+        match found {
+            None => Err(StoreError::NoLookup { version }),
+            Some((_, LookupState::Pending | LookupState::Refused)) => Ok(()),
+            Some((_, state)) => Err(StoreError::LookupState { version, state }),
+        }
+    }
+
+    /// The device was found to use this lookup: it is active. Where the store has it, bit for bit, it is
+    /// that one; else it is a new one of the device's own.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn adopt_lookup(&mut self, device: DeviceId, lookup: &RlLookup) -> Result<(), StoreError> {
+        let (at_ms, blob) = (self.now(), lookup.to_bytes());
+        self.change("adopting a lookup", |change| {
+            let known = change
+                .query_row(
+                    "SELECT id FROM lookups WHERE device = ?1 AND version = ?2 AND blob = ?3
+                     ORDER BY id DESC LIMIT 1",
+                    params![device, lookup.version, blob],
+                    |row| row.get(0),
+                )
+                .optional()?;
+            let id = match known {
+                Some(id) => id,
+                // Superseded until the line below: two at a time cannot be active.
+                None => {
+                    let as_what = ("superseded", "device");
+                    insert(
+                        change,
+                        device,
+                        lookup,
+                        as_what,
+                        at_ms,
+                        "found on the device",
+                    )?
+                }
+            };
+            make_active(change, device, id, at_ms)
+        })
+    }
+
+    /// Every lookup of a device, oldest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn lookups(&self, device: DeviceId) -> Result<Vec<LookupRow>, StoreError> {
+        rows(self.records(), Some(device)).map_err(self.failed("listing lookups"))
+    }
+}
+
+fn insert(
+    change: &Transaction<'_>,
+    device: DeviceId,
+    lookup: &RlLookup,
+    (state, origin): (&str, &str),
+    at_ms: i64,
+    why: &str,
+) -> rusqlite::Result<i64> {
+    change.execute(
+        "INSERT INTO lookups (device, version, state, origin, at_ms, why, blob)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        params![
+            device,
+            lookup.version,
+            state,
+            origin,
+            at_ms,
+            why,
+            lookup.to_bytes()
+        ],
+    )?;
+    Ok(change.last_insert_rowid())
+}
+
+/// The latest lookup of a version: after a reset of the device versions begin anew.
+fn newest(
+    change: &Transaction<'_>,
+    device: DeviceId,
+    version: u32,
+) -> rusqlite::Result<Option<(i64, LookupState)>> {
+    change
+        .query_row(
+            "SELECT id, state FROM lookups WHERE device = ?1 AND version = ?2
+             ORDER BY state = 'pending' DESC, id DESC LIMIT 1",
+            params![device, version],
+            |row| Ok((row.get(0)?, row.get(1)?)),
+        )
+        .optional()
+}
+
+fn make_active(
+    change: &Transaction<'_>,
+    device: DeviceId,
+    id: i64,
+    at_ms: i64,
+) -> rusqlite::Result<()> {
+    change.execute(
+        "UPDATE lookups SET state = 'superseded', at_ms = ?3
+         WHERE device = ?1 AND state = 'active' AND id <> ?2",
+        params![device, id, at_ms],
+    )?;
+    change.execute(
+        "UPDATE lookups SET state = 'active', at_ms = ?2 WHERE id = ?1 AND state <> 'active'",
+        params![id, at_ms],
+    )?;
+    Ok(())
+}

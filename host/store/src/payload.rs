@@ -1,0 +1,79 @@
+//! A window's samples and trajectory as bytes in the database, and back, bit for bit.
+
+use ihd_link::Window;
+use ihd_shared::sampling::Pair;
+use ihd_shared::window::{PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
+use zstd::bulk::{Compressor, Decompressor};
+use zstd::zstd_safe::CParameter;
+
+/// zstd's level: the higher ones take several times as long for a few percent of such noise
+/// (docs/store.md has the figures).
+const LEVEL: i32 = 1;
+
+/// Most entries that are unpacked, whatever a row declares.
+const MAX_ENTRIES: usize = 1 << 20;
+
+/// What a row holds of a window's samples.
+pub struct Payload {
+    /// Pairs, packed.
+    pub pairs: Vec<u8>,
+    /// Trajectory entries, packed.
+    pub trajectory: Vec<u8>,
+}
+
+/// Packs a window's pairs and trajectory, each with zstd's own checksum: SQLite has none.
+///
+/// # Errors
+/// What zstd reports; that is a lack of memory.
+pub fn pack(window: &Window) -> std::io::Result<Payload> {
+    let mut compressor = Compressor::new(LEVEL)?;
+    compressor.set_parameter(CParameter::ChecksumFlag(true))?;
+    let pairs: Vec<u8> = window.pairs.iter().flat_map(|p| p.to_le_bytes()).collect();
+    let entries = window.trajectory.iter();
+    let trajectory: Vec<u8> = entries.flat_map(|entry| entry.to_le_bytes()).collect();
+    Ok(Payload {
+        pairs: compressor.compress(&pairs)?,
+        trajectory: compressor.compress(&trajectory)?,
+    })
+}
+
+/// Unpacks so many pairs.
+///
+/// # Errors
+/// What is wrong with the bytes.
+pub fn pairs(bytes: &[u8], count: usize) -> Result<Vec<Pair>, String> {
+    let raw = unpack(bytes, count, PAIR_BYTES)?;
+    let (pairs, _) = raw.as_chunks::<PAIR_BYTES>();
+    Ok(pairs.iter().map(|b| Pair::from_le_bytes(*b)).collect())
+}
+
+/// Unpacks so many trajectory entries.
+///
+/// # Errors
+/// What is wrong with the bytes.
+pub fn trajectory(bytes: &[u8], count: usize) -> Result<Vec<TrajectoryEntry>, String> {
+    let raw = unpack(bytes, count, TRAJECTORY_ENTRY_BYTES)?;
+    let (entries, _) = raw.as_chunks::<TRAJECTORY_ENTRY_BYTES>();
+    let entry = |b: &[u8; TRAJECTORY_ENTRY_BYTES]| TrajectoryEntry::from_le_bytes(*b);
+    Ok(entries.iter().map(entry).collect())
+}
+
+fn unpack(bytes: &[u8], count: usize, size: usize) -> Result<Vec<u8>, String> {
+    if count > MAX_ENTRIES {
+        return Err(format!(
+            "it declares {count} entries, more than {MAX_ENTRIES}"
+        ));
+    }
+    let mut decompressor = Decompressor::new().map_err(|e| e.to_string())?;
+    let raw = decompressor
+        .decompress(bytes, count * size)
+        .map_err(|e| format!("its samples cannot be unpacked: {e}"))?;
+    if raw.len() == count * size {
+        Ok(raw)
+    } else {
+        let got = raw.len();
+        Err(format!(
+            "it declares {count} entries of {size} bytes and holds {got} bytes"
+        ))
+    }
+}

@@ -1,0 +1,238 @@
+//! The store as others see it, while somebody writes to it or nobody does.
+
+use std::path::{Path, PathBuf};
+
+use ihd_link::Window;
+use rusqlite::{Connection, OptionalExtension, Row};
+use serde::Serialize;
+
+use super::folder::{self, RECORDS};
+use super::windows::{Day, WindowFilter, WindowRow};
+use super::{
+    AuditRow, EventRow, LookupRow, ResultFilter, ResultId, ResultRow, SessionId, StoreError,
+    database, journal, lookups, results, schema,
+};
+
+/// A store being read. It holds nothing up, and takes no right to write.
+pub struct Reader {
+    folder: PathBuf,
+    path: PathBuf,
+    records: Connection,
+}
+
+/// A device in the store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct DeviceRow {
+    /// Its name in the configuration.
+    pub name: String,
+    /// Where it was last.
+    pub address: String,
+    /// When it was seen first, in milliseconds since 1970, UTC.
+    pub first_seen_ms: i64,
+}
+
+/// A connection in the store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct SessionRow {
+    /// Its number.
+    pub id: SessionId,
+    /// The device's name.
+    pub device: String,
+    /// The device's boot.
+    pub boot: u32,
+    /// When it began, in milliseconds since 1970, UTC.
+    pub began_ms: i64,
+    /// When it ended; none while it lasts.
+    pub ended_ms: Option<i64>,
+    /// Why it ended.
+    pub why: Option<String>,
+    /// The firmware's build.
+    pub build: String,
+    /// The board.
+    pub board: String,
+    /// Bits of `ihd_shared::wire::hello`'s `CAP_` constants.
+    pub capabilities: u32,
+    /// Half the range of the voltage channel, in millivolt.
+    pub v_full_scale_mv: u32,
+    /// Half the range of the current channel, in milliampere.
+    pub i_full_scale_ma: u32,
+    /// Bits of a code.
+    pub bits: u8,
+}
+
+const SESSIONS: &str = "
+SELECT sessions.id, devices.name, boot, began_ms, ended_ms, why, build, board, capabilities,
+    v_full_scale_mv, i_full_scale_ma, bits
+FROM sessions JOIN devices ON devices.id = sessions.device";
+
+impl Reader {
+    /// Opens the store in a folder to read.
+    ///
+    /// # Errors
+    /// [`StoreError::NoStore`], [`StoreError::Damaged`], [`StoreError::Newer`], or what the database reports.
+    pub fn open(folder: &Path) -> Result<Self, StoreError> {
+        let path = folder.join(RECORDS);
+        if !path.exists() {
+            let folder = folder.to_owned();
+            return Err(StoreError::NoStore { folder });
+        }
+        let records = database::open_to_read(&path, &schema::RECORDS)?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            path,
+            records,
+        })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(crate) fn records(&self) -> &Connection {
+        &self.records
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn failed(&self, doing: &'static str) -> impl FnOnce(rusqlite::Error) -> StoreError + use<> {
+        StoreError::database(&self.path, doing)
+    }
+
+    /// Results, newest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn results(&self, filter: &ResultFilter) -> Result<Vec<ResultRow>, StoreError> {
+        results::rows(&self.records, filter).map_err(self.failed("listing results"))
+    }
+
+    /// One result.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn result(&self, id: ResultId) -> Result<Option<ResultRow>, StoreError> {
+        results::one(&self.records, id).map_err(self.failed("reading a result"))
+    }
+
+    /// Every lookup of every device, oldest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn lookups(&self) -> Result<Vec<LookupRow>, StoreError> {
+        lookups::rows(&self.records, None).map_err(self.failed("listing lookups"))
+    }
+
+    /// Every device.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn devices(&self) -> Result<Vec<DeviceRow>, StoreError> {
+        let read = || -> rusqlite::Result<Vec<DeviceRow>> {
+            let sql = "SELECT name, address, first_seen_ms FROM devices ORDER BY name";
+            let mut statement = self.records.prepare(sql)?;
+            let rows = statement.query_map([], |row| {
+                Ok(DeviceRow {
+                    name: row.get(0)?,
+                    address: row.get(1)?,
+                    first_seen_ms: row.get(2)?,
+                })
+            })?;
+            rows.collect()
+        };
+        read().map_err(self.failed("listing devices"))
+    }
+
+    /// One session.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn session(&self, id: SessionId) -> Result<Option<SessionRow>, StoreError> {
+        let sql = format!("{SESSIONS} WHERE sessions.id = ?1");
+        let found = self.records.query_row(&sql, [id], session_row).optional();
+        found.map_err(self.failed("reading a session"))
+    }
+
+    /// The last session of a device's boot.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn session_of(&self, device: &str, boot: u32) -> Result<Option<SessionRow>, StoreError> {
+        let sql = format!(
+            "{SESSIONS} WHERE devices.name = ?1 AND boot = ?2 ORDER BY sessions.id DESC LIMIT 1"
+        );
+        let of = rusqlite::params![device, boot];
+        let found = self.records.query_row(&sql, of, session_row).optional();
+        found.map_err(self.failed("reading a session"))
+    }
+
+    /// The last events, newest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn events(&self, limit: u32) -> Result<Vec<EventRow>, StoreError> {
+        journal::events(&self.records, limit).map_err(self.failed("listing events"))
+    }
+
+    /// The last commands, newest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn audit(&self, limit: u32) -> Result<Vec<AuditRow>, StoreError> {
+        journal::audit(&self.records, limit).map_err(self.failed("listing commands"))
+    }
+
+    /// Rows of the windows that a filter takes, oldest day first.
+    ///
+    /// # Errors
+    /// What the databases report.
+    pub fn windows(&self, filter: &WindowFilter) -> Result<Vec<WindowRow>, StoreError> {
+        let mut rows = Vec::new();
+        for day in self.days_since(filter.since_ms)? {
+            rows.extend(day.rows(filter)?);
+        }
+        Ok(rows)
+    }
+
+    /// A window with its samples; none where there is none, or its samples were not kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Window`] where it cannot be unpacked, else what the databases report.
+    pub fn window(&self, device: &str, boot: u32, seq: u32) -> Result<Option<Window>, StoreError> {
+        for day in self.days_since(None)?.into_iter().rev() {
+            if let Some(window) = day.window(device, boot, seq)? {
+                return Ok(Some(window));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The days that hold windows of that time or later, oldest first.
+    pub(crate) fn days_since(&self, since_ms: Option<i64>) -> Result<Vec<Day>, StoreError> {
+        let first = since_ms.map(super::clock::day);
+        let days = folder::days(&self.folder)?;
+        let wanted = days
+            .into_iter()
+            .filter(|file| first.as_ref().is_none_or(|first| file.day >= *first));
+        wanted.map(Day::open_to_read).collect()
+    }
+}
+
+fn session_row(row: &Row<'_>) -> rusqlite::Result<SessionRow> {
+    Ok(SessionRow {
+        id: row.get(0)?,
+        device: row.get(1)?,
+        boot: row.get(2)?,
+        began_ms: row.get(3)?,
+        ended_ms: row.get(4)?,
+        why: row.get(5)?,
+        build: row.get(6)?,
+        board: row.get(7)?,
+        capabilities: row.get(8)?,
+        v_full_scale_mv: row.get(9)?,
+        i_full_scale_ma: row.get(10)?,
+        bits: row.get(11)?,
+    })
+}

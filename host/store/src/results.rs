@@ -1,0 +1,248 @@
+//! What was learned of windows, and what a learner goes on from.
+
+use rusqlite::{Connection, OptionalExtension, Row, params};
+use serde::Serialize;
+
+use super::text::printable;
+use super::windows::NotKept;
+use super::{DeviceId, Keep, ResultId, SessionId, Store, StoreError};
+
+/// Rows that a filter without a limit gives.
+const DEFAULT_LIMIT: u32 = 100;
+
+/// What was learned of a window, to be stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewResult {
+    /// The connection that it came over.
+    pub session: SessionId,
+    /// The window's number since the device's boot.
+    pub seq: u32,
+    /// Half-cycle since the device's boot.
+    pub half_cycle: u32,
+    /// Switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// Largest amplitude of the current's fundamental, in ampere.
+    pub i_crest_a: f64,
+    /// Mean power of the half-cycle, in watt, where it is known.
+    pub power_w: Option<f64>,
+    /// Mean of R weighted with the squared current, in ohm.
+    pub r_ohm: f64,
+    /// The same of L, in henry.
+    pub l_h: f64,
+    /// Standard deviation of R, in percent.
+    pub sigma_r_pct: f64,
+    /// Standard deviation of L, in percent.
+    pub sigma_l_pct: f64,
+    /// Whether the gate let it pass.
+    pub pass: bool,
+    /// Why it did not; empty where it did.
+    pub why: String,
+    /// Whether the lookup is another one for it.
+    pub changed_lookup: bool,
+    /// Iterations of the training.
+    pub iterations: u32,
+}
+
+/// What was learned of a window, as it is stored. Numbers that were not finite are NaN.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ResultRow {
+    /// Its number.
+    pub id: ResultId,
+    /// The device's name.
+    pub device: String,
+    /// The device's boot.
+    pub boot: u32,
+    /// The window's number since the boot.
+    pub seq: u32,
+    /// The connection that it came over.
+    pub session: SessionId,
+    /// Half-cycle since the boot.
+    pub half_cycle: u32,
+    /// When it was stored, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// Switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// Largest amplitude of the current's fundamental, in ampere.
+    pub i_crest_a: f64,
+    /// Mean power of the half-cycle, in watt, where it is known.
+    pub power_w: Option<f64>,
+    /// Mean of R weighted with the squared current, in ohm.
+    pub r_ohm: f64,
+    /// The same of L, in henry.
+    pub l_h: f64,
+    /// Standard deviation of R, in percent.
+    pub sigma_r_pct: f64,
+    /// Standard deviation of L, in percent.
+    pub sigma_l_pct: f64,
+    /// Whether the gate let it pass.
+    pub pass: bool,
+    /// Why it did not; empty where it did.
+    pub why: String,
+    /// Whether the lookup is another one for it.
+    pub changed_lookup: bool,
+    /// Iterations of the training.
+    pub iterations: u32,
+}
+
+/// Which results.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ResultFilter {
+    /// Those of this device alone, by its name.
+    pub device: Option<String>,
+    /// Those stored at this time or later, in milliseconds since 1970, UTC.
+    pub since_ms: Option<i64>,
+    /// At most so many; 100 where it is not said.
+    pub limit: Option<u32>,
+}
+
+const INSERT: &str = "
+INSERT INTO results (session, device, boot, seq, half_cycle, at_ms, f_sw_hz, i_crest_a, power_w, r_ohm,
+    l_h, sigma_r_pct, sigma_l_pct, pass, why, changed_lookup, iterations)
+VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)
+ON CONFLICT (device, boot, seq) DO UPDATE SET session = excluded.session, at_ms = excluded.at_ms,
+    half_cycle = excluded.half_cycle, f_sw_hz = excluded.f_sw_hz, i_crest_a = excluded.i_crest_a,
+    power_w = excluded.power_w, r_ohm = excluded.r_ohm, l_h = excluded.l_h,
+    sigma_r_pct = excluded.sigma_r_pct, sigma_l_pct = excluded.sigma_l_pct, pass = excluded.pass,
+    why = excluded.why, changed_lookup = excluded.changed_lookup, iterations = excluded.iterations
+RETURNING id";
+
+const COLUMNS: &str = "
+SELECT results.id, devices.name, boot, seq, session, half_cycle, at_ms, f_sw_hz, i_crest_a, power_w,
+    r_ohm, l_h, sigma_r_pct, sigma_l_pct, pass, why, changed_lookup, iterations
+FROM results JOIN devices ON devices.id = results.device";
+
+/// The results that a filter takes, newest first.
+pub(crate) fn rows(
+    connection: &Connection,
+    filter: &ResultFilter,
+) -> rusqlite::Result<Vec<ResultRow>> {
+    let limit = filter.limit.unwrap_or(DEFAULT_LIMIT);
+    let since_ms = filter.since_ms.unwrap_or(i64::MIN);
+    // Two statements, because each has an index of its own.
+    let (of_device, order) = match &filter.device {
+        Some(_) => (
+            "results.device = (SELECT id FROM devices WHERE name = ?3)",
+            "ORDER BY results.device DESC, at_ms DESC, results.id DESC",
+        ),
+        None => ("?3 IS NULL", "ORDER BY at_ms DESC, results.id DESC"),
+    };
+    let sql = format!("{COLUMNS} WHERE at_ms >= ?1 AND {of_device} {order} LIMIT ?2");
+    let mut statement = connection.prepare(&sql)?;
+    let rows = statement.query_map(params![since_ms, limit, filter.device], row)?;
+    rows.collect()
+}
+
+/// One result.
+pub(crate) fn one(connection: &Connection, id: ResultId) -> rusqlite::Result<Option<ResultRow>> {
+    let sql = format!("{COLUMNS} WHERE results.id = ?1");
+    connection.query_row(&sql, [id], row).optional()
+}
+
+fn row(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
+    let real = |k: usize| row.get::<_, Option<f64>>(k);
+    let number = |k: usize| real(k).map(|x| x.unwrap_or(f64::NAN));
+    Ok(ResultRow {
+        id: row.get(0)?,
+        device: row.get(1)?,
+        boot: row.get(2)?,
+        seq: row.get(3)?,
+        session: row.get(4)?,
+        half_cycle: row.get(5)?,
+        at_ms: row.get(6)?,
+        f_sw_hz: row.get(7)?,
+        i_crest_a: number(8)?,
+        power_w: real(9)?,
+        r_ohm: number(10)?,
+        l_h: number(11)?,
+        sigma_r_pct: number(12)?,
+        sigma_l_pct: number(13)?,
+        pass: row.get(14)?,
+        why: row.get(15)?,
+        changed_lookup: row.get(16)?,
+        iterations: row.get(17)?,
+    })
+}
+
+impl Store {
+    /// Stores what was learned of a window, and, in the same transaction, what the device's learner goes on
+    /// from. A window that is learned again takes the place of what was learned before.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSession`], or what the database reports.
+    pub fn record_result(
+        &mut self,
+        result: &NewResult,
+        learned: Option<&[u8]>,
+    ) -> Result<ResultId, StoreError> {
+        let session = self.session(result.session)?;
+        let (device, boot) = (session.device, session.boot);
+        let name = session.name.clone();
+        let at_ms = self.now();
+        let finite = |x: f64| x.is_finite().then_some(x);
+        let id = self.change("storing a result", |change| {
+            let values = params![
+                result.session,
+                device,
+                boot,
+                result.seq,
+                result.half_cycle,
+                at_ms,
+                result.f_sw_hz,
+                finite(result.i_crest_a),
+                result.power_w.and_then(finite),
+                finite(result.r_ohm),
+                finite(result.l_h),
+                finite(result.sigma_r_pct),
+                finite(result.sigma_l_pct),
+                result.pass,
+                printable(&result.why),
+                result.changed_lookup,
+                result.iterations,
+            ];
+            let id = change.query_row(INSERT, values, |row| row.get(0))?;
+            if let Some(state) = learned {
+                change.execute(
+                    "INSERT INTO learned (device, at_ms, state) VALUES (?1, ?2, ?3)
+                     ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state",
+                    params![device, at_ms, state],
+                )?;
+            }
+            Ok(id)
+        })?;
+        let tells = !result.pass || result.changed_lookup;
+        if self.settings().keep == Keep::Telling && !tells {
+            self.drop_samples(&name, boot, result.seq, NotKept::TellsNothing);
+        }
+        Ok(id)
+    }
+
+    /// Results, newest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn results(&self, filter: &ResultFilter) -> Result<Vec<ResultRow>, StoreError> {
+        rows(self.records(), filter).map_err(self.failed("listing results"))
+    }
+
+    /// What a device's learner goes on from, as it was given.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn learned(&self, device: DeviceId) -> Result<Option<Vec<u8>>, StoreError> {
+        let sql = "SELECT state FROM learned WHERE device = ?1";
+        let state = self.records().query_row(sql, [device], |row| row.get(0));
+        let state = state.optional();
+        state.map_err(self.failed("reading what was learned"))
+    }
+
+    /// Forgets what a device's learner would go on from; results stay.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn forget_learned(&mut self, device: DeviceId) -> Result<(), StoreError> {
+        self.change("forgetting what was learned", |change| {
+            change.execute("DELETE FROM learned WHERE device = ?1", [device])?;
+            Ok(())
+        })
+    }
+}

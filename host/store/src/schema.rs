@@ -1,0 +1,162 @@
+//! The tables, as the steps that make them. A step that was released is never changed: what comes later
+//! is a step of its own.
+
+/// The kind of a database.
+pub struct Schema {
+    /// SQLite's `application_id`, by which `file` tells whose it is.
+    pub application_id: i32,
+    /// What version `n` of the tables does to version `n - 1`, from 1.
+    pub steps: &'static [&'static str],
+    /// Tables that must be there.
+    pub tables: &'static [&'static str],
+    /// SQLite's `synchronous`: FULL lasts when the power fails, NORMAL when the process does.
+    pub synchronous: &'static str,
+}
+
+/// "IHDr" and "IHDw".
+const RECORDS_ID: i32 = i32::from_be_bytes(*b"IHDr");
+const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
+
+/// `ihd.db`.
+pub static RECORDS: Schema = Schema {
+    application_id: RECORDS_ID,
+    steps: &[RECORDS_1],
+    tables: &[
+        "devices", "sessions", "results", "lookups", "learned", "events", "audit",
+    ],
+    synchronous: "FULL",
+};
+
+/// `windows-YYYY-MM-DD.db`.
+pub static WINDOWS: Schema = Schema {
+    application_id: WINDOWS_ID,
+    steps: &[WINDOWS_1],
+    tables: &["windows"],
+    synchronous: "NORMAL",
+};
+
+const RECORDS_1: &str = "
+CREATE TABLE devices (
+    id            INTEGER PRIMARY KEY,
+    name          TEXT NOT NULL UNIQUE,   -- in the configuration
+    address       TEXT NOT NULL,          -- where it was last
+    first_seen_ms INTEGER NOT NULL        -- milliseconds since 1970, UTC, here and below
+) STRICT;
+
+-- One connection each; several may be of one boot.
+CREATE TABLE sessions (
+    id                 INTEGER PRIMARY KEY,
+    device             INTEGER NOT NULL REFERENCES devices (id),
+    boot               INTEGER NOT NULL,
+    began_ms           INTEGER NOT NULL,
+    ended_ms           INTEGER,
+    why                TEXT,               -- why it ended
+    build              TEXT NOT NULL,
+    board              TEXT NOT NULL,
+    protocol_major     INTEGER NOT NULL,
+    protocol_minor     INTEGER NOT NULL,
+    capabilities       INTEGER NOT NULL,
+    reset_reason       INTEGER NOT NULL,
+    fault_before_reset INTEGER NOT NULL,
+    v_full_scale_mv    INTEGER NOT NULL,
+    i_full_scale_ma    INTEGER NOT NULL,
+    bus_full_scale_mv  INTEGER NOT NULL,
+    mains_full_scale_mv INTEGER NOT NULL,
+    bits               INTEGER NOT NULL
+) STRICT;
+CREATE INDEX sessions_of_device ON sessions (device, began_ms);
+CREATE INDEX sessions_open ON sessions (ended_ms) WHERE ended_ms IS NULL;
+
+-- What was learned of a window. Numbers that are not finite are NULL.
+CREATE TABLE results (
+    id             INTEGER PRIMARY KEY,
+    session        INTEGER NOT NULL REFERENCES sessions (id),
+    device         INTEGER NOT NULL REFERENCES devices (id),
+    boot           INTEGER NOT NULL,
+    seq            INTEGER NOT NULL,       -- of the window, since the boot
+    half_cycle     INTEGER NOT NULL,       -- since the boot
+    at_ms          INTEGER NOT NULL,
+    f_sw_hz        INTEGER NOT NULL,
+    i_crest_a      REAL,
+    power_w        REAL,
+    r_ohm          REAL,
+    l_h            REAL,
+    sigma_r_pct    REAL,
+    sigma_l_pct    REAL,
+    pass           INTEGER NOT NULL CHECK (pass IN (0, 1)),
+    why            TEXT NOT NULL,          -- why the gate refused it
+    changed_lookup INTEGER NOT NULL CHECK (changed_lookup IN (0, 1)),
+    iterations     INTEGER NOT NULL,
+    UNIQUE (device, boot, seq)
+) STRICT;
+CREATE INDEX results_in_time ON results (at_ms);
+CREATE INDEX results_of_device ON results (device, at_ms);
+
+CREATE TABLE lookups (
+    id      INTEGER PRIMARY KEY,
+    device  INTEGER NOT NULL REFERENCES devices (id),
+    version INTEGER NOT NULL,
+    state   TEXT NOT NULL CHECK (state IN ('pending', 'active', 'superseded', 'refused')),
+    origin  TEXT NOT NULL CHECK (origin IN ('host', 'device')),
+    at_ms   INTEGER NOT NULL,              -- of its last change of state
+    why     TEXT NOT NULL,
+    blob    BLOB NOT NULL                  -- as it is pushed
+) STRICT;
+CREATE INDEX lookups_of_device ON lookups (device, version);
+CREATE UNIQUE INDEX one_active_lookup ON lookups (device) WHERE state = 'active';
+CREATE UNIQUE INDEX one_pending_lookup ON lookups (device) WHERE state = 'pending';
+
+-- What a device's learner goes on from.
+CREATE TABLE learned (
+    device INTEGER PRIMARY KEY REFERENCES devices (id),
+    at_ms  INTEGER NOT NULL,
+    state  BLOB NOT NULL                   -- JSON of the learner's own
+) STRICT;
+
+CREATE TABLE events (
+    id     INTEGER PRIMARY KEY,
+    at_ms  INTEGER NOT NULL,
+    device INTEGER REFERENCES devices (id), -- NULL where the daemon itself speaks
+    kind   TEXT NOT NULL,
+    text   TEXT NOT NULL
+) STRICT;
+
+-- Every command, and what became of it.
+CREATE TABLE audit (
+    id      INTEGER PRIMARY KEY,
+    at_ms   INTEGER NOT NULL,
+    device  INTEGER REFERENCES devices (id),
+    holder  TEXT NOT NULL,                 -- who asked
+    command TEXT NOT NULL,
+    outcome TEXT NOT NULL
+) STRICT;
+";
+
+const WINDOWS_1: &str = "
+-- Every window that came whole. The files of a day stand alone: devices have their names.
+CREATE TABLE windows (
+    id                  INTEGER PRIMARY KEY,
+    device              TEXT NOT NULL,
+    boot                INTEGER NOT NULL,
+    seq                 INTEGER NOT NULL,  -- counts every window that was due since the boot
+    at_ms               INTEGER NOT NULL,  -- when it was stored, milliseconds since 1970, UTC
+    half_cycle          INTEGER NOT NULL,  -- since the boot
+    f_sw_hz             INTEGER NOT NULL,
+    half_cycle_ns       INTEGER NOT NULL,
+    first_pair_ns       INTEGER NOT NULL,  -- after the mains zero crossing
+    first_trajectory_ns INTEGER NOT NULL,  -- after the mains zero crossing
+    saturated           INTEGER NOT NULL,  -- pairs at the end of the range
+    lookup_version      INTEGER NOT NULL,
+    v_full_scale_mv     INTEGER NOT NULL,  -- what code -2048 stands for
+    i_full_scale_ma     INTEGER NOT NULL,
+    pairs               INTEGER NOT NULL,
+    trajectory          INTEGER NOT NULL,
+    not_kept            TEXT,              -- why the samples are not here: 'policy', 'tells nothing', 'size'
+    pairs_zst           BLOB,              -- pairs of int16 v, int16 i, little-endian, in zstd
+    trajectory_zst      BLOB,              -- int32 R in microohm, int32 L in picohenry, likewise
+    UNIQUE (device, boot, seq),
+    CHECK ((not_kept IS NULL) = (pairs_zst IS NOT NULL)),
+    CHECK ((pairs_zst IS NULL) = (trajectory_zst IS NULL))
+) STRICT;
+CREATE INDEX windows_in_time ON windows (device, at_ms);
+";

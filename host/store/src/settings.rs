@@ -1,0 +1,129 @@
+//! What is kept, and for how long.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// How the store keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// For how long, and how much.
+    pub retention: Retention,
+    /// Which windows are kept with their samples.
+    pub keep: Keep,
+}
+
+/// For how long windows are kept, and how much of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Retention {
+    /// Days after which a day's windows are deleted; none for never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_age_days: Option<u32>,
+    /// Bytes that all windows may take on disk: the oldest days are deleted first, today's never.
+    pub max_bytes: u64,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self {
+            max_age_days: None,
+            max_bytes: 2_000_000_000,
+        }
+    }
+}
+
+/// Which windows are kept with their samples. Of every window there is a row.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Keep {
+    /// All: `"all"`.
+    #[default]
+    All,
+    /// One in so many that arrive in a session: `"one-in-10"`.
+    OneIn(u32),
+    /// Those that the gate refused or that changed the lookup, and those nobody has looked at yet:
+    /// `"telling"`.
+    Telling,
+}
+
+impl fmt::Display for Keep {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::All => f.write_str("all"),
+            Self::OneIn(n) => write!(f, "one-in-{n}"),
+            Self::Telling => f.write_str("telling"),
+        }
+    }
+}
+
+/// A word that names no policy.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} says not which windows to keep: all, telling, or one-in-N with an N above 0")]
+pub struct UnknownKeep(pub String);
+
+impl FromStr for Keep {
+    type Err = UnknownKeep;
+
+    fn from_str(text: &str) -> Result<Self, UnknownKeep> {
+        match text {
+            "all" => Ok(Self::All),
+            "telling" => Ok(Self::Telling),
+            _ => text
+                .strip_prefix("one-in-")
+                .and_then(|n| n.parse().ok())
+                .filter(|n| *n > 0)
+                .map(Self::OneIn)
+                .ok_or_else(|| UnknownKeep(text.to_owned())),
+        }
+    }
+}
+
+impl Serialize for Keep {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Keep {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_is_a_word() {
+        for keep in [Keep::All, Keep::OneIn(7), Keep::Telling] {
+            assert_eq!(keep.to_string().parse(), Ok(keep));
+            let json = serde_json::to_string(&keep).unwrap();
+            assert_eq!(serde_json::from_str::<Keep>(&json).unwrap(), keep);
+        }
+        for wrong in [
+            "",
+            "one-in-0",
+            "one-in-",
+            "one-in--1",
+            "ALL",
+            "one-in-4294967296",
+        ] {
+            assert_eq!(wrong.parse::<Keep>(), Err(UnknownKeep(wrong.to_owned())));
+        }
+    }
+
+    #[test]
+    fn what_is_not_said_is_as_documented_and_a_wrong_key_is_an_error() {
+        let settings: Settings = serde_json::from_str("{}").unwrap();
+        assert_eq!(settings.retention.max_bytes, 2_000_000_000);
+        assert_eq!(
+            (settings.retention.max_age_days, settings.keep),
+            (None, Keep::All)
+        );
+        assert!(serde_json::from_str::<Settings>(r#"{"kept":"all"}"#).is_err());
+    }
+}

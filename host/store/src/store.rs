@@ -1,0 +1,364 @@
+//! The store that one process writes: devices, sessions, windows as they come.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use ihd_link::Window;
+use ihd_shared::wire::messages::{FrontEnd, Hello};
+use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
+use serde::Serialize;
+
+use super::clock::{self, Clock};
+use super::folder::{self, DayFile, Lock};
+use super::text::printable;
+use super::windows::{Day, Kept, NotKept, OpenDays};
+use super::{DeviceId, Keep, SessionId, Settings, StoreError, start};
+
+/// The store. Its methods block, and what one has returned `Ok` for is committed.
+pub struct Store {
+    folder: PathBuf,
+    path: PathBuf,
+    settings: Settings,
+    clock: Clock,
+    records: Connection,
+    pub(crate) days: OpenDays,
+    sessions: HashMap<SessionId, Session>,
+    /// Bytes of all days but today, and of those set aside.
+    pub(crate) other_days_bytes: u64,
+    figures: Figures,
+    /// Let go last.
+    _lock: Lock,
+}
+
+/// What a window's row takes of its session.
+#[derive(Clone)]
+pub(crate) struct Session {
+    pub(crate) device: DeviceId,
+    pub(crate) name: String,
+    pub(crate) boot: u32,
+    /// Windows that came so far.
+    windows: u32,
+}
+
+/// What the store has done since it was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Figures {
+    /// Windows stored, with their samples or without.
+    pub windows: u64,
+    /// Windows that came twice.
+    pub windows_known: u64,
+    /// Windows stored without their samples because the policy says so.
+    pub not_kept_by_policy: u64,
+    /// Windows stored without their samples because today's take all that windows may.
+    pub not_kept_for_size: u64,
+}
+
+const END_CUT_OFF: &str = "UPDATE sessions SET ended_ms = ?1,
+    why = 'cut off: the process ended without ending it' WHERE ended_ms IS NULL";
+
+const NEW_SESSION: &str = "
+INSERT INTO sessions (device, boot, began_ms, build, board, protocol_major, protocol_minor, capabilities,
+    reset_reason, fault_before_reset, v_full_scale_mv, i_full_scale_ma, bus_full_scale_mv,
+    mains_full_scale_mv, bits)
+VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)";
+
+const SESSION: &str = "SELECT device, devices.name, boot FROM sessions
+JOIN devices ON devices.id = sessions.device WHERE sessions.id = ?1";
+
+impl Store {
+    pub(crate) fn new(
+        folder: &Path,
+        settings: &Settings,
+        clock: Clock,
+        records: Connection,
+        lock: Lock,
+    ) -> Result<Self, StoreError> {
+        Ok(Self {
+            folder: folder.to_owned(),
+            path: folder.join(folder::RECORDS),
+            settings: *settings,
+            clock,
+            records,
+            days: OpenDays::default(),
+            sessions: HashMap::new(),
+            other_days_bytes: 0,
+            figures: Figures::default(),
+            _lock: lock,
+        })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What it has done since it was opened.
+    pub fn figures(&self) -> Figures {
+        self.figures
+    }
+
+    pub(crate) fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    pub(crate) fn records(&self) -> &Connection {
+        &self.records
+    }
+
+    pub(crate) fn now(&self) -> i64 {
+        (self.clock)()
+    }
+
+    pub(crate) fn failed(
+        &self,
+        doing: &'static str,
+    ) -> impl FnOnce(rusqlite::Error) -> StoreError + use<> {
+        StoreError::database(&self.path, doing)
+    }
+
+    /// Changes `ihd.db` in one transaction: all of it, or nothing.
+    pub(crate) fn change<T>(
+        &mut self,
+        doing: &'static str,
+        change: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>,
+    ) -> Result<T, StoreError> {
+        let failed = self.failed(doing);
+        let behavior = TransactionBehavior::Immediate;
+        let all = || {
+            let transaction = self.records.transaction_with_behavior(behavior)?;
+            let done = change(&transaction)?;
+            transaction.commit()?;
+            Ok(done)
+        };
+        all().map_err(failed)
+    }
+
+    /// The device of this name, which is made where there is none; its address is the one that is given.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn device(&mut self, name: &str, address: &str) -> Result<DeviceId, StoreError> {
+        let row = params![printable(name), printable(address), self.now()];
+        self.change("storing a device", |change| {
+            change.query_row(
+                "INSERT INTO devices (name, address, first_seen_ms) VALUES (?1, ?2, ?3)
+                 ON CONFLICT (name) DO UPDATE SET address = excluded.address RETURNING id",
+                row,
+                |row| row.get(0),
+            )
+        })
+    }
+
+    /// Begins a session: a connection that was shaken hands on.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn begin_session(
+        &mut self,
+        device: DeviceId,
+        hello: &Hello,
+        front_end: &FrontEnd,
+    ) -> Result<SessionId, StoreError> {
+        let at_ms = self.now();
+        let session = self.change("storing a session", |change| {
+            change.execute(
+                NEW_SESSION,
+                params![
+                    device,
+                    hello.boot_id,
+                    at_ms,
+                    printable(&hello.build),
+                    printable(&hello.board),
+                    hello.protocol_major,
+                    hello.protocol_minor,
+                    hello.capabilities,
+                    hello.reset_reason,
+                    hello.fault_before_reset,
+                    front_end.v_full_scale_mv,
+                    front_end.i_full_scale_ma,
+                    front_end.bus_full_scale_mv,
+                    front_end.mains_full_scale_mv,
+                    front_end.bits,
+                ],
+            )?;
+            Ok(change.last_insert_rowid())
+        })?;
+        self.session(session)?;
+        Ok(session)
+    }
+
+    /// Ends a session.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSession`], or what the database reports.
+    pub fn end_session(&mut self, session: SessionId, why: &str) -> Result<(), StoreError> {
+        let row = params![session, self.now(), printable(why)];
+        let ended = self.change("ending a session", |change| {
+            let sql = "UPDATE sessions SET ended_ms = ?2, why = ?3 WHERE id = ?1";
+            change.execute(sql, row)
+        })?;
+        self.sessions.remove(&session);
+        match ended {
+            0 => Err(StoreError::NoSession { session }),
+            _ => Ok(()),
+        }
+    }
+
+    pub(crate) fn end_sessions_that_were_cut_off(&mut self) -> Result<(), StoreError> {
+        let at_ms = self.now();
+        self.change("ending sessions", |change| {
+            change.execute(END_CUT_OFF, [at_ms]).map(drop)
+        })
+    }
+
+    pub(crate) fn session(&mut self, session: SessionId) -> Result<&mut Session, StoreError> {
+        use std::collections::hash_map::Entry;
+        match self.sessions.entry(session) {
+            Entry::Occupied(known) => Ok(known.into_mut()),
+            Entry::Vacant(vacant) => {
+                let found = self
+                    .records
+                    .query_row(SESSION, [session], |row| {
+                        Ok(Session {
+                            device: row.get(0)?,
+                            name: row.get(1)?,
+                            boot: row.get(2)?,
+                            windows: 0,
+                        })
+                    })
+                    .optional()
+                    .map_err(StoreError::database(&self.path, "reading a session"))?;
+                let found = found.ok_or(StoreError::NoSession { session })?;
+                Ok(vacant.insert(found))
+            }
+        }
+    }
+
+    /// Stores a window: its row always, its samples as the settings say.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSession`], or what the database or the operating system reports.
+    pub fn keep_window(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
+        match self.keep(session, window) {
+            Err(error) if error.is_damage() => {
+                self.set_today_aside(&error)?;
+                self.keep(session, window)
+            }
+            kept => kept,
+        }
+    }
+
+    fn keep(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
+        let Session {
+            name,
+            boot,
+            windows,
+            ..
+        } = self.session(session)?.clone();
+        let at_ms = self.now();
+        self.turn_to(&clock::day(at_ms))?;
+        let before = self.days.before.as_ref();
+        if before.map_or(Ok(false), |day| day.holds(&name, boot, window.seq))? {
+            self.figures.windows_known += 1;
+            return Ok(Kept::Known);
+        }
+        let not_kept = self.not_kept(windows)?;
+        let Some(today) = &self.days.today else {
+            // `turn_to` has opened it.
+            return Err(StoreError::NoStore {
+                folder: self.folder.clone(),
+            });
+        };
+        let kept = today.insert(&name, boot, at_ms, window, not_kept)?;
+        self.count(kept, not_kept);
+        if kept == Kept::New {
+            self.session(session)?.windows = windows.wrapping_add(1);
+        }
+        Ok(kept)
+    }
+
+    /// Why the samples of a window are not kept that so many of its session came before.
+    fn not_kept(&mut self, windows: u32) -> Result<Option<NotKept>, StoreError> {
+        if let Keep::OneIn(n) = self.settings.keep
+            && !windows.is_multiple_of(n.max(1))
+        {
+            return Ok(Some(NotKept::Policy));
+        }
+        let room = self.has_room_today()?;
+        Ok((!room).then_some(NotKept::Size))
+    }
+
+    fn count(&mut self, kept: Kept, not_kept: Option<NotKept>) {
+        let figures = &mut self.figures;
+        match (kept, not_kept) {
+            (Kept::Known, _) => {
+                figures.windows_known += 1;
+                return;
+            }
+            (Kept::New, Some(NotKept::Size)) => figures.not_kept_for_size += 1,
+            (Kept::New, Some(_)) => figures.not_kept_by_policy += 1,
+            (Kept::New, None) => {}
+        }
+        figures.windows += 1;
+    }
+
+    /// Opens the day's file; yesterday's stays open for what still comes for it.
+    fn turn_to(&mut self, day: &str) -> Result<(), StoreError> {
+        if self.days.today.as_ref().is_some_and(|t| t.file.day == day) {
+            return Ok(());
+        }
+        let path = folder::of_day(&self.folder, day);
+        let file = DayFile {
+            day: day.to_owned(),
+            path,
+        };
+        let before = match self.days.today.take() {
+            Some(before) => Some(before),
+            None => self.last_day_before(day)?,
+        };
+        self.days.before = before.filter(|before| before.file.day != day);
+        self.days.today = Some(Day::open(file)?);
+        self.measure_other_days()?;
+        self.delete_old_days()?;
+        Ok(())
+    }
+
+    fn last_day_before(&self, day: &str) -> Result<Option<Day>, StoreError> {
+        let mut days = folder::days(&self.folder)?;
+        days.retain(|file| *file.day < *day);
+        days.pop().map(Day::open).transpose()
+    }
+
+    /// A day's file broke while it was written: the store goes on with a new one.
+    fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
+        for day in [self.days.today.take(), self.days.before.take()] {
+            let Some(day) = day else { continue };
+            let path = day.path().to_owned();
+            drop(day);
+            let broken = match error {
+                StoreError::Damaged { file, .. } | StoreError::Database { file, .. } => {
+                    *file == path
+                }
+                _ => false,
+            };
+            if broken {
+                let damage = folder::set_aside(&path, error.to_string(), self.now())?;
+                tracing::error!("{}", start::in_words(&damage));
+                self.event(None, "damage", &start::in_words(&damage))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Drops a window's samples where they are. That it fails is told, and does no harm: a collection does
+    /// it later.
+    pub(crate) fn drop_samples(&self, name: &str, boot: u32, seq: u32, why: NotKept) {
+        for day in self.days.each() {
+            match day.drop_samples(name, boot, seq, why) {
+                Ok(true) => return,
+                Ok(false) => {}
+                Err(error) => tracing::warn!("{error}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! One day's windows.
+
+use std::path::{Path, PathBuf};
+
+use ihd_link::Window;
+use ihd_shared::sampling::Scales;
+use rusqlite::{Connection, OptionalExtension, Row, params};
+use serde::Serialize;
+
+use super::folder::DayFile;
+use super::schema::WINDOWS;
+use super::{StoreError, database, payload};
+
+/// Whether a window was new.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kept {
+    /// It is in the store now.
+    New,
+    /// It was there already: it came twice.
+    Known,
+}
+
+/// Why a window's samples are not in the store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NotKept {
+    /// One in so many is kept, and it is none of those.
+    Policy,
+    /// The gate let it pass, and it changed nothing.
+    TellsNothing,
+    /// Today's windows take all that windows may.
+    Size,
+}
+
+impl NotKept {
+    pub(crate) fn word(self) -> &'static str {
+        match self {
+            Self::Policy => "policy",
+            Self::TellsNothing => "tells nothing",
+            Self::Size => "size",
+        }
+    }
+}
+
+/// A window's row without its samples.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct WindowRow {
+    /// The device's name.
+    pub device: String,
+    /// The device's boot.
+    pub boot: u32,
+    /// Counts every window that was due since the boot.
+    pub seq: u32,
+    /// When it was stored, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// Half-cycle since the boot.
+    pub half_cycle: u32,
+    /// Switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// Pairs of samples.
+    pub pairs: u32,
+    /// Why its samples are not here; none where they are.
+    pub not_kept: Option<String>,
+    /// Bytes that its samples and trajectory take, packed.
+    pub packed_bytes: u32,
+}
+
+/// Which windows.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WindowFilter {
+    /// Those of this device alone.
+    pub device: Option<String>,
+    /// Those stored at this time or later, in milliseconds since 1970, UTC.
+    pub since_ms: Option<i64>,
+    /// Those of this boot alone.
+    pub boot: Option<u32>,
+    /// That of this number alone.
+    pub seq: Option<u32>,
+}
+
+/// A day's database, open.
+pub(crate) struct Day {
+    pub(crate) file: DayFile,
+    pub(crate) connection: Connection,
+}
+
+const INSERT: &str = "
+INSERT INTO windows (device, boot, seq, at_ms, half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns,
+    first_trajectory_ns, saturated, lookup_version, v_full_scale_mv, i_full_scale_ma, pairs, trajectory,
+    not_kept, pairs_zst, trajectory_zst)
+VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18)
+ON CONFLICT (device, boot, seq) DO NOTHING";
+
+const ROWS: &str = "
+SELECT device, boot, seq, at_ms, half_cycle, f_sw_hz, pairs, not_kept,
+    coalesce(length(pairs_zst) + length(trajectory_zst), 0)
+FROM windows
+WHERE (?1 IS NULL OR device = ?1) AND (?2 IS NULL OR at_ms >= ?2) AND (?3 IS NULL OR boot = ?3)
+    AND (?4 IS NULL OR seq = ?4)
+ORDER BY device, boot, seq";
+
+const WHOLE: &str = "
+SELECT half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns, first_trajectory_ns, saturated, lookup_version,
+    v_full_scale_mv, i_full_scale_ma, pairs, trajectory, pairs_zst, trajectory_zst
+FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
+
+impl Day {
+    /// Opens a day to write, and makes its file where there is none.
+    pub(crate) fn open(file: DayFile) -> Result<Self, StoreError> {
+        let connection = database::open(&file.path, &WINDOWS)?;
+        Ok(Self { file, connection })
+    }
+
+    /// Opens a day to read.
+    pub(crate) fn open_to_read(file: DayFile) -> Result<Self, StoreError> {
+        let connection = database::open_to_read(&file.path, &WINDOWS)?;
+        Ok(Self { file, connection })
+    }
+
+    fn failed(&self, doing: &'static str) -> impl FnOnce(rusqlite::Error) -> StoreError {
+        StoreError::database(&self.file.path, doing)
+    }
+
+    /// Stores a window, with its samples or with why they are not kept.
+    pub(crate) fn insert(
+        &self,
+        device: &str,
+        boot: u32,
+        at_ms: i64,
+        window: &Window,
+        not_kept: Option<NotKept>,
+    ) -> Result<Kept, StoreError> {
+        let packing = || StoreError::files(&self.file.path, "packing a window");
+        let payload = match not_kept {
+            None => Some(payload::pack(window).map_err(packing())?),
+            Some(_) => None,
+        };
+        let rows = self.connection.execute(
+            INSERT,
+            params![
+                device,
+                boot,
+                window.seq,
+                at_ms,
+                window.half_cycle,
+                window.f_sw_hz,
+                window.half_cycle_ns,
+                window.first_pair_ns,
+                window.first_trajectory_ns,
+                window.saturated,
+                window.lookup_version,
+                window.scales.v_full_scale_mv,
+                window.scales.i_full_scale_ma,
+                window.pairs.len() as i64,
+                window.trajectory.len() as i64,
+                not_kept.map(NotKept::word),
+                payload.as_ref().map(|p| p.pairs.as_slice()),
+                payload.as_ref().map(|p| p.trajectory.as_slice()),
+            ],
+        );
+        match rows.map_err(self.failed("storing a window"))? {
+            0 => Ok(Kept::Known),
+            _ => Ok(Kept::New),
+        }
+    }
+
+    /// Whether it holds a window, with its samples or without.
+    pub(crate) fn holds(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
+        let found = self.connection.query_row(
+            "SELECT EXISTS (SELECT 1 FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3)",
+            params![device, boot, seq],
+            |row| row.get(0),
+        );
+        found.map_err(self.failed("looking for a window"))
+    }
+
+    /// Drops a window's samples; false where it has none here.
+    pub(crate) fn drop_samples(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+        why: NotKept,
+    ) -> Result<bool, StoreError> {
+        let rows = self.connection.execute(
+            "UPDATE windows SET not_kept = ?4, pairs_zst = NULL, trajectory_zst = NULL
+             WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND pairs_zst IS NOT NULL",
+            params![device, boot, seq, why.word()],
+        );
+        Ok(rows.map_err(self.failed("dropping a window's samples"))? > 0)
+    }
+
+    /// Bytes in use; what was freed is used again before the file grows.
+    pub(crate) fn used_bytes(&self) -> Result<u64, StoreError> {
+        let pragma = |name: &str| {
+            let value = self
+                .connection
+                .pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+            value.map_err(self.failed("measuring"))
+        };
+        let pages = pragma("page_count")? - pragma("freelist_count")?;
+        let bytes = pages.saturating_mul(pragma("page_size")?);
+        Ok(u64::try_from(bytes).unwrap_or(0))
+    }
+
+    /// The windows that a filter takes, in order of device, boot and number.
+    pub(crate) fn rows(&self, filter: &WindowFilter) -> Result<Vec<WindowRow>, StoreError> {
+        let read = || -> rusqlite::Result<Vec<WindowRow>> {
+            let mut statement = self.connection.prepare(ROWS)?;
+            let of = params![filter.device, filter.since_ms, filter.boot, filter.seq];
+            statement.query_map(of, window_row)?.collect()
+        };
+        read().map_err(self.failed("listing windows"))
+    }
+
+    /// A window; none where it, or its samples, are not here.
+    pub(crate) fn window(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<Window>, StoreError> {
+        let stored = self
+            .connection
+            .query_row(WHOLE, params![device, boot, seq], |row| {
+                Stored::read(row, seq)
+            })
+            .optional()
+            .map_err(self.failed("reading a window"))?;
+        let Some(stored) = stored.flatten() else {
+            return Ok(None);
+        };
+        let unpacked = stored.unpack().map_err(|why| StoreError::Window {
+            file: self.file.path.clone(),
+            device: device.to_owned(),
+            boot,
+            seq,
+            why,
+        });
+        unpacked.map(Some)
+    }
+
+    /// Every window, for its samples to be looked at.
+    pub(crate) fn keys(&self) -> Result<Vec<(String, u32, u32)>, StoreError> {
+        let rows = self.rows(&WindowFilter::default())?;
+        let kept = rows.into_iter().filter(|row| row.not_kept.is_none());
+        Ok(kept.map(|row| (row.device, row.boot, row.seq)).collect())
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.file.path
+    }
+}
+
+fn window_row(row: &Row<'_>) -> rusqlite::Result<WindowRow> {
+    Ok(WindowRow {
+        device: row.get(0)?,
+        boot: row.get(1)?,
+        seq: row.get(2)?,
+        at_ms: row.get(3)?,
+        half_cycle: row.get(4)?,
+        f_sw_hz: row.get(5)?,
+        pairs: row.get(6)?,
+        not_kept: row.get(7)?,
+        packed_bytes: row.get(8)?,
+    })
+}
+
+/// A row as it is stored.
+struct Stored {
+    window: Window,
+    counts: [usize; 2],
+    packed: [Vec<u8>; 2],
+}
+
+impl Stored {
+    /// None where its samples are not kept.
+    fn read(row: &Row<'_>, seq: u32) -> rusqlite::Result<Option<Self>> {
+        let (Some(pairs), Some(trajectory)) = (row.get(11)?, row.get(12)?) else {
+            return Ok(None);
+        };
+        let count = |k: usize| row.get::<_, u32>(k).map(|n| n as usize);
+        Ok(Some(Self {
+            window: Window {
+                seq,
+                half_cycle: row.get(0)?,
+                f_sw_hz: row.get(1)?,
+                half_cycle_ns: row.get(2)?,
+                first_pair_ns: row.get(3)?,
+                pairs: Vec::new(),
+                first_trajectory_ns: row.get(4)?,
+                trajectory: Vec::new(),
+                saturated: row.get(5)?,
+                lookup_version: row.get(6)?,
+                scales: Scales {
+                    v_full_scale_mv: row.get(7)?,
+                    i_full_scale_ma: row.get(8)?,
+                },
+            },
+            counts: [count(9)?, count(10)?],
+            packed: [pairs, trajectory],
+        }))
+    }
+
+    fn unpack(self) -> Result<Window, String> {
+        Ok(Window {
+            pairs: payload::pairs(&self.packed[0], self.counts[0])?,
+            trajectory: payload::trajectory(&self.packed[1], self.counts[1])?,
+            ..self.window
+        })
+    }
+}
+
+/// Today's windows, and those of the day before, which verdicts still come for after midnight.
+#[derive(Default)]
+pub(crate) struct OpenDays {
+    pub(crate) today: Option<Day>,
+    pub(crate) before: Option<Day>,
+}
+
+impl OpenDays {
+    pub(crate) fn each(&self) -> impl Iterator<Item = &Day> {
+        self.today.iter().chain(&self.before)
+    }
+
+    /// Closes a day's database, if it is open.
+    pub(crate) fn close(&mut self, path: &PathBuf) {
+        for day in [&mut self.today, &mut self.before] {
+            if day.as_ref().is_some_and(|open| open.file.path == *path) {
+                *day = None;
+            }
+        }
+    }
+}
