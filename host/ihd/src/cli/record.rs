@@ -17,6 +17,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::interrupt;
+use super::output;
 use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
 use crate::report::utilisation;
@@ -199,32 +200,43 @@ impl RecordArgs {
 
     fn print(&self, r: &Report) -> Result<()> {
         if self.json {
-            println!("{}", serde_json::to_string_pretty(r)?);
-            return Ok(());
+            return output::json(r);
         }
         let (l, path) = (&r.link, r.file.display());
-        println!(
+        say!(
             "recorded   {path}, {} bytes, {:.1} s, ended by {}",
-            r.bytes, r.seconds, r.ended_by
-        );
-        println!("device     {}", r.device);
-        println!(
+            r.bytes,
+            r.seconds,
+            r.ended_by
+        )?;
+        say!("device     {}", r.device)?;
+        say!(
             "scales     ±{} V, ±{} A, {} bits",
-            r.v_full_scale_v, r.i_full_scale_a, r.bits
-        );
-        println!(
+            r.v_full_scale_v,
+            r.i_full_scale_a,
+            r.bits
+        )?;
+        say!(
             "telemetry  {} received, {} missing, {} dropped by the device",
-            l.telemetry, l.telemetry_missing, r.device_telemetry_dropped
-        );
-        println!(
+            l.telemetry,
+            l.telemetry_missing,
+            r.device_telemetry_dropped
+        )?;
+        say!(
             "windows    {} received, {} missing, {} rejected, {} dropped by the device",
-            l.windows, l.windows_missing, l.windows_rejected, r.device_windows_dropped
-        );
-        println!(
+            l.windows,
+            l.windows_missing,
+            l.windows_rejected,
+            r.device_windows_dropped
+        )?;
+        say!(
             "frames     {} good, {} bad, {} lost; {} fault events",
-            l.frames_good, l.frames_bad, l.frames_lost, r.faults
-        );
-        println!("processor  {}", r.processor_line);
+            l.frames_good,
+            l.frames_bad,
+            l.frames_lost,
+            r.faults
+        )?;
+        say!("processor  {}", r.processor_line)?;
         Ok(())
     }
 }

@@ -116,16 +116,6 @@ impl Daemon {
         }
     }
 
-    /// A number of `GET /metrics`, without labels.
-    pub fn metric(&self, name: &str) -> Option<f64> {
-        let (_, text) =
-            http::ask(self.address, "GET", "/metrics", "", Duration::from_secs(5)).ok()?;
-        let value = text
-            .lines()
-            .find_map(|line| line.strip_prefix(name)?.strip_prefix(' '))?;
-        value.trim().parse().ok()
-    }
-
     /// All of `GET /metrics`.
     pub fn metrics(&self) -> String {
         http::ask(self.address, "GET", "/metrics", "", Duration::from_secs(5))

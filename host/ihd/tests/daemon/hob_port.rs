@@ -64,6 +64,7 @@ fn a_host_that_says_no_hello_is_let_go_after_five_seconds() {
 }
 
 #[test]
+#[ignore = "three quarters of a minute: cargo xtask daemon runs it"]
 fn a_silent_host_gives_way_after_ten_seconds_and_goes_after_thirty() {
     let hob = hob(&["--speed", "0.1"]);
     let hello = framed(&ours(ROLE_HOST, 0, 0, "test", "test"));

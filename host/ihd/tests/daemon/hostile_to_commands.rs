@@ -51,12 +51,12 @@ fn against_all(name: &str, arguments: &[&str], allowed: &[i32]) {
 
 fn against(
     scenario: &str,
-    mut serve: hostile::Serve,
+    serve: hostile::Serve,
     arguments: &[&str],
     allowed: &[i32],
 ) -> Result<String, String> {
     let failed = |e: io::Error| format!("the test itself failed: {e}");
-    let port = Port::open(move |wire| serve(wire)).map_err(failed)?;
+    let port = Port::open(serve).map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
     let (out, err) = (folder.path().join("out"), folder.path().join("err"));
     let mut command = ihd(folder.path());

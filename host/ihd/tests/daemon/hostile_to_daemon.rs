@@ -31,7 +31,7 @@ fn hostile_devices_cost_neither_time_nor_memory_nor_the_others() {
         let good = Player::start(1, Arc::clone(&tapes), 1.0).unwrap();
         let ports: Vec<_> = group
             .iter()
-            .map(|&(_, mut serve)| Port::open(move |w| serve(&mut *w)).unwrap())
+            .map(|&(_, serve)| Port::open(serve).unwrap())
             .collect();
         let mut devices = vec![("good".to_owned(), good.address())];
         devices.extend(

@@ -119,16 +119,6 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Version of the lookup that it uses.
-    pub fn lookup_version(&self) -> u32 {
-        self.device.status.lookup_version
-    }
-
-    /// Whether a host's power has it heat.
-    pub fn is_heating_for_host(&self) -> bool {
-        self.device.status.asked_w > 0 && self.act != Act::Heat
-    }
-
     /// Does something to it.
     pub fn act(&mut self, act: Act) {
         self.act = act;

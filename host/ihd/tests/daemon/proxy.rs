@@ -352,8 +352,7 @@ fn sent_through(faults: Faults, frames: &[Vec<u8>]) -> (Vec<u8>, Proxy) {
 
 fn numbered_frames(count: u16) -> Vec<Vec<u8>> {
     let frame = |k: u16| {
-        let [a, b] = k.to_le_bytes();
-        let body = [a | 1, b | 1, 0x55, (k % 251) as u8 | 1];
+        let body = [1 + (k % 250) as u8, 1 + (k / 250) as u8, 0x55, 0xAA];
         [&[0][..], &body, &body, &body, &[0]].concat()
     };
     (0..count).map(frame).collect()
