@@ -3,6 +3,7 @@
 #[cfg(feature = "pinn")]
 mod command_line;
 mod convert;
+mod exit_codes;
 mod identify;
 mod identify_accuracy;
 mod inspect;
@@ -10,3 +11,5 @@ mod record_replay;
 mod simulate;
 #[cfg(feature = "pinn")]
 mod study_paper;
+#[cfg(feature = "pinn")]
+mod trainer;

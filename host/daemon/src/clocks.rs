@@ -1,0 +1,118 @@
+//! Whether this machine was asleep, and when to try again.
+
+use std::time::{Duration, Instant, SystemTime};
+
+/// A turn that comes this late was not merely busy: the machine slept, or this process was stopped.
+const SLEPT: Duration = Duration::from_secs(5);
+
+/// Watches the clocks for time in which nothing ran.
+pub struct Clocks {
+    turn: Instant,
+    wall: SystemTime,
+}
+
+impl Default for Clocks {
+    fn default() -> Self {
+        Self {
+            turn: Instant::now(),
+            wall: SystemTime::now(),
+        }
+    }
+}
+
+impl Clocks {
+    /// To be called many times a second; how long nothing ran, where that was long.
+    pub fn turn(&mut self) -> Option<Duration> {
+        self.turn_at(Instant::now(), SystemTime::now())
+    }
+
+    /// The clock that counts turns stands still while most machines sleep, the wall's goes on; that of a
+    /// process that was stopped goes on as well.
+    fn turn_at(&mut self, turn: Instant, wall: SystemTime) -> Option<Duration> {
+        let awake = turn.saturating_duration_since(self.turn);
+        let passed = wall.duration_since(self.wall).unwrap_or_default();
+        (self.turn, self.wall) = (turn, wall);
+        if awake >= SLEPT {
+            return Some(awake.max(passed));
+        }
+        (passed.saturating_sub(awake) >= SLEPT).then_some(passed)
+    }
+}
+
+/// Waits between two tries: longer each time, and not at the same time for every device.
+pub struct Backoff {
+    next: Duration,
+    state: u64,
+}
+
+const SHORTEST: Duration = Duration::from_millis(200);
+const LONGEST: Duration = Duration::from_secs(5);
+
+impl Backoff {
+    /// From a seed, so that a run can be repeated.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            next: SHORTEST,
+            state: seed,
+        }
+    }
+
+    /// The next wait: 75 to 125 % of 0.2 s doubled each time, up to 5 s.
+    pub fn wait(&mut self) -> Duration {
+        // splitmix64.
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        let wait = self
+            .next
+            .mul_f64(0.75 + 0.5 * (z >> 11) as f64 / (1u64 << 53) as f64);
+        self.next = (2 * self.next).min(LONGEST);
+        wait
+    }
+
+    /// It went well: the next wait is short again.
+    pub fn reset(&mut self) {
+        self.next = SHORTEST;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sleep_and_stops_are_seen_and_a_clock_that_is_set_back_is_not() {
+        let (t, w) = (Instant::now(), SystemTime::now());
+        let s = Duration::from_secs;
+        for (turn_s, wall_s, slept) in [
+            (1, 1, None),
+            (4, 4, None),
+            (1, 51, Some(s(51))),
+            (50, 50, Some(s(50))),
+            (50, 0, Some(s(50))),
+        ] {
+            let mut clocks = Clocks { turn: t, wall: w };
+            assert_eq!(clocks.turn_at(t + s(turn_s), w + s(wall_s)), slept);
+        }
+        let mut clocks = Clocks { turn: t, wall: w };
+        assert_eq!(clocks.turn_at(t + s(1), w - s(3_600)), None);
+    }
+
+    #[test]
+    fn waits_grow_from_a_fifth_of_a_second_to_five() {
+        let mut backoff = Backoff::new(1);
+        let mut expected = SHORTEST;
+        for _ in 0..20 {
+            let wait = backoff.wait();
+            assert!(wait >= expected.mul_f64(0.749) && wait <= expected.mul_f64(1.251));
+            expected = (2 * expected).min(LONGEST);
+        }
+        let other: Vec<_> = (0..3).map(|_| Backoff::new(2).wait()).collect();
+        assert_eq!(other[0], other[1], "the same seed waits the same");
+        backoff.reset();
+        assert!(backoff.wait() <= SHORTEST.mul_f64(1.251));
+        assert_ne!(Backoff::new(1).wait(), Backoff::new(2).wait());
+    }
+}

@@ -1,0 +1,436 @@
+//! The configuration: `ihd.toml`. A key that is not known is an error, and so is a value that cannot work.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use ihd_link::DeviceSpec;
+use ihd_store::Retention;
+use serde::{Deserialize, Deserializer};
+
+/// Where the daemon listens unless told otherwise.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:8731";
+
+/// Folder of the store unless told otherwise.
+pub const DEFAULT_STORE: &str = "ihd-store";
+
+/// Longest name of a device.
+const LONGEST_NAME: usize = 64;
+
+/// What the daemon is to do. Paths are relative to the working folder.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Folder of the store.
+    #[serde(default = "default_store")]
+    pub store: PathBuf,
+    /// Address of API and dashboard.
+    #[serde(default = "default_listen")]
+    pub listen: SocketAddr,
+    /// Names beside those of the loopback under which a browser may ask for the API.
+    #[serde(default)]
+    pub allowed_hosts: Vec<String>,
+    /// File with a token a role; needed to listen on anything but the loopback.
+    pub token_file: Option<PathBuf>,
+    /// Certificate and key; needed to listen on anything but the loopback.
+    pub tls: Option<Tls>,
+    /// Which windows are kept, and for how long.
+    #[serde(default)]
+    pub keep: Keep,
+    /// Training.
+    #[serde(default)]
+    pub learning: LearningConfig,
+    /// Settings of the network, as `ihd trainer --network` takes them.
+    pub network: Option<toml::Table>,
+    /// Whether boards on USB are found by themselves; without a word, where no device is listed.
+    pub discover_usb: Option<bool>,
+    /// The devices.
+    #[serde(default, rename = "device")]
+    pub devices: Vec<DeviceConfig>,
+}
+
+fn default_store() -> PathBuf {
+    DEFAULT_STORE.into()
+}
+
+fn default_listen() -> SocketAddr {
+    SocketAddr::from(([127, 0, 0, 1], 8731))
+}
+
+/// Certificate and key of the API.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tls {
+    /// PEM file of the certificate chain; without one, a certificate is made and kept in the store.
+    pub certificate: Option<PathBuf>,
+    /// PEM file of its private key.
+    pub key: Option<PathBuf>,
+}
+
+/// What is kept of the windows.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Keep {
+    /// Which windows are kept with their samples: `all`, `one-in-N`, or `telling` (those that were refused or
+    /// changed the lookup).
+    pub windows: ihd_store::Keep,
+    /// Days after which they are deleted; never without.
+    pub max_age_days: Option<u32>,
+    /// Bytes of all windows, beyond which the oldest are deleted.
+    pub max_bytes: u64,
+}
+
+impl Default for Keep {
+    fn default() -> Self {
+        Self {
+            windows: ihd_store::Keep::All,
+            max_age_days: None,
+            max_bytes: Retention::default().max_bytes,
+        }
+    }
+}
+
+/// How training runs.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearningConfig {
+    /// Threads that train, 1 to 64.
+    pub threads: usize,
+    /// Windows that may wait for them, 1 to 1024; a window takes 70 kB.
+    pub queue: usize,
+}
+
+impl Default for LearningConfig {
+    fn default() -> Self {
+        Self {
+            threads: 1,
+            queue: 64,
+        }
+    }
+}
+
+/// A device.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "RawDevice")]
+pub struct DeviceConfig {
+    /// Its name.
+    pub name: String,
+    /// Where it is.
+    pub address: Address,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawDevice {
+    name: String,
+    #[serde(deserialize_with = "spec")]
+    address: DeviceSpec,
+    sim: Option<toml::Table>,
+}
+
+fn spec<'de, D: Deserializer<'de>>(d: D) -> Result<DeviceSpec, D::Error> {
+    let text = String::deserialize(d)?;
+    DeviceSpec::from_str(&text).map_err(serde::de::Error::custom)
+}
+
+impl TryFrom<RawDevice> for DeviceConfig {
+    type Error = String;
+
+    fn try_from(raw: RawDevice) -> Result<Self, String> {
+        let RawDevice { name, address, sim } = raw;
+        if sim.is_some() && address != DeviceSpec::Sim {
+            return Err(format!(
+                "device {name:?}: the table `sim` belongs to address = \"sim\", not to \"{address}\""
+            ));
+        }
+        let sim = sim.unwrap_or_default();
+        Ok(Self {
+            name,
+            address: Address { spec: address, sim },
+        })
+    }
+}
+
+/// Where a device is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Address {
+    /// Kind and place.
+    pub spec: DeviceSpec,
+    /// The simulator's options, for whoever opens it; empty for all but `sim`.
+    pub sim: toml::Table,
+}
+
+impl From<DeviceSpec> for Address {
+    fn from(spec: DeviceSpec) -> Self {
+        Self {
+            spec,
+            sim: toml::Table::new(),
+        }
+    }
+}
+
+impl std::fmt::Display for Address {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.spec.fmt(f)
+    }
+}
+
+/// Why there is no configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read the configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// What the operating system reports.
+        source: std::io::Error,
+    },
+    /// It is not TOML, a key is not known, or a value is of the wrong kind.
+    #[error("the configuration {path}: {source}")]
+    Parse {
+        /// The file.
+        path: String,
+        /// What is wrong, and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A value cannot work.
+    #[error("the configuration {path}: {why}")]
+    Value {
+        /// The file.
+        path: String,
+        /// Key, value, and what to do.
+        why: String,
+    },
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            store: default_store(),
+            listen: default_listen(),
+            allowed_hosts: Vec::new(),
+            token_file: None,
+            tls: None,
+            keep: Keep::default(),
+            learning: LearningConfig::default(),
+            network: None,
+            discover_usb: None,
+            devices: Vec::new(),
+        }
+    }
+}
+
+impl Config {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the file, the key and the value.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let name = path.display().to_string();
+        match fs::read_to_string(path) {
+            Ok(text) => Self::parse(&text, &name),
+            Err(source) => Err(ConfigError::Read { path: name, source }),
+        }
+    }
+
+    /// Reads text; `path` is what messages call it.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn parse(text: &str, path: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|source| ConfigError::Parse {
+            path: path.to_owned(),
+            source: Box::new(source),
+        })?;
+        config.check().map_err(|why| ConfigError::Value {
+            path: path.to_owned(),
+            why,
+        })?;
+        Ok(config)
+    }
+
+    /// Whether boards on USB are looked for.
+    pub fn discovers_usb(&self) -> bool {
+        self.discover_usb.unwrap_or(self.devices.is_empty())
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let mut names = BTreeSet::new();
+        let mut places = BTreeSet::new();
+        for device in &self.devices {
+            check_name(&device.name)?;
+            if !names.insert(&device.name) {
+                return Err(format!("name = {:?} stands twice", device.name));
+            }
+            let place = device.address.to_string();
+            if device.address.spec != DeviceSpec::Sim && !places.insert(place.clone()) {
+                return Err(format!(
+                    "address = {place:?} stands twice: a device has one host"
+                ));
+            }
+        }
+        self.check_values()
+    }
+
+    fn check_values(&self) -> Result<(), String> {
+        if self.store.as_os_str().is_empty() {
+            return Err("store = \"\" names no folder".to_owned());
+        }
+        if !(1..=64).contains(&self.learning.threads) {
+            return Err(format!(
+                "learning.threads = {} is not 1 to 64",
+                self.learning.threads
+            ));
+        }
+        if !(1..=1024).contains(&self.learning.queue) {
+            return Err(format!(
+                "learning.queue = {} is not 1 to 1024",
+                self.learning.queue
+            ));
+        }
+        if self.keep.max_bytes < 1_000_000 {
+            return Err(format!(
+                "keep.max_bytes = {} is less than 1000000, some twenty windows",
+                self.keep.max_bytes
+            ));
+        }
+        if self.keep.max_age_days == Some(0) {
+            return Err("keep.max_age_days = 0 keeps nothing; leave it out for ever".to_owned());
+        }
+        match &self.tls {
+            Some(tls) if tls.certificate.is_some() != tls.key.is_some() => Err(
+                "tls.certificate and tls.key belong together; without both a certificate is made"
+                    .to_owned(),
+            ),
+            _ => Ok(()),
+        }
+    }
+
+    /// How the store keeps.
+    pub fn store_settings(&self) -> ihd_store::Settings {
+        ihd_store::Settings {
+            retention: Retention {
+                max_age_days: self.keep.max_age_days,
+                max_bytes: self.keep.max_bytes,
+            },
+            keep: self.keep.windows,
+        }
+    }
+}
+
+/// Names stand in files, URLs and log lines.
+fn check_name(name: &str) -> Result<(), String> {
+    let plain = |c: char| matches!(c, 'a'..='z' | '0'..='9' | '-' | '_');
+    if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
+        return Err(format!(
+            "name = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ISSUE: &str = r#"
+        store = "ihd-store"
+        listen = "127.0.0.1:8731"
+        [[device]]
+        name = "bench"
+        address = "tcp:127.0.0.1:4711"
+    "#;
+
+    fn refused(text: &str) -> String {
+        Config::parse(text, "ihd.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_example_of_the_issue_is_read() {
+        let config = Config::parse(ISSUE, "ihd.toml").unwrap();
+        assert_eq!(config.store, Path::new("ihd-store"));
+        assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
+        assert_eq!(config.devices.len(), 1);
+        assert_eq!(config.devices[0].name, "bench");
+        assert_eq!(config.devices[0].address.to_string(), "tcp:127.0.0.1:4711");
+        assert!(!config.discovers_usb());
+    }
+
+    #[test]
+    fn nothing_at_all_is_a_configuration_that_looks_for_boards() {
+        let config = Config::parse("", "ihd.toml").unwrap();
+        assert!(config.discovers_usb());
+        assert_eq!(config.keep.max_bytes, 2_000_000_000);
+    }
+
+    #[test]
+    fn every_key_is_read() {
+        let config = Config::parse(
+            r#"
+            store = "/var/lib/ihd"
+            listen = "[::1]:9000"
+            allowed_hosts = ["hob.lan"]
+            token_file = "tokens"
+            discover_usb = true
+            tls = { certificate = "c.pem", key = "k.pem" }
+            keep = { windows = "one-in-10", max_age_days = 30, max_bytes = 5000000 }
+            learning = { threads = 2, queue = 8 }
+            network = { method = "hybrid" }
+            [[device]]
+            name = "a"
+            address = "usb:1234"
+            [[device]]
+            name = "b"
+            address = "sim"
+            sim = { pot = "aluminium", warming = true }
+            "#,
+            "ihd.toml",
+        )
+        .unwrap();
+        assert_eq!(config.store_settings().keep, ihd_store::Keep::OneIn(10));
+        assert_eq!(config.learning.threads, 2);
+        assert!(config.discovers_usb());
+        assert_eq!(config.devices[1].address.sim.len(), 2);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let device = |name: &str, address: &str| {
+            format!("[[device]]\nname = \"{name}\"\naddress = \"{address}\"\n")
+        };
+        let twice = device("a", "sim") + &device("a", "usb");
+        let place = device("a", "tcp:h:1") + &device("b", "tcp:h:1");
+        for (text, words) in [
+            ("stor = \"x\"", &["stor", "store"][..]),
+            ("[keep]\nwindow = 1", &["window"]),
+            (
+                "[keep]\nwindows = \"some\"",
+                &["windows", "some", "telling"],
+            ),
+            ("[keep]\nwindows = \"one-in-0\"", &["one-in-0"]),
+            ("[keep]\nmax_bytes = 1", &["keep.max_bytes = 1"]),
+            ("[learning]\nthreads = 0", &["learning.threads = 0"]),
+            ("listen = \"here\"", &["listen"]),
+            ("[tls]\nkey = \"k\"", &["tls.certificate"]),
+            (&device("A", "sim"), &["\"A\"", "a-z"]),
+            (&device("", "sim"), &["name = \"\""]),
+            (&device("a", "bus:1"), &["bus:1", "tcp:HOST:PORT"]),
+            (&twice, &["\"a\" stands twice"]),
+            (&place, &["tcp:h:1", "twice"]),
+            (
+                "[[device]]\nname = \"a\"\naddress = \"usb\"\nsim = {}",
+                &["sim", "usb"],
+            ),
+            ("[[device]]\nname = \"a\"", &["address"]),
+        ] {
+            let why = refused(text);
+            for word in words {
+                assert!(why.contains(word), "{text}: {why}");
+            }
+            assert!(why.contains("ihd.toml"), "{why}");
+        }
+    }
+}

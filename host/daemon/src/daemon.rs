@@ -1,0 +1,422 @@
+//! The daemon as its users see it: devices, commands, leases, what happens.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store};
+use tokio::sync::{broadcast, oneshot, watch};
+
+use crate::OpenDevice;
+use crate::board::Board;
+use crate::config::Config;
+use crate::device::{Context, Order};
+use crate::face::Face;
+use crate::figures::{Figures, rss_bytes};
+use crate::lease::Taken;
+use crate::model::{Command, CommandError, DeviceReport, Done, Lease, Notice, What};
+use crate::printable::printable;
+use crate::store_thread::{StoreThread, StoreTrouble};
+use crate::supervisor::{Devices, Handle, follow_usb};
+
+/// How long a command may take, whatever the device does.
+const COMMAND_WITHIN: Duration = Duration::from_secs(15);
+
+/// Between two looks at what the store may delete.
+const GARBAGE_EVERY: Duration = Duration::from_secs(600);
+
+/// Longest name of a holder.
+const LONGEST_HOLDER: usize = 128;
+
+/// Why the daemon cannot start, or cannot answer.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// The store.
+    #[error(transparent)]
+    Store(#[from] ihd_store::StoreError),
+    /// The store's thread.
+    #[error(transparent)]
+    StoreThread(#[from] StoreTrouble),
+    /// No thread for the store.
+    #[error("no thread could be started for the store: {0}")]
+    NoThread(std::io::Error),
+    /// No such device.
+    #[error("there is no device {0:?}")]
+    NoDevice(String),
+}
+
+/// The daemon; cheap to clone.
+#[derive(Clone)]
+pub struct Daemon {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    board: Board,
+    store: StoreThread,
+    devices: Arc<Devices>,
+    stop: watch::Sender<bool>,
+    began: Instant,
+    /// Set aside at the start, told to whoever asks.
+    damage: Mutex<Vec<String>>,
+}
+
+impl Daemon {
+    /// Opens the store and starts a task for each device. Heats nothing.
+    ///
+    /// # Errors
+    /// [`DaemonError`] where there is no store, or another process has it.
+    pub async fn start(config: Config, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
+        let board = Board::default();
+        let (folder, settings) = (config.store.clone(), config.store_settings());
+        let opening = tokio::task::spawn_blocking(move || Store::open(&folder, &settings)).await;
+        let opened = opening.map_err(|_| StoreTrouble::Gone("opening it panicked"))??;
+        let mut damage = Vec::new();
+        for found in opened.damage {
+            let text = format!(
+                "{} was damaged ({}), and is {} now",
+                found.from.display(),
+                printable(&found.why),
+                found.to.display()
+            );
+            tracing::error!(text, "store: a damaged file was set aside");
+            damage.push(text);
+        }
+        let store =
+            StoreThread::start(opened.store, board.clone()).map_err(DaemonError::NoThread)?;
+        let (stop, stopped) = watch::channel(false);
+        let context = Context {
+            store: store.clone(),
+            open,
+            recordings: config.store.join("recordings"),
+            stop: stopped,
+        };
+        let devices = Arc::new(Devices::default());
+        for device in &config.devices {
+            let (name, address) = (device.name.clone(), device.address.clone());
+            devices.start(name, address, &context, &board);
+        }
+        if config.discovers_usb() {
+            let following = follow_usb(Arc::clone(&devices), context.clone(), board.clone());
+            devices.beside(following);
+        }
+        devices.beside(keep_tidy(context));
+        Ok(Self {
+            inner: Arc::new(Inner {
+                board,
+                store,
+                devices,
+                stop,
+                began: Instant::now(),
+                damage: Mutex::new(damage),
+            }),
+        })
+    }
+
+    /// Every device, by name.
+    pub fn devices(&self) -> Vec<DeviceReport> {
+        let all = self.inner.devices.all();
+        all.iter().map(|handle| handle.face.report()).collect()
+    }
+
+    /// The device of this name.
+    pub fn device(&self, name: &str) -> Option<DeviceReport> {
+        Some(self.inner.devices.get(name)?.face.report())
+    }
+
+    fn handle(&self, name: &str) -> Result<Handle, CommandError> {
+        let found = self.inner.devices.get(name);
+        found.ok_or_else(|| CommandError::NoDevice {
+            name: printable(name),
+        })
+    }
+
+    /// Carries out a command. All but [`Command::Off`] need the lease: one that is free is taken by the command,
+    /// for as long as it takes, and for [`crate::lease::LEASE_S`] where it heats.
+    ///
+    /// # Errors
+    /// [`CommandError`].
+    pub async fn command(
+        &self,
+        device: &str,
+        holder: &str,
+        command: Command,
+    ) -> Result<Done, CommandError> {
+        let handle = self.handle(device)?;
+        let holder = holder_name(holder);
+        let text = words(&command);
+        let outcome = self.carry_out(&handle, &holder, command).await;
+        let said = match &outcome {
+            Ok(done) => done.text.clone(),
+            Err(error) => error.to_string(),
+        };
+        let ok = outcome.is_ok();
+        tracing::info!(
+            device = handle.face.name,
+            holder,
+            command = text,
+            ok,
+            said,
+            "command"
+        );
+        handle.face.tell(What::Command {
+            holder: holder.clone(),
+            text: text.clone(),
+            ok,
+        });
+        self.audit(&handle.face, holder, text, said).await;
+        outcome
+    }
+
+    async fn carry_out(
+        &self,
+        handle: &Handle,
+        holder: &str,
+        command: Command,
+    ) -> Result<Done, CommandError> {
+        let face = &handle.face;
+        let heats = match &command {
+            Command::Power { power_w } => *power_w > 0,
+            Command::Sweep { .. } => true,
+            _ => false,
+        };
+        let borrowed = match command {
+            Command::Off => false,
+            _ => matches!(self.lease(face, holder, false)?, Taken::New),
+        };
+        let (answer, answered) = oneshot::channel();
+        let order = Order::Command { command, answer };
+        let outcome = tokio::time::timeout(COMMAND_WITHIN, async {
+            handle.orders.send(order).await.ok()?;
+            answered.await.ok()
+        });
+        let outcome = match outcome.await {
+            Ok(Some(outcome)) => outcome,
+            // The device's task has panicked, or is ending.
+            Ok(None) => Err(CommandError::Failed {
+                why: format!(
+                    "{}: the command was not carried out: its task ended",
+                    face.name
+                ),
+            }),
+            Err(_) => Err(CommandError::Failed {
+                why: format!(
+                    "{}: the command was not carried out within {} s",
+                    face.name,
+                    COMMAND_WITHIN.as_secs()
+                ),
+            }),
+        };
+        if borrowed && (!heats || outcome.is_err()) {
+            face.lock().lease.release(holder);
+            self.tell_lease(face, "", "");
+        }
+        outcome
+    }
+
+    /// Takes the lease or renews it. With `force` it is taken from whoever has it, who is told, and whose
+    /// heating ends.
+    ///
+    /// # Errors
+    /// [`CommandError::Leased`] where another has it.
+    pub async fn take_lease(
+        &self,
+        device: &str,
+        holder: &str,
+        force: bool,
+    ) -> Result<Lease, CommandError> {
+        let handle = self.handle(device)?;
+        let holder = holder_name(holder);
+        let face = &handle.face;
+        if let Taken::From(other) = self.lease(face, &holder, force)? {
+            let why = format!("{holder} has taken the lease from {other}");
+            tracing::warn!(device = face.name, "{why}");
+            self.audit(
+                face,
+                holder.clone(),
+                "take-lease --force".to_owned(),
+                why.clone(),
+            )
+            .await;
+            self.end_heating(&handle, why).await;
+        }
+        let now = Instant::now();
+        let lease = face.lock().lease.current(now);
+        lease.ok_or_else(|| CommandError::Failed {
+            why: format!("{}: the lease ran out meanwhile", face.name),
+        })
+    }
+
+    fn lease(&self, face: &Face, holder: &str, force: bool) -> Result<Taken, CommandError> {
+        let taken = face.lock().lease.take(holder, force, Instant::now());
+        let taken = taken.map_err(|lease| CommandError::Leased {
+            name: face.name.clone(),
+            holder: lease.holder,
+            expires_in_s: lease.expires_in_s,
+        })?;
+        match &taken {
+            Taken::Renewed => {}
+            Taken::New => self.tell_lease(face, holder, ""),
+            Taken::From(other) => self.tell_lease(face, holder, other),
+        }
+        Ok(taken)
+    }
+
+    fn tell_lease(&self, face: &Face, holder: &str, taken_from: &str) {
+        face.tell(What::Lease {
+            holder: holder.to_owned(),
+            taken_from: taken_from.to_owned(),
+        });
+    }
+
+    /// Gives the lease back; what was asked for under it is switched off.
+    ///
+    /// # Errors
+    /// [`CommandError::Leased`] where another has it.
+    pub async fn release_lease(&self, device: &str, holder: &str) -> Result<(), CommandError> {
+        let handle = self.handle(device)?;
+        let holder = holder_name(holder);
+        let face = &handle.face;
+        let now = Instant::now();
+        let (released, other) = {
+            let mut inner = face.lock();
+            (inner.lease.release(&holder), inner.lease.current(now))
+        };
+        if let Some(other) = other {
+            return Err(CommandError::Leased {
+                name: face.name.clone(),
+                holder: other.holder,
+                expires_in_s: other.expires_in_s,
+            });
+        }
+        if released {
+            self.tell_lease(face, "", "");
+            self.end_heating(&handle, format!("{holder} has given the lease back"))
+                .await;
+        }
+        Ok(())
+    }
+
+    async fn end_heating(&self, handle: &Handle, why: String) {
+        let (done, ended) = oneshot::channel();
+        let order = Order::LeaseOver { why, done };
+        let ending = async {
+            handle.orders.send(order).await.ok()?;
+            ended.await.ok()
+        };
+        if tokio::time::timeout(COMMAND_WITHIN, ending).await.is_err() {
+            tracing::warn!(device = handle.face.name, "was not switched off in time");
+        }
+    }
+
+    async fn audit(&self, face: &Face, holder: String, command: String, outcome: String) {
+        let (name, address) = (face.name.clone(), face.address.clone());
+        let audited = self.inner.store.run(move |store| {
+            let device = store.device(&name, &address)?;
+            store.audit(Some(device), &holder, &command, &outcome)
+        });
+        if let Err(error) = audited.await {
+            tracing::warn!(device = face.name, %error, "a command is missing in the audit");
+        }
+    }
+
+    /// Everything that happens, from now on.
+    pub fn watch(&self) -> broadcast::Receiver<Arc<Notice>> {
+        self.inner.board.watch()
+    }
+
+    /// The daemon in numbers.
+    pub fn figures(&self) -> Figures {
+        Figures {
+            devices: self.inner.devices.all().len(),
+            up_s: self.inner.began.elapsed().as_secs_f64(),
+            rss_bytes: rss_bytes(),
+            ..Figures::of_store(&self.inner.store)
+        }
+    }
+
+    /// Files of the store that were found damaged at the start and set aside, in words.
+    pub fn damage(&self) -> Vec<String> {
+        let damage = self.inner.damage.lock();
+        damage.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Results, newest first.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn results(&self, filter: ResultFilter) -> Result<Vec<ResultRow>, DaemonError> {
+        let results = self.inner.store.run(move |store| store.results(&filter));
+        Ok(results.await?)
+    }
+
+    /// Every lookup of a device, oldest first.
+    ///
+    /// # Errors
+    /// [`DaemonError::NoDevice`], or what the store reports.
+    pub async fn lookups(&self, device: &str) -> Result<Vec<LookupRow>, DaemonError> {
+        let handle = self.inner.devices.get(device);
+        let handle = handle.ok_or_else(|| DaemonError::NoDevice(printable(device)))?;
+        let (name, address) = (handle.face.name.clone(), handle.face.address.clone());
+        let lookups = self.inner.store.run(move |store| {
+            let device: DeviceId = store.device(&name, &address)?;
+            store.lookups(device)
+        });
+        Ok(lookups.await?)
+    }
+
+    /// Copies the store while it is used.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn backup(&self, to: PathBuf) -> Result<(), DaemonError> {
+        let backup = self.inner.store.run(move |store| store.backup(&to));
+        Ok(backup.await?)
+    }
+
+    /// Switches off what was asked for through the daemon, stores what is under way, closes the store.
+    pub async fn stop(self) {
+        self.inner.stop.send_replace(true);
+        self.inner.devices.ended().await;
+        self.inner.store.close().await;
+    }
+}
+
+/// Deletes what the store need not keep any more.
+async fn keep_tidy(context: Context) {
+    loop {
+        // The store's trouble is told by its thread.
+        let _ = context.store.run(Store::collect_garbage).await;
+        tokio::select! {
+            () = context.stopping() => return,
+            () = tokio::time::sleep(GARBAGE_EVERY) => {}
+        }
+    }
+}
+
+/// Names come over the API: they end in logs and terminals.
+fn holder_name(holder: &str) -> String {
+    let name: String = printable(holder).chars().take(LONGEST_HOLDER).collect();
+    match name.trim() {
+        "" => "somebody".to_owned(),
+        name => name.to_owned(),
+    }
+}
+
+/// A command in words, for logs and the audit.
+fn words(command: &Command) -> String {
+    match command {
+        Command::Power { power_w } => format!("power {power_w} W"),
+        Command::Off => "off".to_owned(),
+        Command::ClearFault => "clear-fault".to_owned(),
+        Command::LookupPush { blob } => format!("lookup push ({} bytes)", blob.len()),
+        Command::LookupRollback => "lookup rollback".to_owned(),
+        Command::LookupReset => "lookup reset".to_owned(),
+        Command::Sweep { powers_w } => {
+            let powers: Vec<_> = powers_w.iter().take(64).map(u16::to_string).collect();
+            format!("sweep {} W", powers.join(", "))
+        }
+        Command::RecordStart => "record start".to_owned(),
+        Command::RecordStop => "record stop".to_owned(),
+    }
+}

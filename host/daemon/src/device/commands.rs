@@ -1,0 +1,138 @@
+//! What is asked of a device, carried out.
+
+use ihd_link::{Client, LinkError};
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::lookup::RlLookup;
+
+use super::lookups::before_this;
+use super::session::{Ended, Session};
+use super::sweep::Sweep;
+use super::{Answer, Order};
+use crate::model::{Command, CommandError, Done};
+use crate::printable::printable;
+
+/// Powers of one sweep, at most.
+const LONGEST_SWEEP: usize = 64;
+
+impl Session<'_> {
+    /// Carries out an order; an error is the session's end.
+    pub(super) async fn on_order(&mut self, order: Order) -> Result<(), Ended> {
+        match order {
+            Order::LeaseOver { why, done } => {
+                let off = self.off_for(&why).await;
+                let _ = done.send(());
+                off
+            }
+            Order::Command { command, answer } => self.on_command(command, answer).await,
+        }
+    }
+
+    async fn on_command(&mut self, command: Command, answer: Answer) -> Result<(), Ended> {
+        let mut ended = Ok(());
+        let outcome = match command {
+            Command::Off | Command::Power { power_w: 0 } => {
+                let off = self.off().await;
+                let done = off.as_ref().map(|()| "off".to_owned()).map_err(words);
+                ended = off.map_err(|error| Ended::Link(error.to_string()));
+                done
+            }
+            Command::Power { power_w } => self.power(power_w).await,
+            Command::Sweep { powers_w } => self.start_sweep(&powers_w).await,
+            Command::ClearFault => {
+                let cleared = self.ask(Client::clear_fault).await;
+                cleared
+                    .map(|()| "fault cleared".to_owned())
+                    .map_err(|e| words(&e))
+            }
+            Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
+                Ok(lookup) => {
+                    // Answered when the device uses it.
+                    let _ = self.push(lookup, "pushed by hand", Some(answer)).await;
+                    return Ok(());
+                }
+                Err(why) => Err(why.to_string()),
+            },
+            Command::LookupRollback => {
+                let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
+                let rows = self.rows().await.unwrap_or_default();
+                match before_this(on_device, &rows) {
+                    Some(lookup) => {
+                        let why = format!("rolled back to version {}", lookup.version);
+                        let _ = self.push(lookup, &why, Some(answer)).await;
+                        return Ok(());
+                    }
+                    None => Err("the store holds no lookup that was active before".to_owned()),
+                }
+            }
+            Command::LookupReset => {
+                let reset = self.reset_lookup().await;
+                let done = "back to the built-in lookup; what was learned is forgotten";
+                reset.map(|()| done.to_owned()).map_err(|e| words(&e))
+            }
+            Command::RecordStart => return self.answer_with_file(answer, true).await,
+            Command::RecordStop => return self.answer_with_file(answer, false).await,
+        };
+        let _ = answer.send(match outcome {
+            Ok(text) => Ok(Done { text, file: None }),
+            Err(why) => Err(self.refused(&why)),
+        });
+        ended
+    }
+
+    fn refused(&self, why: &str) -> CommandError {
+        CommandError::Refused {
+            name: self.face.name.clone(),
+            why: printable(why),
+        }
+    }
+
+    async fn answer_with_file(&mut self, answer: Answer, start: bool) -> Result<(), Ended> {
+        let (outcome, text) = match start {
+            true => (self.start_recording().await, "recording"),
+            false => (self.stop_recording().await, "recorded"),
+        };
+        let _ = answer.send(match outcome {
+            Ok(file) => Ok(Done {
+                text: text.to_owned(),
+                file: Some(file),
+            }),
+            Err(why) => Err(self.refused(&why)),
+        });
+        Ok(())
+    }
+
+    async fn power(&mut self, power_w: u16) -> Result<String, String> {
+        self.sweep = None;
+        self.face.lock().sweep_left_w.clear();
+        match self.heat(power_w).await {
+            Ok(()) => Ok(format!("{power_w} W asked for")),
+            Err(error) => {
+                if !matches!(error, LinkError::Refused { .. }) {
+                    // Whether it heats is not known: it must not.
+                    let _ = self.off().await;
+                }
+                Err(words(&error))
+            }
+        }
+    }
+
+    async fn start_sweep(&mut self, powers_w: &[u16]) -> Result<String, String> {
+        if powers_w.is_empty() || powers_w.len() > LONGEST_SWEEP {
+            return Err(format!("a sweep has 1 to {LONGEST_SWEEP} powers"));
+        }
+        if let Some(wrong) = powers_w.iter().find(|&&w| w == 0 || w > RATED_POWER_W) {
+            return Err(format!("{wrong} W is not 1 to {RATED_POWER_W} W"));
+        }
+        let sweep = Sweep::new(powers_w);
+        self.face.lock().sweep_left_w = sweep.left_w();
+        self.sweep = Some(sweep);
+        Ok(format!(
+            "sweep through {} powers begun; it ends with the lease",
+            powers_w.len()
+        ))
+    }
+}
+
+fn words(error: &LinkError) -> String {
+    error.to_string()
+}

@@ -1,0 +1,236 @@
+//! The task of one device: finds it, keeps a session with it, finds it again.
+//!
+//! ```text
+//!  searching ──► shakes hands ──► session (session.rs) ──► ended: why ──► searching …
+//!      │              └ another protocol: incompatible, tried again every 30 s
+//!      └ 0.2 s to 5 s between two tries; orders are answered meanwhile
+//! ```
+
+mod commands;
+pub mod lookups;
+mod pushing;
+mod recording;
+mod session;
+pub mod sweep;
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use ihd_link::{AsyncClient, LinkError};
+use tokio::sync::{mpsc, oneshot, watch};
+
+use crate::OpenDevice;
+use crate::clocks::Backoff;
+use crate::config::Address;
+use crate::face::{Face, identity};
+use crate::model::{Command, CommandError, DeviceState, Done, What};
+use crate::store_thread::StoreThread;
+
+pub use session::Ended;
+use session::Session;
+
+/// Between two looks at a device that speaks another protocol.
+const INCOMPATIBLE_EVERY: Duration = Duration::from_secs(30);
+
+/// Events of a device that may wait for its task.
+const EVENTS: usize = 256;
+
+/// A session that lasted this long was a good one: the next try comes soon.
+const GOOD_SESSION: Duration = Duration::from_secs(10);
+
+/// What a device's task is told.
+pub enum Order {
+    /// Carry out a command of whoever has the lease.
+    Command {
+        /// What.
+        command: Command,
+        /// What became of it.
+        answer: Answer,
+    },
+    /// The lease is over: what was asked for under it is to end.
+    LeaseOver {
+        /// Why.
+        why: String,
+        /// Told when it has ended, or cannot be ended from here.
+        done: oneshot::Sender<()>,
+    },
+}
+
+/// Where the outcome of a command goes.
+pub type Answer = oneshot::Sender<Result<Done, CommandError>>;
+
+/// What all devices share.
+#[derive(Clone)]
+pub struct Context {
+    /// The store.
+    pub store: StoreThread,
+    /// Opens an address.
+    pub open: Arc<OpenDevice>,
+    /// Folder of recordings.
+    pub recordings: PathBuf,
+    /// Becomes true when the daemon stops.
+    pub stop: watch::Receiver<bool>,
+}
+
+impl Context {
+    /// Ready once the daemon stops.
+    pub async fn stopping(&self) {
+        // A daemon that is gone stops its devices, too.
+        let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
+    }
+}
+
+/// The task of one device.
+pub struct DeviceTask {
+    /// The device as others see it.
+    pub face: Arc<Face>,
+    /// Where it is.
+    pub address: Address,
+    /// What all devices share.
+    pub context: Context,
+}
+
+impl DeviceTask {
+    /// Runs until the daemon stops.
+    pub async fn run(&self, orders: &mut mpsc::Receiver<Order>) {
+        let mut hasher = DefaultHasher::new();
+        self.face.name.hash(&mut hasher);
+        let mut backoff = Backoff::new(hasher.finish());
+        while !self.is_stopping() {
+            let wait = match self.connect(orders).await {
+                Some(Ok((client, events))) => {
+                    let began = Instant::now();
+                    let ended = self.keep_session(client, events, orders).await;
+                    if began.elapsed() > GOOD_SESSION {
+                        backoff.reset();
+                    }
+                    let (state, detail) = match ended {
+                        Ended::Stopping => return,
+                        Ended::Slept(why) => (DeviceState::Suspended, why),
+                        Ended::Link(why) => (DeviceState::Searching, why),
+                    };
+                    self.face.enter(state, &detail);
+                    backoff.wait()
+                }
+                Some(Err(error)) => self.not_connected(&error, &mut backoff),
+                None => return,
+            };
+            if !self.wait(wait, orders).await {
+                return;
+            }
+        }
+    }
+
+    fn is_stopping(&self) -> bool {
+        *self.context.stop.borrow()
+    }
+
+    /// The state that a failed try leaves, and how long to wait.
+    fn not_connected(&self, error: &LinkError, backoff: &mut Backoff) -> Duration {
+        match error {
+            LinkError::Mismatch { .. } => {
+                self.face
+                    .enter(DeviceState::Incompatible, &error.to_string());
+                INCOMPATIBLE_EVERY
+            }
+            _ => {
+                self.face.enter(DeviceState::Searching, &error.to_string());
+                backoff.wait()
+            }
+        }
+    }
+
+    /// A connection, or why there is none; nothing when the daemon stops.
+    async fn connect(&self, orders: &mut mpsc::Receiver<Order>) -> Option<Connected> {
+        let (events, coming) = mpsc::channel(EVENTS);
+        let (open, address) = (Arc::clone(&self.context.open), self.address.clone());
+        let connecting = AsyncClient::connect(move || open(&address), events);
+        tokio::select! {
+            connected = connecting => Some(connected.map(|client| (client, coming))),
+            () = self.without_device(orders) => None,
+        }
+    }
+
+    /// Waits; false when the daemon stops.
+    async fn wait(&self, time: Duration, orders: &mut mpsc::Receiver<Order>) -> bool {
+        tokio::select! {
+            () = tokio::time::sleep(time) => true,
+            () = self.without_device(orders) => false,
+        }
+    }
+
+    /// Answers orders while there is nobody to carry them out; returns when the daemon stops.
+    async fn without_device(&self, orders: &mut mpsc::Receiver<Order>) {
+        let mut tick = tokio::time::interval(Duration::from_millis(250));
+        loop {
+            tokio::select! {
+                () = self.context.stopping() => return,
+                order = orders.recv() => match order {
+                    None => return,
+                    Some(Order::Command { answer, .. }) => {
+                        let _ = answer.send(Err(self.absent()));
+                    }
+                    Some(Order::LeaseOver { done, .. }) => {
+                        let _ = done.send(());
+                    }
+                },
+                _ = tick.tick() => {
+                    if let Some(holder) = self.face.lock().lease.expired(Instant::now()) {
+                        lease_ended(&self.face, &holder);
+                    }
+                }
+            }
+        }
+    }
+
+    fn absent(&self) -> CommandError {
+        let asked_w = self.face.lock().asked_w;
+        let mut detail = self.face.detail();
+        if asked_w > 0 {
+            detail += "; what was asked of it ends by itself within 10 s";
+        }
+        CommandError::NotConnected {
+            name: self.face.name.clone(),
+            detail,
+        }
+    }
+
+    async fn keep_session(
+        &self,
+        client: AsyncClient,
+        events: mpsc::Receiver<ihd_link::Event>,
+        orders: &mut mpsc::Receiver<Order>,
+    ) -> Ended {
+        let client = Arc::new(client);
+        {
+            let mut inner = self.face.lock();
+            inner.identity = Some(identity(client.hello()));
+            inner.connections = inner.connections.saturating_add(1);
+            inner.client = Some(Arc::clone(&client));
+            inner.last = None;
+        }
+        let mut session = Session::new(&self.face, &self.context, Arc::clone(&client));
+        let ended = session.run(events, orders).await;
+        session.close(&ended).await;
+        drop(session);
+        self.face.lock().client = None;
+        if let Some(client) = Arc::into_inner(client) {
+            // A port or an interface can be opened again only when it is closed.
+            let _ = tokio::time::timeout(Duration::from_secs(5), client.close()).await;
+        }
+        ended
+    }
+}
+
+type Connected = Result<(AsyncClient, mpsc::Receiver<ihd_link::Event>), LinkError>;
+
+/// Tells that a lease has run out.
+fn lease_ended(face: &Face, holder: &str) {
+    tracing::info!(device = face.name, holder, "the lease has run out");
+    face.tell(What::Lease {
+        holder: String::new(),
+        taken_from: String::new(),
+    });
+}

@@ -1,0 +1,247 @@
+//! Lookups on their way to the device: pending in the store, pushed, active when the device says so.
+
+use std::time::{Duration, Instant};
+
+use ihd_link::{Client, LinkError};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_store::LookupRow;
+
+use super::Answer;
+use super::lookups::{Mend, mend, next_version};
+use super::session::Session;
+use crate::model::{CommandError, Done, What};
+use crate::printable::printable;
+
+/// How long a device may take from accepting a lookup to using it: a half-cycle, and what the link needs.
+const ACTIVE_WITHIN: Duration = Duration::from_secs(3);
+
+/// A lookup that the device took and does not use yet.
+pub struct Push {
+    lookup: RlLookup,
+    until: Instant,
+    answer: Option<Answer>,
+}
+
+impl Session<'_> {
+    /// Both sides after a connection was made.
+    pub(super) async fn reconcile(&mut self, on_device: u32) -> Result<(), LinkError> {
+        self.face.lock().lookup.on_device = Some(on_device);
+        let lookup = match self.ask(Client::read_lookup).await {
+            Ok(lookup) => lookup,
+            Err(error @ LinkError::DamagedLookup { .. }) => {
+                tracing::warn!(device = self.face.name, %error, "lookup");
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        };
+        let Some(rows) = self.rows().await else {
+            return Ok(());
+        };
+        for step in mend(&lookup, &rows) {
+            match step {
+                Mend::Nothing => {}
+                Mend::Activate(_) | Mend::Adopt => self.adopt(&lookup).await,
+                Mend::Push(lookup, why) => {
+                    let _ = self.push(*lookup, why, None).await;
+                }
+            }
+        }
+        self.show_lookups().await;
+        Ok(())
+    }
+
+    /// What the store holds; none where it cannot say.
+    pub(super) async fn rows(&self) -> Option<Vec<LookupRow>> {
+        let device = self.device?;
+        let rows = self
+            .context
+            .store
+            .run(move |store| store.lookups(device))
+            .await;
+        rows.ok()
+    }
+
+    /// The store learns what the device uses.
+    async fn adopt(&mut self, lookup: &RlLookup) {
+        let Some(device) = self.device else { return };
+        let (version, observed_cells) = (lookup.version, lookup.observed_cells());
+        let lookup = lookup.clone();
+        let adopted = self
+            .context
+            .store
+            .run(move |store| store.adopt_lookup(device, &lookup));
+        if adopted.await.is_ok() && version > 0 {
+            tracing::info!(
+                device = self.face.name,
+                version,
+                observed_cells,
+                "lookup active"
+            );
+            self.face.tell(What::LookupActive {
+                version,
+                observed_cells,
+            });
+        }
+        self.show_lookups().await;
+    }
+
+    /// Pushes a lookup under the next version: pending in the store before the device sees it. `answer` is
+    /// told when it is active, or why not.
+    ///
+    /// # Errors
+    /// What to say to whoever asked where there is no `answer`; a refusal is a state, not an end.
+    pub(super) async fn push(
+        &mut self,
+        mut lookup: RlLookup,
+        why: &str,
+        answer: Option<Answer>,
+    ) -> Result<(), String> {
+        let outcome = self.try_push(&mut lookup, why).await;
+        let version = lookup.version;
+        match outcome {
+            Ok(()) => {
+                self.forget_push();
+                self.push = Some(Push {
+                    lookup,
+                    until: Instant::now() + ACTIVE_WITHIN,
+                    answer,
+                });
+                Ok(())
+            }
+            Err(why) => {
+                let why = printable(&why);
+                tracing::warn!(device = self.face.name, version, why, "lookup refused");
+                self.face.tell(What::LookupRefused {
+                    version,
+                    why: why.clone(),
+                });
+                self.refuse(answer, &why);
+                self.show_lookups().await;
+                Err(why)
+            }
+        }
+    }
+
+    async fn try_push(&mut self, lookup: &mut RlLookup, why: &str) -> Result<(), String> {
+        let device = self.device.ok_or(
+            "the store does not know the device: nothing is pushed that it could not keep",
+        )?;
+        let rows = self
+            .rows()
+            .await
+            .ok_or("the store does not answer: nothing is pushed that it could not keep")?;
+        let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
+        let is_pending = |row: &LookupRow| {
+            row.state == ihd_store::LookupState::Pending
+                && row.version > on_device
+                && row.blob == lookup.to_bytes()
+        };
+        if !rows.iter().any(is_pending) {
+            lookup.version = next_version(on_device, &rows)?;
+        }
+        let (pending, said) = (lookup.clone(), printable(why));
+        let pended = self
+            .context
+            .store
+            .run(move |store| store.pend_lookup(device, &pending, &said));
+        pended.await.map_err(|error| error.to_string())?;
+        let version = lookup.version;
+        self.face.lock().lookup.pending = Some(version);
+        let pushed = lookup.clone();
+        match self.ask(move |client| client.push_lookup(&pushed)).await {
+            Ok(()) => Ok(()),
+            Err(error @ LinkError::Refused { .. }) => {
+                let said = error.to_string();
+                let refused = self
+                    .context
+                    .store
+                    .run(move |store| store.refuse_lookup(device, version, &said));
+                // It stays pending, and the next connection asks the device.
+                let _ = refused.await;
+                Err(error.to_string())
+            }
+            // Whether the device has it is found out at the next connection.
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    /// The device uses this version now: what was pushed may be active.
+    pub(super) async fn is_pushed(&mut self, version: u32) {
+        let Some(push) = self.push.take_if(|push| push.lookup.version == version) else {
+            return;
+        };
+        // Activates what is pending, bit for bit.
+        self.adopt(&push.lookup).await;
+        if let Some(answer) = push.answer {
+            let _ = answer.send(Ok(Done {
+                text: format!("version {version} is active"),
+                file: None,
+            }));
+        }
+    }
+
+    /// A device that took a lookup and does not use it.
+    pub(super) async fn is_overdue(&mut self) {
+        let Some(push) = self.push.take_if(|push| Instant::now() >= push.until) else {
+            return;
+        };
+        let version = push.lookup.version;
+        let why = "the device took it and does not use it";
+        tracing::warn!(device = self.face.name, version, why, "lookup");
+        self.face.tell(What::LookupRefused {
+            version,
+            why: why.to_owned(),
+        });
+        self.refuse(push.answer, why);
+    }
+
+    /// The session ends, or another lookup takes its place: what became of it is found out later.
+    pub(super) fn forget_push(&mut self) {
+        if let Some(push) = self.push.take() {
+            self.refuse(
+                push.answer,
+                "it was pushed, and the link ended before the device used it",
+            );
+        }
+    }
+
+    /// Back to the built-in lookup.
+    pub(super) async fn reset_lookup(&mut self) -> Result<(), LinkError> {
+        self.ask(Client::reset_lookup).await?;
+        self.forget_push();
+        if let Some(device) = self.device {
+            let forgotten = self.context.store.run(move |store| {
+                store.forget_learned(device)?;
+                store.adopt_lookup(device, &prior())
+            });
+            // The store's trouble is told by its thread, and the next connection mends it.
+            let _ = forgotten.await;
+        }
+        self.show_lookups().await;
+        Ok(())
+    }
+
+    /// What the store holds, for the report.
+    pub(super) async fn show_lookups(&mut self) {
+        let Some(rows) = self.rows().await else {
+            return;
+        };
+        let of = |state| rows.iter().rev().find(|row| row.state == state);
+        let active = of(ihd_store::LookupState::Active);
+        let lookup = active.and_then(|row| RlLookup::from_bytes(&row.blob).ok());
+        let mut inner = self.face.lock();
+        inner.lookup.active = active.map(|row| row.version);
+        inner.lookup.pending = of(ihd_store::LookupState::Pending).map(|row| row.version);
+        inner.lookup.observed_cells = lookup.map_or(0, |l| l.observed_cells());
+    }
+
+    fn refuse(&self, answer: Option<Answer>, why: &str) {
+        if let Some(answer) = answer {
+            let _ = answer.send(Err(CommandError::Refused {
+                name: self.face.name.clone(),
+                why: why.to_owned(),
+            }));
+        }
+    }
+}

@@ -1,0 +1,489 @@
+//! One connection to a device, from its hello to its end. It heats nothing by itself.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ihd_link::{AsyncClient, Client, Event, LinkError, Window};
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Status, Telemetry};
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_store::{DeviceId, SessionId};
+use tokio::sync::mpsc;
+
+use super::pushing::Push;
+use super::sweep::{Step, Sweep};
+use super::{Context, Order, lease_ended};
+use crate::clocks::Clocks;
+use crate::face::Face;
+use crate::ledger::Arrival;
+use crate::model::{DeviceState, What};
+use crate::printable::printable;
+use crate::states::{live, of_telemetry};
+
+/// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
+const WINDOWS_EVERY: u8 = 20;
+
+/// How often the session looks at the clock, and shows what the device does.
+const TICK: Duration = Duration::from_millis(100);
+
+/// A device that is to heat for us hears from us this often: a quarter of the time after which it would end
+/// that, and less at 60 Hz.
+const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
+
+/// A device that says nothing for this long is asked whether it is there.
+const SILENT: Duration = Duration::from_secs(2);
+
+/// Answers that may stay away one after the other.
+const UNANSWERED: u32 = 2;
+
+/// How often what the link and the store say is looked at.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// Half-cycles that a device's count may go back without it having begun anew: frames in another order.
+const OUT_OF_ORDER: u32 = 1_000;
+
+/// Why a session ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The daemon stops.
+    Stopping,
+    /// The link failed, or the device is not what it was; why.
+    Link(String),
+    /// This machine slept, or this process was stopped.
+    Slept(String),
+}
+
+/// A session.
+pub struct Session<'a> {
+    pub(super) face: &'a Arc<Face>,
+    pub(super) context: &'a Context,
+    pub(super) client: Arc<AsyncClient>,
+    pub(super) device: Option<DeviceId>,
+    pub(super) session: Option<SessionId>,
+    pub(super) sweep: Option<Sweep>,
+    /// A lookup that the device took and does not use yet.
+    pub(super) push: Option<Push>,
+    /// Until then nothing is sent that need not be: what a host before us asked for has to lapse.
+    pub(super) quiet_until: Option<Instant>,
+    clocks: Clocks,
+    /// When the device was heard last, and heard from us.
+    heard: Instant,
+    told: Instant,
+    looked: Instant,
+    unanswered: u32,
+    shown_half_cycle: Option<u32>,
+    began_session: Arc<AtomicBool>,
+}
+
+impl<'a> Session<'a> {
+    /// With a device that has shaken hands.
+    pub fn new(face: &'a Arc<Face>, context: &'a Context, client: Arc<AsyncClient>) -> Self {
+        let now = Instant::now();
+        Self {
+            face,
+            context,
+            client,
+            device: None,
+            session: None,
+            sweep: None,
+            push: None,
+            quiet_until: None,
+            clocks: Clocks::default(),
+            heard: now,
+            told: now,
+            looked: now,
+            unanswered: 0,
+            shown_half_cycle: None,
+            began_session: Arc::default(),
+        }
+    }
+
+    /// Asks the device something.
+    pub(super) async fn ask<T: Send + 'static>(
+        &mut self,
+        f: impl FnOnce(&mut Client) -> Result<T, LinkError> + Send + 'static,
+    ) -> Result<T, LinkError> {
+        self.told = Instant::now();
+        self.client.with(f).await?
+    }
+
+    /// Runs until it ends.
+    pub async fn run(
+        &mut self,
+        mut events: mpsc::Receiver<Event>,
+        orders: &mut mpsc::Receiver<Order>,
+    ) -> Ended {
+        if let Err(error) = self.begin().await {
+            return Ended::Link(error.to_string());
+        }
+        let mut tick = tokio::time::interval(TICK);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            let on = tokio::select! {
+                () = self.context.stopping() => return Ended::Stopping,
+                event = events.recv() => match event {
+                    Some(event) => self.on_event(event).await,
+                    None => Err(self.why_ended()),
+                },
+                order = orders.recv() => match order {
+                    Some(order) => self.on_order(order).await,
+                    None => return Ended::Stopping,
+                },
+                _ = tick.tick() => self.on_tick().await,
+            };
+            if let Err(ended) = on {
+                return ended;
+            }
+        }
+    }
+
+    fn why_ended(&self) -> Ended {
+        let why = self.client.ended().map(|error| error.to_string());
+        Ended::Link(why.unwrap_or_else(|| "the link has ended".to_owned()))
+    }
+
+    /// What comes before the first event: who it is, what it does, what it uses.
+    async fn begin(&mut self) -> Result<(), LinkError> {
+        let status = self.ask(Client::status).await?;
+        let boot = self.client.hello().boot_id;
+        {
+            let mut inner = self.face.lock();
+            let due = status.windows_recorded.wrapping_add(status.windows_dropped);
+            inner.ledger.connect(boot, due, status.windows_dropped);
+        }
+        self.end_what_is_nobodys(&status).await?;
+        self.begin_in_store().await;
+        self.face.enter(DeviceState::Connected, "");
+        self.reconcile(status.lookup_version).await?;
+        self.ask(|client| client.stream(1, WINDOWS_EVERY)).await?;
+        self.heard = Instant::now();
+        Ok(())
+    }
+
+    /// Heating that we, or a host before us, asked for and nobody answers for now. Our frames would keep it
+    /// alive: it is switched off, or, where a person at the panel heats too, left alone until it has lapsed.
+    async fn end_what_is_nobodys(&mut self, status: &Status) -> Result<(), LinkError> {
+        let ours = self.face.lock().asked_w > 0;
+        let no_panel = status.panel_level == 255;
+        if ours || (status.asked_w > 0 && no_panel) {
+            let asked_w = status.asked_w;
+            tracing::warn!(
+                device = self.face.name,
+                asked_w,
+                "nobody answers for its heating any more: switched off"
+            );
+            self.off().await?;
+        } else if status.asked_w > 0 {
+            let lapse = Duration::from_millis(u64::from(HOST_UNHEARD_HALF_CYCLES) * 11);
+            self.quiet_until = Some(Instant::now() + lapse);
+        }
+        Ok(())
+    }
+
+    /// Whether what need not be sent now has to wait.
+    pub(super) fn is_quiet(&self) -> bool {
+        self.quiet_until.is_some_and(|until| Instant::now() < until)
+    }
+
+    /// The session in the store; without one, nothing is stored until there is.
+    async fn begin_in_store(&mut self) {
+        let (name, address) = (self.face.name.clone(), self.face.address.clone());
+        let hello = self.client.hello().clone();
+        let front_end = self.client.front_end().clone();
+        let began = self.context.store.run(move |store| {
+            let device = store.device(&name, &address)?;
+            let session = store.begin_session(device, &hello, &front_end)?;
+            Ok((device, session))
+        });
+        // The store's trouble is told by its thread.
+        if let Ok((device, session)) = began.await {
+            self.device = Some(device);
+            self.session = Some(session);
+            self.began_session.store(true, Ordering::Relaxed);
+        }
+    }
+
+    async fn on_event(&mut self, event: Event) -> Result<(), Ended> {
+        self.heard = Instant::now();
+        self.unanswered = 0;
+        match event {
+            Event::Telemetry(t) => self.on_telemetry(t).await,
+            Event::Window(window) => {
+                self.on_window(window);
+                Ok(())
+            }
+            Event::WindowRejected { seq, reason } => {
+                let why = reason.to_string();
+                {
+                    let mut inner = self.face.lock();
+                    if inner.ledger.arrived(seq) == Arrival::New {
+                        inner.ledger.fates.refused += 1;
+                    }
+                }
+                tracing::debug!(device = self.face.name, seq, why, "window refused");
+                self.face.tell(What::WindowRefused { seq, why });
+                Ok(())
+            }
+            Event::Fault(event) => {
+                let (fault, text) = (event.fault.number(), event.fault.text().to_owned());
+                if event.fault == Fault::NONE {
+                    tracing::info!(device = self.face.name, "fault cleared");
+                } else {
+                    tracing::warn!(device = self.face.name, fault, text, "fault");
+                }
+                let said = format!("{fault}: {text}");
+                self.note("fault", &said);
+                self.face.tell(What::Fault { fault, text });
+                Ok(())
+            }
+        }
+    }
+
+    /// An event for the store; where it has no room, for the log alone.
+    pub(super) fn note(&self, kind: &'static str, text: &str) {
+        let (device, text) = (self.device, printable(text));
+        self.context
+            .store
+            .offer(move |store| store.event(device, kind, &text));
+    }
+
+    async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), Ended> {
+        let before = {
+            let mut inner = self.face.lock();
+            inner.lookup.on_device = Some(t.lookup_version);
+            inner.last.replace(t.clone())
+        };
+        if before.is_some_and(|b| {
+            b.half_cycle
+                .wrapping_sub(t.half_cycle)
+                .wrapping_sub(OUT_OF_ORDER)
+                < 1 << 30
+        }) {
+            return Err(Ended::Link(
+                "its half-cycles began anew: it was reset".to_owned(),
+            ));
+        }
+        self.is_pushed(t.lookup_version).await;
+        if let Some(sweep) = &mut self.sweep {
+            let step = sweep.telemetry(&t, Instant::now());
+            self.sweep_step(step).await?;
+        }
+        Ok(())
+    }
+
+    /// A window goes to the store, and from there to whoever learns.
+    fn on_window(&mut self, window: Box<Window>) {
+        if let Some(sweep) = &mut self.sweep {
+            sweep.window(window.half_cycle);
+        }
+        let seq = window.seq;
+        if self.face.lock().ledger.arrived(seq) == Arrival::Again {
+            return;
+        }
+        let boot = self.client.hello().boot_id;
+        let stored = self.session.is_some_and(|session| {
+            let face = Arc::clone(self.face);
+            self.context.store.offer(move |store| {
+                let kept = store.keep_window(session, &window);
+                let mut inner = face.lock();
+                match &kept {
+                    Ok(_) => inner.ledger.fates.stored += 1,
+                    Err(_) => inner.ledger.fates.not_stored += 1,
+                }
+                drop(inner);
+                kept?;
+                face.tell(What::WindowStored { boot, seq });
+                Ok(())
+            })
+        });
+        if !stored {
+            self.face.lock().ledger.fates.not_stored += 1;
+        }
+    }
+
+    async fn on_tick(&mut self) -> Result<(), Ended> {
+        if let Some(slept) = self.clocks.turn() {
+            self.face.lock().lease.void();
+            return Err(Ended::Slept(format!(
+                "nothing ran here for {:.0} s",
+                slept.as_secs_f64()
+            )));
+        }
+        let expired = self.face.lock().lease.expired(Instant::now());
+        if let Some(holder) = expired {
+            lease_ended(self.face, &holder);
+            self.off_for("the lease has run out").await?;
+        }
+        self.stay_in_touch().await?;
+        self.show();
+        self.is_overdue().await;
+        if let Some(sweep) = &mut self.sweep {
+            let step = sweep.tick(Instant::now());
+            self.sweep_step(step).await?;
+        }
+        if self.looked.elapsed() >= LOOK_EVERY {
+            self.looked = Instant::now();
+            self.look().await?;
+        }
+        Ok(())
+    }
+
+    /// Is heard where it must be, and asks whether a silent device is there.
+    async fn stay_in_touch(&mut self) -> Result<(), Ended> {
+        let heats_for_us = self.face.lock().asked_w > 0;
+        let silent = self.heard.elapsed();
+        let is_due = heats_for_us && self.told.elapsed() >= HEARD_EVERY;
+        let is_silent = silent >= SILENT && self.told.elapsed() >= SILENT;
+        if !is_due && !is_silent {
+            return Ok(());
+        }
+        if is_silent {
+            self.face.enter(
+                DeviceState::Suspended,
+                &format!("nothing came for {:.0} s", silent.as_secs_f64()),
+            );
+        }
+        match self.ask(Client::status).await {
+            Ok(_) if is_silent => {
+                self.unanswered += 1;
+                // It answers, and streams nothing: as after a hello that we do not know of.
+                let again = self.ask(|client| client.stream(1, WINDOWS_EVERY)).await;
+                again.map_err(|error| Ended::Link(error.to_string()))?;
+            }
+            Ok(_) => self.unanswered = 0,
+            Err(error @ LinkError::NoAnswer { .. }) if self.unanswered < UNANSWERED => {
+                self.unanswered += 1;
+                tracing::debug!(device = self.face.name, %error, "no answer");
+            }
+            Err(error) => return Err(Ended::Link(error.to_string())),
+        }
+        if self.unanswered > UNANSWERED {
+            return Err(Ended::Link(
+                "it answers and sends no half-cycles".to_owned(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Publishes the last half-cycle, and the state that it shows.
+    fn show(&mut self) {
+        if self.heard.elapsed() >= SILENT {
+            return;
+        }
+        let Some(t) = self.face.lock().last.clone() else {
+            return;
+        };
+        let (state, detail) = of_telemetry(&t, self.face.state());
+        self.face.enter(state, &detail);
+        if self.shown_half_cycle != Some(t.half_cycle) {
+            self.shown_half_cycle = Some(t.half_cycle);
+            self.face.tell(What::Telemetry { live: live(&t) });
+        }
+    }
+
+    /// What the link counts, what failed beside it.
+    async fn look(&mut self) -> Result<(), Ended> {
+        let counted = self.client.with(|client| client.counters().windows).await;
+        match counted {
+            Ok(windows) if windows.received > 0 || windows.missing > 0 => self
+                .face
+                .lock()
+                .ledger
+                .dropped_by_device(windows.dropped_by_device),
+            Ok(_) => {}
+            Err(_) => return Err(self.why_ended()),
+        }
+        self.look_at_recording();
+        if self.session.is_none() && self.context.store.gauge().is_well() {
+            self.begin_in_store().await;
+        }
+        Ok(())
+    }
+
+    /// Does what a sweep wants.
+    pub(super) async fn sweep_step(&mut self, step: Step) -> Result<(), Ended> {
+        match step {
+            Step::Nothing => {}
+            Step::Say(text) => {
+                tracing::info!(device = self.face.name, "{text}");
+                self.note("sweep", &text);
+            }
+            Step::Ask(power_w) => {
+                tracing::info!(device = self.face.name, power_w, "sweep");
+                if let Err(error) = self.heat(power_w).await {
+                    self.off_for(&format!("the sweep ended: {error}")).await?;
+                }
+            }
+            Step::Over(why) => self.off_for(&format!("the sweep ended: {why}")).await?,
+        }
+        let left = self.sweep.as_ref().map(Sweep::left_w).unwrap_or_default();
+        self.face.lock().sweep_left_w = left;
+        Ok(())
+    }
+
+    /// Asks for power that has to be taken back.
+    pub(super) async fn heat(&mut self, power_w: u16) -> Result<(), LinkError> {
+        let before = std::mem::replace(&mut self.face.lock().asked_w, power_w);
+        let asked = self.ask(move |client| client.set_power(power_w)).await;
+        if let Err(LinkError::Refused { .. }) = &asked {
+            // It goes on with what it had.
+            self.face.lock().asked_w = before;
+        }
+        asked
+    }
+
+    /// Switches off, and ends a sweep.
+    pub(super) async fn off(&mut self) -> Result<(), LinkError> {
+        self.sweep = None;
+        self.face.lock().sweep_left_w.clear();
+        let mut off = self.ask(|client| client.set_power(0)).await;
+        if let Err(LinkError::NoAnswer { .. }) = off {
+            off = self.ask(|client| client.set_power(0)).await;
+        }
+        if off.is_ok() {
+            self.face.lock().asked_w = 0;
+        }
+        off
+    }
+
+    /// Switches off what was asked for through the daemon, for a reason; nothing where nothing was.
+    pub(super) async fn off_for(&mut self, why: &str) -> Result<(), Ended> {
+        if self.face.lock().asked_w == 0 && self.sweep.is_none() {
+            return Ok(());
+        }
+        tracing::info!(device = self.face.name, why, "off");
+        self.note("off", why);
+        self.off()
+            .await
+            .map_err(|error| Ended::Link(error.to_string()))
+    }
+
+    /// After the last event: off where we had asked for power, the recording finished, the session ended in
+    /// the store.
+    pub async fn close(&mut self, ended: &Ended) {
+        if self.face.lock().asked_w > 0 {
+            // Where the link is gone this fails at once, and the device ends it by itself.
+            if let Err(error) = self.off().await {
+                tracing::warn!(device = self.face.name, %error, "could not be switched off; it ends by itself within 10 s");
+            }
+        }
+        self.finish_recording().await;
+        if *ended == Ended::Stopping {
+            let _ = self.ask(|client| client.stream(0, 0)).await;
+        }
+        self.forget_push();
+        let why = match ended {
+            Ended::Stopping => "the daemon stopped".to_owned(),
+            Ended::Link(why) | Ended::Slept(why) => printable(why),
+        };
+        if let Some(session) = self.session {
+            let ending = self
+                .context
+                .store
+                .run(move |store| store.end_session(session, &why));
+            // The store's trouble is told by its thread.
+            let _ = ending.await;
+        }
+    }
+}

@@ -1,0 +1,367 @@
+//! One power after the other: settled, a few windows of each, then off.
+//!
+//! ```text
+//!  asked ──► settling ──► windows ──► the next power … ──► off
+//!               │ 6 s of heating: as it is, with a line in the log
+//!               │ no pot, a pause after a trip: waits, the clock stands still
+//!               └ off at the panel, locked out: the sweep ends
+//! ```
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::wire::messages::{State, Telemetry};
+
+/// Half-cycles at one frequency after which it counts as settled, as in `ihd trainer`.
+const SETTLED_AFTER: u32 = 5;
+
+/// Heating time in which a power must have settled, as in `ihd trainer`.
+const SETTLE_WITHIN: Duration = Duration::from_secs(6);
+
+/// Windows of each power.
+const WINDOWS: u32 = 3;
+
+/// How long they may take to come.
+const WINDOWS_WITHIN: Duration = Duration::from_secs(5);
+
+/// A half-cycle that comes later than this after the last one does not count in full.
+const LONGEST_HALF_CYCLE: Duration = Duration::from_millis(100);
+
+/// A device that was asked shows it within this time.
+const SHOWN_WITHIN: Duration = Duration::from_secs(2);
+
+/// A sweep under way.
+pub struct Sweep {
+    left: VecDeque<u16>,
+    asked_w: u16,
+    phase: Phase,
+}
+
+enum Phase {
+    /// The next power is to be asked for.
+    Next,
+    Settling(Settling),
+    Windows {
+        after: u32,
+        got: u32,
+        until: Instant,
+    },
+}
+
+struct Settling {
+    since: Instant,
+    last: Instant,
+    heating: Duration,
+    /// A half-cycle has shown the power that was asked for.
+    is_shown: bool,
+    is_waiting: bool,
+    steady: u32,
+    f_sw_hz: u32,
+}
+
+/// What is to be done for a sweep.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Nothing now.
+    Nothing,
+    /// Ask for this power, in watt.
+    Ask(u16),
+    /// Say this.
+    Say(String),
+    /// It is over, for this reason: switch off.
+    Over(String),
+}
+
+impl Sweep {
+    /// Through these powers, in watt.
+    pub fn new(powers_w: &[u16]) -> Self {
+        Self {
+            left: powers_w.iter().copied().collect(),
+            asked_w: 0,
+            phase: Phase::Next,
+        }
+    }
+
+    /// Powers that are still to come, the present one first.
+    pub fn left_w(&self) -> Vec<u16> {
+        let present = match self.phase {
+            Phase::Next => None,
+            _ => Some(self.asked_w),
+        };
+        present
+            .into_iter()
+            .chain(self.left.iter().copied())
+            .collect()
+    }
+
+    /// Time has passed.
+    pub fn tick(&mut self, now: Instant) -> Step {
+        match &self.phase {
+            Phase::Next => self.next(now),
+            Phase::Windows { until, got, .. } if now >= *until => {
+                let (asked_w, got) = (self.asked_w, *got);
+                self.phase = Phase::Next;
+                Step::Say(format!(
+                    "sweep: {got} of {WINDOWS} windows came at {asked_w} W; on to the next power"
+                ))
+            }
+            _ => Step::Nothing,
+        }
+    }
+
+    fn next(&mut self, now: Instant) -> Step {
+        let Some(power_w) = self.left.pop_front() else {
+            return Step::Over("done".to_owned());
+        };
+        self.asked_w = power_w;
+        self.phase = Phase::Settling(Settling {
+            since: now,
+            last: now,
+            heating: Duration::ZERO,
+            is_shown: false,
+            is_waiting: false,
+            steady: 0,
+            f_sw_hz: 0,
+        });
+        Step::Ask(power_w)
+    }
+
+    /// A window has come.
+    pub fn window(&mut self, half_cycle: u32) {
+        if let Phase::Windows { after, got, .. } = &mut self.phase
+            && half_cycle > *after
+        {
+            *got += 1;
+            if *got >= WINDOWS {
+                self.phase = Phase::Next;
+            }
+        }
+    }
+
+    /// A half-cycle has come.
+    pub fn telemetry(&mut self, t: &Telemetry, now: Instant) -> Step {
+        if t.state == State::LockedOut {
+            return Step::Over(format!("locked out: {}", t.fault.text()));
+        }
+        let asked_w = self.asked_w;
+        let Phase::Settling(settling) = &mut self.phase else {
+            return self.off_meanwhile(t);
+        };
+        settling.is_shown |= t.asked_w > 0;
+        if settling.is_shown && t.state == State::Idle && t.asked_w == 0 {
+            return Step::Over("switched off at the device".to_owned());
+        }
+        if !settling.is_shown && now.saturating_duration_since(settling.since) > SHOWN_WITHIN {
+            return Step::Over("the device took the power and does not show it".to_owned());
+        }
+        let (settled, said) = settling.take(t, asked_w, now);
+        if settled {
+            self.phase = Phase::Windows {
+                after: t.half_cycle,
+                got: 0,
+                until: now + WINDOWS_WITHIN,
+            };
+        }
+        said.map_or(Step::Nothing, Step::Say)
+    }
+
+    /// While windows are awaited: the panel may end it, a pot may be lifted.
+    fn off_meanwhile(&mut self, t: &Telemetry) -> Step {
+        if matches!(self.phase, Phase::Next) {
+            return Step::Nothing;
+        }
+        match t.state {
+            State::Idle if t.asked_w == 0 => Step::Over("switched off at the device".to_owned()),
+            State::WaitingForPot | State::Pausing => {
+                // Settle once more when it heats again.
+                self.left.push_front(self.asked_w);
+                self.phase = Phase::Next;
+                Step::Say(format!("sweep: {:?} at {} W", t.state, self.asked_w))
+            }
+            _ => Step::Nothing,
+        }
+    }
+}
+
+impl Settling {
+    /// Whether the power has settled, and what is to be said.
+    fn take(&mut self, t: &Telemetry, asked_w: u16, now: Instant) -> (bool, Option<String>) {
+        let elapsed = now.saturating_duration_since(self.last);
+        self.last = now;
+        if matches!(t.state, State::WaitingForPot | State::Pausing) {
+            let first = !std::mem::replace(&mut self.is_waiting, true);
+            self.steady = 0;
+            return (
+                false,
+                first.then(|| format!("sweep: {:?} at {asked_w} W", t.state)),
+            );
+        }
+        self.is_waiting = false;
+        self.heating += elapsed.min(LONGEST_HALF_CYCLE);
+        if self.heating >= SETTLE_WITHIN {
+            let power_w = t.power_mw / 1_000;
+            return (
+                true,
+                Some(format!(
+                    "sweep: {asked_w} W did not settle (last {power_w} W at {} Hz): windows are taken as it is",
+                    t.f_sw_hz
+                )),
+            );
+        }
+        // Between two bursts of a low power.
+        if t.state != State::Heating || t.f_sw_hz == 0 {
+            return (false, None);
+        }
+        self.steady = match t.f_sw_hz == self.f_sw_hz {
+            true => self.steady + 1,
+            false => 0,
+        };
+        self.f_sw_hz = t.f_sw_hz;
+        let power_w = f64::from(t.power_mw) * 1e-3;
+        let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
+        let at_limit = t.f_sw_hz <= F_SW_MIN_HZ || t.f_sw_hz >= F_SW_MAX_HZ;
+        // What the load cannot take ends at a limit of frequency, or at the resonance margin, where the
+        // frequency stays and the power with it.
+        let settled = self.steady >= SETTLED_AFTER
+            && (close || at_limit || self.steady >= 10 * SETTLED_AFTER);
+        (settled, None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::states::tests::telemetry;
+
+    const HALF_CYCLE: Duration = Duration::from_millis(10);
+
+    struct Rig {
+        sweep: Sweep,
+        now: Instant,
+        half_cycle: u32,
+        asked: Vec<u16>,
+        said: Vec<String>,
+        over: Option<String>,
+    }
+
+    impl Rig {
+        fn new(powers_w: &[u16]) -> Self {
+            Self {
+                sweep: Sweep::new(powers_w),
+                now: Instant::now(),
+                half_cycle: 0,
+                asked: Vec::new(),
+                said: Vec::new(),
+                over: None,
+            }
+        }
+
+        fn heed(&mut self, step: Step) {
+            match step {
+                Step::Nothing => {}
+                Step::Ask(w) => self.asked.push(w),
+                Step::Say(text) => self.said.push(text),
+                Step::Over(why) => self.over = Some(why),
+            }
+        }
+
+        /// Half-cycles of a device that does what it is asked, or `state`.
+        fn run(&mut self, half_cycles: u32, state: State, windows: bool) {
+            for _ in 0..half_cycles {
+                if self.over.is_some() {
+                    return;
+                }
+                self.now += HALF_CYCLE;
+                self.half_cycle += 1;
+                let step = self.sweep.tick(self.now);
+                self.heed(step);
+                let mut t = telemetry(state);
+                t.half_cycle = self.half_cycle;
+                if state != State::Idle {
+                    t.asked_w = self.asked.last().copied().unwrap_or(0);
+                }
+                if state == State::Heating {
+                    t.f_sw_hz = 50_000;
+                    t.power_mw = u32::from(t.asked_w) * 1_000;
+                }
+                let step = self.sweep.telemetry(&t, self.now);
+                self.heed(step);
+                if windows && self.half_cycle.is_multiple_of(20) {
+                    self.sweep.window(self.half_cycle);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_power_is_asked_for_and_then_it_is_off() {
+        let mut rig = Rig::new(&[700, 1_000]);
+        assert_eq!(rig.sweep.left_w(), [700, 1_000]);
+        rig.run(40, State::Heating, true);
+        assert_eq!(rig.asked, [700]);
+        assert_eq!(rig.sweep.left_w(), [700, 1_000]);
+        rig.run(400, State::Heating, true);
+        assert_eq!(rig.asked, [700, 1_000]);
+        assert_eq!(rig.over.as_deref(), Some("done"));
+        assert!(rig.said.is_empty(), "{:?}", rig.said);
+    }
+
+    #[test]
+    fn a_lifted_pot_pauses_it_for_as_long_as_it_takes() {
+        let mut rig = Rig::new(&[700]);
+        rig.run(3, State::Heating, true);
+        rig.run(6_000, State::WaitingForPot, true);
+        assert_eq!((rig.over.clone(), rig.said.len()), (None, 1));
+        rig.run(400, State::Heating, true);
+        assert_eq!(rig.over.as_deref(), Some("done"));
+    }
+
+    #[test]
+    fn a_pot_lifted_between_two_windows_is_settled_again() {
+        let mut rig = Rig::new(&[700]);
+        rig.run(30, State::Heating, true);
+        rig.run(100, State::WaitingForPot, true);
+        assert_eq!(rig.sweep.left_w(), [700]);
+        rig.run(400, State::Heating, true);
+        assert_eq!(
+            (rig.asked, rig.over.as_deref()),
+            (vec![700, 700], Some("done"))
+        );
+    }
+
+    #[test]
+    fn off_at_the_panel_ends_it() {
+        let mut rig = Rig::new(&[700, 1_000]);
+        rig.run(3, State::Heating, true);
+        rig.run(1, State::Idle, true);
+        assert_eq!(rig.over.as_deref(), Some("switched off at the device"));
+        assert_eq!(rig.asked, [700]);
+    }
+
+    #[test]
+    fn windows_that_do_not_come_do_not_hold_it_up_for_ever() {
+        let mut rig = Rig::new(&[700]);
+        rig.run(700, State::Heating, false);
+        assert_eq!(rig.over.as_deref(), Some("done"));
+        assert!(rig.said[0].contains("0 of 3 windows"), "{:?}", rig.said);
+    }
+
+    #[test]
+    fn a_device_that_never_settles_is_taken_as_it_is() {
+        let mut sweep = Sweep::new(&[700]);
+        let mut now = Instant::now();
+        assert_eq!(sweep.tick(now), Step::Ask(700));
+        let mut said = Vec::new();
+        for k in 0..700u32 {
+            now += HALF_CYCLE;
+            let mut t = telemetry(State::Heating);
+            (t.asked_w, t.half_cycle, t.f_sw_hz) = (700, k, 40_000 + k);
+            if let Step::Say(text) = sweep.telemetry(&t, now) {
+                said.push((k, text));
+            }
+        }
+        assert_eq!(said.len(), 1);
+        assert!((590..=610).contains(&said[0].0), "{said:?}");
+    }
+}

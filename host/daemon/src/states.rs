@@ -1,0 +1,152 @@
+//! What a half-cycle says about the state of a device.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
+
+use crate::model::{DeviceState, Live};
+
+/// The state, and why, that a half-cycle shows. Looks at the coil do not change it: they end in another.
+pub fn of_telemetry(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {
+    let fault = t.fault != Fault::NONE;
+    match t.state {
+        State::LockedOut => (
+            DeviceState::Faulted,
+            format!(
+                "{}; it stays off until a person switches off and on",
+                t.fault.text()
+            ),
+        ),
+        State::Pausing if fault => (
+            DeviceState::Faulted,
+            format!("{}; it starts again by itself", t.fault.text()),
+        ),
+        _ if fault => (DeviceState::Faulted, t.fault.text().to_owned()),
+        State::Pausing => (
+            DeviceState::Idle,
+            "it pauses, and starts again by itself".to_owned(),
+        ),
+        State::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
+        State::Heating => (DeviceState::Learning, limit_text(t)),
+        State::Idle => (DeviceState::Idle, String::new()),
+        State::Probing => match before {
+            DeviceState::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
+            DeviceState::Learning => (DeviceState::Learning, limit_text(t)),
+            _ => (DeviceState::Idle, "it looks at the coil".to_owned()),
+        },
+    }
+}
+
+fn pot_text(pot: Pot) -> &'static str {
+    match pot {
+        Pot::Unsuitable => "what stands on the coil cannot be heated by induction",
+        Pot::Small => "what stands on the coil is too small",
+        Pot::Absent | Pot::Unknown | Pot::Ferromagnetic => "put a pot on",
+    }
+}
+
+fn limit_text(t: &Telemetry) -> String {
+    match t.limit {
+        Limit::None => String::new(),
+        // Which changes with every half-cycle near it.
+        Limit::Frequency | Limit::Resonance | Limit::SoftSwitching => String::new(),
+        limit => format!("{limit:?} keeps the power down"),
+    }
+}
+
+/// A half-cycle as it is shown.
+pub fn live(t: &Telemetry) -> Live {
+    let fault = t.fault.number();
+    Live {
+        half_cycle: t.half_cycle,
+        state: format!("{:?}", t.state),
+        pot: format!("{:?}", t.pot),
+        fault,
+        fault_text: match fault {
+            0 => String::new(),
+            _ => t.fault.text().to_owned(),
+        },
+        limit: format!("{:?}", t.limit),
+        asked_w: t.asked_w,
+        power_w: f64::from(t.power_mw) * 1e-3,
+        f_sw_hz: t.f_sw_hz,
+        i_crest_a: f64::from(t.i_crest_ma) * 1e-3,
+        r_ohm: t.r.ohm(),
+        l_h: t.l.henry(),
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+
+    use super::*;
+
+    /// A half-cycle in which a device does nothing.
+    pub fn telemetry(state: State) -> Telemetry {
+        Telemetry {
+            seq: 0,
+            dropped: 0,
+            half_cycle: 0,
+            state,
+            fault: Fault::NONE,
+            pot: Pot::Ferromagnetic,
+            f_sw_hz: 0,
+            r: MicroOhm(1_000_000),
+            l: PicoHenry(20_000_000),
+            i_crest_ma: 0,
+            power_mw: 0,
+            phase_mrad: 0,
+            lookup_version: 0,
+            asked_w: 0,
+            limit: Limit::None,
+            bus_peak_dv: 0,
+            v_coil_peak_dv: 0,
+            i_turn_off_min_ma: 0,
+        }
+    }
+
+    #[test]
+    fn every_state_of_the_controller_is_one_of_the_devices() {
+        use DeviceState as D;
+        let none = Fault::NONE;
+        let trip = Fault::OVER_CURRENT;
+        for (state, fault, before, after) in [
+            (State::Idle, none, D::Connected, D::Idle),
+            (State::Idle, none, D::Learning, D::Idle),
+            (State::Idle, trip, D::Idle, D::Faulted),
+            (State::Probing, none, D::Connected, D::Idle),
+            (State::Probing, none, D::WaitingForPot, D::WaitingForPot),
+            (State::Probing, none, D::Learning, D::Learning),
+            (State::Heating, none, D::Idle, D::Learning),
+            (State::Heating, none, D::Suspended, D::Learning),
+            (State::WaitingForPot, none, D::Learning, D::WaitingForPot),
+            (State::Pausing, none, D::Learning, D::Idle),
+            (State::Pausing, trip, D::Learning, D::Faulted),
+            (State::LockedOut, trip, D::Faulted, D::Faulted),
+            (State::LockedOut, none, D::Idle, D::Faulted),
+        ] {
+            let mut t = telemetry(state);
+            t.fault = fault;
+            let (now, detail) = of_telemetry(&t, before);
+            assert_eq!(now, after, "{state:?} {fault:?} after {before:?}");
+            assert!(
+                now != D::Faulted || !detail.is_empty(),
+                "a fault says what it is"
+            );
+        }
+    }
+
+    #[test]
+    fn numbers_are_shown_in_their_units() {
+        let mut t = telemetry(State::Heating);
+        t.power_mw = 1_234_500;
+        t.i_crest_ma = 42_000;
+        let live = live(&t);
+        assert_eq!((live.power_w, live.i_crest_a), (1_234.5, 42.0));
+        assert!((live.l_h - 20e-6).abs() < 1e-12 && (live.r_ohm - 1.0).abs() < 1e-12);
+        assert_eq!(
+            (live.state.as_str(), live.fault_text.as_str()),
+            ("Heating", "")
+        );
+    }
+}
