@@ -12,7 +12,7 @@ use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::{Block, RealTime};
-use ihd_firmware::request::PanelEvent;
+pub use ihd_firmware::request::PanelEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
@@ -45,6 +45,9 @@ const TRUTH_EVERY: usize = 8;
 
 /// Coil current at which the comparator opens the bridge, in ampere.
 const COMPARATOR_A: f64 = TRIP_CODE as f64 * AMPERE_PER_CODE;
+
+/// Bytes that may wait on a bounded link: about a window.
+const LINK_BUFFER: usize = 64 * 1024;
 
 /// The board's watchdog bites when it has not been fed for this long, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
@@ -126,6 +129,8 @@ pub struct SimHob {
     lost: u32,
     inbound: VecDeque<u8>,
     outbound: VecDeque<u8>,
+    /// Bytes that may wait for the host before the firmware is asked for no more.
+    outbound_room: usize,
     link_bytes_per_s: f64,
     link_credit: f64,
     truth: Truth,
@@ -176,6 +181,7 @@ impl SimHob {
             lost: 0,
             inbound: VecDeque::new(),
             outbound: VecDeque::new(),
+            outbound_room: usize::MAX,
             link_bytes_per_s: config.link_bytes_per_s,
             link_credit: 0.0,
             truth: Truth::default(),
@@ -311,7 +317,7 @@ impl SimHob {
         self.link_credit =
             (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
         let mut frame = [0; MAX_ENCODED];
-        while self.link_credit > 0.0 {
+        while self.link_credit > 0.0 && self.outbound.len() < self.outbound_room {
             let n = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
             if n == 0 {
                 break;
@@ -333,6 +339,17 @@ impl SimHob {
             *slot = byte;
         }
         n
+    }
+
+    /// From now on bytes that nobody fetches do not pile up: as on a board whose endpoint is not read, the
+    /// firmware waits for the link, and drops and counts what it has no room for.
+    pub fn bound_link(&mut self) {
+        self.outbound_room = LINK_BUFFER;
+    }
+
+    /// Bytes from the host that the firmware has not taken yet: it takes none while its answers wait.
+    pub fn unread(&self) -> usize {
+        self.inbound.len()
     }
 
     /// Bytes that wait for the host.

@@ -18,6 +18,7 @@ mod load_library;
 pub mod low_pass;
 pub mod mains;
 pub mod meter;
+pub mod pace;
 pub mod plant;
 pub mod pot;
 pub mod recording;

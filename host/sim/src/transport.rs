@@ -1,13 +1,17 @@
-//! The simulated hob as a device in this process. Simulated time passes only while the host waits
-//! for bytes, so a run gives the same digits whatever else the machine does.
+//! The simulated hob as a device in this process. [`SharedHob`]: simulated time passes only while the host
+//! waits for bytes, so a run gives the same digits whatever else the machine does. [`PacedHob`]: it follows
+//! the wall's, for a hob that lives on while nobody looks.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use ihd_link::{LinkError, Transport};
 use ihd_signal::truth::Truth;
 
 use super::hob::SimHob;
+use super::pace::Pace;
+use super::scenario::script::Script;
 
 /// A hob that the host's transport and whoever asks for the truth share.
 #[derive(Clone)]
@@ -56,5 +60,168 @@ impl Transport for SharedHob {
 
     fn describe(&self) -> String {
         "sim".to_owned()
+    }
+}
+
+/// Longest time that is simulated, or slept, before bytes are looked for again.
+const SLICE: Duration = Duration::from_millis(2);
+
+/// A hob whose simulated time follows the wall's, some factor faster, without a thread of its own: what has
+/// passed while nobody waited for bytes, up to half a second, is simulated when somebody does. Its clock is
+/// simulated time.
+pub struct PacedHob {
+    hob: SharedHob,
+    pace: Pace,
+    script: Option<Script>,
+}
+
+impl PacedHob {
+    /// A hob from its time now on, `speed` times as fast as the wall, or as fast as the machine can. The hob may
+    /// be that of an earlier connection, which is over.
+    pub fn new(hob: SharedHob, speed: f64) -> Self {
+        let t_s = {
+            let mut hob = hob.lock();
+            hob.bound_link();
+            // What waits was for a host that is gone.
+            while hob.receive(&mut [0; 4096]) > 0 {}
+            hob.t_s()
+        };
+        Self {
+            pace: Pace::new(speed, t_s, Instant::now()),
+            hob,
+            script: None,
+        }
+    }
+
+    /// The same, with what happens to pot, mains and panel meanwhile.
+    #[must_use]
+    pub fn playing(mut self, script: Script) -> Self {
+        self.script = Some(script);
+        self
+    }
+
+    /// Simulates up to where time should be, to `deadline_s`, to the first byte or for a slice; whether it
+    /// is there.
+    fn catch_up(&mut self, deadline_s: f64) -> bool {
+        let began = Instant::now();
+        let mut hob = self.hob.lock();
+        let due_s = self.pace.due_s(hob.t_s(), began).min(deadline_s);
+        while hob.t_s() < due_s && hob.waiting() == 0 {
+            if began.elapsed() >= SLICE {
+                return false;
+            }
+            if let Some(script) = &mut self.script {
+                script.turn(&mut hob);
+            }
+            hob.step();
+        }
+        true
+    }
+}
+
+impl Transport for PacedHob {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.hob.send(bytes)
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        // Who only looks gets some time simulated, too: else it would never pass.
+        let deadline_s = self.clock().as_secs_f64() + timeout.max(SLICE).as_secs_f64();
+        loop {
+            let there = self.catch_up(deadline_s);
+            let (n, t_s) = {
+                let mut hob = self.hob.lock();
+                (hob.receive(buf), hob.t_s())
+            };
+            if n > 0 || t_s >= deadline_s || timeout.is_zero() {
+                return Ok(n);
+            }
+            if there {
+                let early = self.pace.until(deadline_s, Instant::now());
+                thread::sleep(early.clamp(Duration::from_micros(100), SLICE));
+            }
+        }
+    }
+
+    fn clock(&self) -> Duration {
+        self.hob.clock()
+    }
+
+    fn describe(&self) -> String {
+        self.hob.describe()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hob::HobConfig;
+
+    fn paced(speed: f64) -> (PacedHob, SharedHob) {
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        (PacedHob::new(hob.clone(), speed), hob)
+    }
+
+    #[test]
+    fn a_silent_hob_takes_the_time_that_is_waited() {
+        // A tenth of real time, which any machine keeps up with.
+        let (mut paced, _) = paced(0.1);
+        let (wall, began) = (Instant::now(), paced.clock());
+        assert_eq!(
+            paced
+                .receive(&mut [0; 64], Duration::from_millis(30))
+                .unwrap(),
+            0
+        );
+        let (passed, simulated) = (wall.elapsed(), paced.clock() - began);
+        assert!(passed >= Duration::from_millis(290), "{passed:?}");
+        assert!(simulated >= Duration::from_millis(30), "{simulated:?}");
+        assert!(
+            simulated <= passed / 10 + Duration::from_millis(2),
+            "{simulated:?} in {passed:?}"
+        );
+    }
+
+    #[test]
+    fn what_nobody_waited_for_is_caught_up_with_but_not_beyond_half_a_second() {
+        let (mut paced, _) = paced(0.1);
+        let look = |paced: &mut PacedHob| {
+            let before = paced.clock();
+            for _ in 0..200 {
+                paced.receive(&mut [0; 64], Duration::ZERO).unwrap();
+            }
+            paced.clock() - before
+        };
+        thread::sleep(Duration::from_millis(300));
+        let caught_up = look(&mut paced);
+        assert!(caught_up >= Duration::from_millis(30), "{caught_up:?}");
+        thread::sleep(Duration::from_millis(700));
+        let given_up = look(&mut paced);
+        assert!(given_up < Duration::from_millis(50), "{given_up:?}");
+    }
+
+    #[test]
+    fn a_host_shakes_hands_and_gets_windows_and_an_unread_link_is_bounded() {
+        let (paced, hob) = paced(1.0);
+        hob.lock()
+            .panel(ihd_firmware::request::PanelEvent::Level(5));
+        let mut client = ihd_link::Client::connect(Box::new(paced)).unwrap();
+        client.stream(1, 10).unwrap();
+        let deadline = Instant::now() + Duration::from_secs(60);
+        loop {
+            assert!(Instant::now() < deadline, "no window");
+            if let Some(ihd_link::Event::Window(_)) =
+                client.next_event(Duration::from_millis(100)).unwrap()
+            {
+                break;
+            }
+        }
+        // Nobody fetches for three seconds of simulated time.
+        let mut hob = hob.lock();
+        let until_s = hob.t_s() + 3.0;
+        while hob.t_s() < until_s {
+            hob.step();
+        }
+        assert!(hob.waiting() <= 66 * 1024, "{} bytes wait", hob.waiting());
     }
 }

@@ -1,54 +1,135 @@
 //! `ihd hob`: the simulated hob as a process of its own.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use ihd_sim::hob::SimHob;
-use ihd_sim::server::{Server, ServerEvent};
+use ihd_sim::hob::{PanelEvent, SimHob};
+use ihd_sim::scenario::file::Scenario;
+use ihd_sim::scenario::script::Script;
+use ihd_sim::server::{Ended, Server, ServerEvent};
 
 use super::interrupt;
+use super::output::complain;
 use super::simulated::SimulatedHobArgs;
 
+/// Fastest that is asked for; the machine may not get there, and the hob says so.
+const FASTEST: f64 = 1000.0;
+
 /// Runs a simulated hob, controlled by the firmware itself, behind a TCP port.
+///
+/// One host at a time, as on a cable. A host that does not say hello within 5 s or sends no frame for 30 s is let
+/// go; after 10 s without a frame another one may take its place. What a host leaves unread the hob drops and
+/// counts, as a board does.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd hob --listen 127.0.0.1:4711\n  \
     ihd trainer --device tcp:127.0.0.1:4711      (in another terminal)\n  \
-    ihd hob --listen 127.0.0.1:4711 --pot aluminium")]
+    ihd hob --listen 127.0.0.1:4711 --pot aluminium\n  \
+    ihd hob --panel 6 --warming                  (heats by itself)\n  \
+    ihd hob --script kitchen.toml --seed 2\n\n\
+A script is a file as of `ihd scenario` without events of a host; when its duration is over it begins anew:\n  \
+    duration_s = 60\n  \
+    load = \"behavioural\"\n  \
+    [[event]]\n  \
+    at_s = 1\n  \
+    panel = 6\n  \
+    [[event]]\n  \
+    at_s = 20\n  \
+    pot = { name = \"none\", for_s = 3 }\n  \
+    [[event]]\n  \
+    at_s = 40\n  \
+    mains = { v_rms = 160, for_s = 0.3 }")]
 pub struct HobArgs {
-    /// Address and port to listen on; port 0 lets the system choose.
+    /// Address and port to listen on; port 0 lets the system choose. Nothing but loopback is safe: who connects may
+    /// heat
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:4711")]
     listen: String,
-    /// How much faster than real time the hob runs.
+    /// How much faster than real time the hob runs, up to 1000. Where the machine is too slow for it, the hob says so
+    /// once a minute
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     speed: f64,
+    /// Switch it on at its panel at the start: power level 1 to 9
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(1..=9))]
+    panel: Option<u8>,
+    /// What happens to pot, mains and panel, over and over; the file's head also describes the hob
+    #[arg(
+        long,
+        value_name = "FILE.toml",
+        conflicts_with_all = ["pot", "load", "warming", "mains", "snr", "anti_alias"]
+    )]
+    script: Option<PathBuf>,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
 }
 
 impl HobArgs {
     /// Runs until interrupted.
+    ///
+    /// # Errors
+    /// A script that cannot be read or played, a port that cannot be listened on.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(
-            self.speed.is_finite() && self.speed > 0.0 && self.speed <= 100.0,
-            "--speed is {}, but must lie between 0 and 100",
+            self.speed.is_finite() && self.speed > 0.0 && self.speed <= FASTEST,
+            "--speed is {}, but must lie between 0 and {FASTEST}",
             self.speed
         );
-        let hob = SimHob::new(&self.simulated.config()?);
+        let (mut hob, script) = self.hob()?;
+        if let Some(level) = self.panel {
+            hob.panel(PanelEvent::Level(level));
+        }
+        let pot = hob.pot();
         let mut server = Server::bind(&self.listen, hob)?;
+        if let Some(script) = script {
+            server.play(script);
+        }
         say!(
-            "simulated hob with {} on tcp:{}; stop with ^C",
-            self.simulated.pot(),
+            "simulated hob with {pot} on tcp:{}; stop with ^C",
             server.address()
         )?;
-        let stop: &AtomicBool = interrupt::flag().context("cannot catch ^C")?;
-        server.run(self.speed, stop, |event| match event {
-            ServerEvent::Connected(from) => println!("{from} connected"),
-            ServerEvent::Disconnected => println!("disconnected"),
-            ServerEvent::TurnedAway(from) => println!("{from} turned away: one host at a time"),
-        })?;
-        debug_assert!(stop.load(Ordering::Relaxed));
+        if !server.address().ip().is_loopback() {
+            complain(format_args!(
+                "warning: {} is not loopback, and there is no authentication: whoever reaches this port commands the hob",
+                server.address()
+            ));
+        }
+        let stop = interrupt::flag().context("cannot catch ^C")?;
+        let speed = self.speed;
+        server.run(speed, stop, |event| tell(speed, event))?;
         Ok(())
     }
+
+    fn hob(&self) -> Result<(SimHob, Option<Script>)> {
+        let Some(path) = &self.script else {
+            return Ok((SimHob::new(&self.simulated.config()?), None));
+        };
+        let of_script = || format!("script {}", path.display());
+        let scenario = Scenario::read(path).with_context(of_script)?;
+        let mut config = scenario.file.hob();
+        config.seed = self.simulated.seed().unwrap_or(config.seed);
+        let mut hob = SimHob::assemble(&config).with_context(of_script)?;
+        let script = Script::new(&scenario, &mut hob).with_context(of_script)?;
+        Ok((hob, Some(script)))
+    }
+}
+
+/// One line an event. A hob whose lines nobody can take goes on.
+fn tell(speed: f64, event: ServerEvent) {
+    let _ = match event {
+        ServerEvent::Connected(from) => say!("{from} connected"),
+        ServerEvent::TurnedAway(from) => say!("{from} turned away: one host at a time"),
+        ServerEvent::Disconnected(why) => say!(
+            "disconnected{}",
+            match why {
+                Ended::Left => "",
+                Ended::NoHello => ": no hello that fits within 5 s",
+                Ended::Idle => ": no frame for 30 s",
+                Ended::Replaced => ": no frame for 10 s, and another host is there",
+            }
+        ),
+        ServerEvent::Lagging(share) => say!(
+            "this machine is too slow for {speed} times real time: {:.0} % of the last minute was left out",
+            100.0 * share
+        ),
+    };
 }

@@ -33,9 +33,9 @@ pub struct SimulatedHobArgs {
     /// Corner of the anti-alias filters in hertz; 0 for none.
     #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().anti_alias_hz)]
     anti_alias: f64,
-    /// Seed of the noise; the same seed gives the same digits.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    seed: u64,
+    /// Seed of the noise; the same seed gives the same digits [default: 1].
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
 }
 
 /// Rms voltage and current at 45 kHz, full power: what `--snr` refers to (measured on
@@ -46,6 +46,11 @@ impl SimulatedHobArgs {
     /// The pot.
     pub fn pot(&self) -> Pot {
         self.pot
+    }
+
+    /// The seed, where one was given.
+    pub fn seed(&self) -> Option<u64> {
+        self.seed
     }
 
     /// The configuration.
@@ -80,7 +85,7 @@ impl SimulatedHobArgs {
             warming: self.warming,
             anti_alias_hz: self.anti_alias,
             noise,
-            seed: self.seed,
+            seed: self.seed.unwrap_or(HobConfig::default().seed),
             ..HobConfig::default()
         })
     }

@@ -83,10 +83,10 @@ fn wrong_usage_exits_with_2_and_names_what_there_is() {
 
 #[test]
 fn values_out_of_range_are_refused_by_name() {
-    refused("trainer --no-store --power 0", 1, &["--power"]);
+    refused("trainer --no-store --power 0", 2, &["--power"]);
     refused(
         "trainer --no-store --mains 16.7",
-        1,
+        2,
         &["--mains", "45 and 65"],
     );
     refused(
@@ -94,8 +94,8 @@ fn values_out_of_range_are_refused_by_name() {
         1,
         &["/nowhere.toml"],
     );
-    refused("trainer --no-store --power 9999", 1, &["9999", "2500"]);
-    refused("hob --speed 0", 1, &["--speed"]);
+    refused("trainer --no-store --power 9999", 2, &["9999", "2500"]);
+    refused("hob --speed 0", 2, &["--speed"]);
 }
 
 #[test]

@@ -8,6 +8,8 @@ use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
 use super::{ScenarioError, number};
+use crate::adc::Noise;
+use crate::hob::HobConfig;
 use crate::injection::{Channel, InjectionKind};
 use crate::pot::Pot;
 use crate::recording::settings::LoadKind;
@@ -73,6 +75,31 @@ pub struct ScenarioFile {
     /// Variants that `cargo xtask scenarios` runs; a run does not look at them.
     #[serde(default)]
     pub matrix: Option<toml::Value>,
+}
+
+impl ScenarioFile {
+    /// The hob of the file's head.
+    pub fn hob(&self) -> HobConfig {
+        let usual = HobConfig::default();
+        HobConfig {
+            mains_hz: self.mains.hz.unwrap_or(usual.mains_hz),
+            mains_v: self.mains.v_rms.unwrap_or(usual.mains_v),
+            bus_capacitance_f: self.bus_capacitance_uf * 1e-6,
+            pot: self.pot.pot,
+            load: self.load,
+            warming: self.warming,
+            ambient_c: self.ambient_c.unwrap_or(usual.ambient_c),
+            ntc: self.ntc.unwrap_or(usual.ntc),
+            dc_link: self.dc_link,
+            anti_alias_hz: self.anti_alias_hz.unwrap_or(usual.anti_alias_hz),
+            noise: self.noise.map_or(usual.noise, |n| Noise {
+                v_v: n.v_v,
+                i_a: n.i_a,
+            }),
+            seed: self.seed,
+            ..usual
+        }
+    }
 }
 
 fn reduced() -> LoadKind {

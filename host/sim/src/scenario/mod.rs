@@ -11,7 +11,9 @@ mod host;
 mod number;
 pub mod record;
 pub mod run;
+pub mod script;
 mod summary;
+mod surroundings;
 #[cfg(test)]
 mod tests;
 pub mod timeline;

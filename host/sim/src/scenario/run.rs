@@ -1,20 +1,17 @@
 //! Runs a scenario block by block.
 
-use std::collections::BTreeMap;
-
 use ihd_firmware::request::PanelEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Configure, State};
 
 use super::ScenarioError;
-use super::file::{MainsField, Scenario};
+use super::file::Scenario;
 use super::host::Host;
 use super::record::{FaultRecord, HalfCycle, Record};
 use super::summary::{self, Kind, Mark};
+use super::surroundings::Surroundings;
 use super::timeline::{Change, Repeated, Timed, timeline};
-use crate::adc::Noise;
-use crate::hob::{HobConfig, SimHob};
-use crate::pot::Pot;
+use crate::hob::SimHob;
 
 /// Runs it; `progress` hears the finished share, 0 to 1, once a half-cycle.
 ///
@@ -23,11 +20,7 @@ use crate::pot::Pot;
 pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record, ScenarioError> {
     let events = timeline(scenario)?;
     let mut run = Run::new(scenario)?;
-    for timed in &events {
-        if let Change::Pot(pot) = &timed.change {
-            run.hob.prepare(pot)?;
-        }
-    }
+    Surroundings::prepare(&mut run.hob, &events)?;
     let duration_s = scenario.file.duration_s;
     let mut next = events.iter().peekable();
     while run.hob.t_s() < duration_s {
@@ -57,9 +50,7 @@ struct Run {
     /// Fault whose bridge is not open yet, and since when its time counts.
     opening: Option<(usize, f64)>,
     marks: Vec<Mark>,
-    pots_before: BTreeMap<usize, Pot>,
-    mains_before: BTreeMap<usize, (f64, f64)>,
-    injected: BTreeMap<usize, u32>,
+    surroundings: Surroundings,
     energy_j: f64,
     /// The panel's level, once a person has touched it.
     panel_level: Option<u8>,
@@ -68,25 +59,7 @@ struct Run {
 impl Run {
     fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let file = &scenario.file;
-        let usual = HobConfig::default();
-        let config = HobConfig {
-            mains_hz: file.mains.hz.unwrap_or(usual.mains_hz),
-            mains_v: file.mains.v_rms.unwrap_or(usual.mains_v),
-            bus_capacitance_f: file.bus_capacitance_uf * 1e-6,
-            pot: file.pot.pot,
-            load: file.load,
-            warming: file.warming,
-            ambient_c: file.ambient_c.unwrap_or(usual.ambient_c),
-            ntc: file.ntc.unwrap_or(usual.ntc),
-            dc_link: file.dc_link,
-            anti_alias_hz: file.anti_alias_hz.unwrap_or(usual.anti_alias_hz),
-            noise: file.noise.map_or(usual.noise, |n| Noise {
-                v_v: n.v_v,
-                i_a: n.i_a,
-            }),
-            seed: file.seed,
-            ..usual
-        };
+        let config = file.hob();
         let mut hob = SimHob::assemble(&config)?;
         let mut host = Host::new(&mut hob);
         if file.give_up_s.is_some() || file.dither_permille.is_some() {
@@ -110,16 +83,15 @@ impl Run {
             cause_s: None,
             opening: None,
             marks: Vec::new(),
-            pots_before: BTreeMap::new(),
-            mains_before: BTreeMap::new(),
-            injected: BTreeMap::new(),
+            surroundings: Surroundings::default(),
             energy_j: 0.0,
             panel_level: None,
         })
     }
 
     fn apply(&mut self, timed: &Timed) -> Result<(), ScenarioError> {
-        let (hob, host, event) = (&mut self.hob, &mut self.host, timed.event);
+        self.surroundings.apply(&mut self.hob, timed)?;
+        let (hob, host) = (&mut self.hob, &mut self.host);
         let now_s = hob.t_s();
         let mut kind = Kind::Other;
         match &timed.change {
@@ -127,51 +99,19 @@ impl Run {
                 kind = Kind::Power(*power_w);
                 host.set_power(hob, *power_w);
             }
-            Change::Pot(pot) => {
+            Change::Pot(_) | Change::PotBack(_) | Change::Mains(_) | Change::MainsBack(_) => {
                 kind = Kind::Disturbed;
-                self.pots_before.insert(event, hob.pot());
-                hob.set_pot(*pot)?;
             }
-            Change::PotBack(event) => {
-                kind = Kind::Disturbed;
-                if let Some(pot) = self.pots_before.get(event) {
-                    hob.set_pot(*pot)?;
-                }
+            Change::Inject(_) => self.cause_s = Some(now_s),
+            Change::Panel(PanelEvent::Level(level)) => {
+                self.panel_level = Some(*level);
+                kind = Kind::Power(hob.housekeeping().control().asked_w());
             }
-            Change::Mains(MainsField { v_rms, hz, .. }) => {
-                kind = Kind::Disturbed;
-                let before = (hob.mains().v_rms_v(), hob.mains().frequency_hz);
-                self.mains_before.insert(event, before);
-                hob.set_mains(v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
-            }
-            Change::MainsBack(event) => {
-                kind = Kind::Disturbed;
-                if let Some(&(v_rms, hz)) = self.mains_before.get(event) {
-                    hob.set_mains(v_rms, hz);
-                }
-            }
-            Change::Inject(injection) => {
-                self.cause_s = Some(now_s);
-                let injected = &mut self.injected;
-                hob.inject(|all| {
-                    injected.insert(event, all.start(*injection));
-                });
-            }
-            Change::InjectEnd(event) => {
-                if let Some(number) = self.injected.remove(event) {
-                    hob.inject(|all| all.end(number));
-                }
-            }
-            Change::Panel(touch) => {
-                hob.panel(*touch);
-                if let PanelEvent::Level(level) = touch {
-                    self.panel_level = Some(*level);
-                    kind = Kind::Power(hob.housekeeping().control().asked_w());
-                }
-            }
-            Change::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
-            Change::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
-            Change::Glass(celsius) => hob.temperatures().glass_c = *celsius,
+            Change::Panel(_)
+            | Change::InjectEnd(_)
+            | Change::Ambient(_)
+            | Change::HeatSink(_)
+            | Change::Glass(_) => {}
             Change::Silent => host.fall_silent(),
             Change::ClearFault => host.clear_fault(hob),
             Change::ResetLookup => host.reset_lookup(hob),

@@ -59,6 +59,21 @@ pub enum Change {
     },
 }
 
+impl Change {
+    /// Whether it is the host that does it.
+    pub fn is_of_host(&self) -> bool {
+        matches!(
+            self,
+            Self::Power(_)
+                | Self::Silent
+                | Self::ClearFault
+                | Self::ResetLookup
+                | Self::PushLookup(_)
+                | Self::Repeat { .. }
+        )
+    }
+}
+
 /// What a host repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Repeated {

@@ -1,0 +1,115 @@
+//! A scenario's events around a hob that somebody else is the host of, over and over.
+
+use super::ScenarioError;
+use super::file::Scenario;
+use super::surroundings::Surroundings;
+use super::timeline::{Timed, timeline};
+use crate::hob::SimHob;
+
+/// What happens to pot, mains and panel of a hob that is behind a link.
+pub struct Script {
+    events: Vec<Timed>,
+    duration_s: f64,
+    /// When this round of it began, in seconds of simulated time.
+    began_s: f64,
+    next: usize,
+    surroundings: Surroundings,
+}
+
+impl Script {
+    /// The events of a scenario for a hob, from its time now on; after the scenario's duration they begin anew.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Event`] for events that cannot be, and for those of a host: whoever connects is the
+    /// host. [`ScenarioError::Plant`] for a pot that has no model.
+    pub fn new(scenario: &Scenario, hob: &mut SimHob) -> Result<Self, ScenarioError> {
+        let events = timeline(scenario)?;
+        if let Some(timed) = events.iter().find(|timed| timed.change.is_of_host()) {
+            return Err(ScenarioError::Event {
+                number: timed.event + 1,
+                line: scenario.lines[timed.event],
+                why: "the host is whoever connects: give pot, mains, panel, key_lock, inject, ambient_c, \
+                      heat_sink_c or glass_c"
+                    .to_owned(),
+            });
+        }
+        Surroundings::prepare(hob, &events)?;
+        Ok(Self {
+            events,
+            duration_s: scenario.file.duration_s,
+            began_s: hob.t_s(),
+            next: 0,
+            surroundings: Surroundings::default(),
+        })
+    }
+
+    /// Carries out what is due; to be called between any two steps.
+    pub fn turn(&mut self, hob: &mut SimHob) {
+        let mut at_s = hob.t_s() - self.began_s;
+        if at_s >= self.duration_s && self.next == self.events.len() {
+            self.began_s += self.duration_s;
+            self.next = 0;
+            at_s -= self.duration_s;
+        }
+        while let Some(timed) = self.events.get(self.next).filter(|e| e.at_s <= at_s) {
+            self.next += 1;
+            // Pots that have no model were refused when the script was made.
+            let _ = self.surroundings.apply(hob, timed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+    use crate::hob::HobConfig;
+
+    fn script(text: &str, hob: &mut SimHob) -> Result<Script, ScenarioError> {
+        Script::new(&Scenario::parse(text, PathBuf::new())?, hob)
+    }
+
+    #[test]
+    fn events_come_at_their_time_and_again_in_the_next_round() {
+        let mut hob = SimHob::new(&HobConfig::default());
+        let text =
+            "duration_s = 0.1\n[[event]]\nat_s = 0.02\npot = { name = \"none\", for_s = 0.03 }\n";
+        let mut script = script(text, &mut hob).unwrap();
+        let mut there = Vec::new();
+        for at_s in [0.01, 0.03, 0.06, 0.11, 0.13, 0.16, 0.21, 0.23] {
+            while hob.t_s() < at_s {
+                script.turn(&mut hob);
+                hob.step();
+            }
+            there.push(hob.pot().metal.is_some());
+        }
+        assert_eq!(there, [true, false, true, true, false, true, true, false]);
+    }
+
+    #[test]
+    fn a_touch_of_the_panel_heats() {
+        let mut hob = SimHob::new(&HobConfig::default());
+        let mut script = script(
+            "duration_s = 60\n[[event]]\nat_s = 0.05\npanel = 5\n",
+            &mut hob,
+        )
+        .unwrap();
+        while hob.t_s() < 1.5 {
+            script.turn(&mut hob);
+            hob.step();
+        }
+        assert!(hob.housekeeping().summary().power_mw > 200_000);
+    }
+
+    #[test]
+    fn events_of_a_host_are_refused_by_line() {
+        let mut hob = SimHob::new(&HobConfig::default());
+        let text = "duration_s = 1\n[[event]]\nat_s = 0.1\npower_w = 500\n";
+        let error = script(text, &mut hob).err().unwrap().to_string();
+        assert!(
+            error.contains("event 1 (line 2)") && error.contains("panel"),
+            "{error}"
+        );
+    }
+}

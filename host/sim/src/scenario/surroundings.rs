@@ -1,0 +1,83 @@
+//! What happens around the hob: pot, mains, panel, heat, faults of sensors, and what ends after a while.
+
+use std::collections::BTreeMap;
+
+use super::file::MainsField;
+use super::timeline::{Change, Timed};
+use crate::hob::SimHob;
+use crate::inverter::InverterError;
+use crate::pot::Pot;
+
+/// What was there before each event that ends.
+#[derive(Default)]
+pub(super) struct Surroundings {
+    pots: BTreeMap<usize, Pot>,
+    mains: BTreeMap<usize, (f64, f64)>,
+    injected: BTreeMap<usize, u32>,
+}
+
+impl Surroundings {
+    /// Makes every pot of the events ready, so that putting it on takes no time.
+    ///
+    /// # Errors
+    /// When there is no model of a pot.
+    pub(super) fn prepare(hob: &mut SimHob, events: &[Timed]) -> Result<(), InverterError> {
+        for timed in events {
+            if let Change::Pot(pot) = &timed.change {
+                hob.prepare(pot)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Carries out a change; one of the host's does nothing.
+    ///
+    /// # Errors
+    /// When there is no model of a pot; the old one stays.
+    pub(super) fn apply(&mut self, hob: &mut SimHob, timed: &Timed) -> Result<(), InverterError> {
+        let event = timed.event;
+        match &timed.change {
+            Change::Pot(pot) => {
+                self.pots.insert(event, hob.pot());
+                hob.set_pot(*pot)?;
+            }
+            Change::PotBack(event) => {
+                if let Some(pot) = self.pots.remove(event) {
+                    hob.set_pot(pot)?;
+                }
+            }
+            Change::Mains(MainsField { v_rms, hz, .. }) => {
+                let before = (hob.mains().v_rms_v(), hob.mains().frequency_hz);
+                self.mains.insert(event, before);
+                hob.set_mains(v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
+            }
+            Change::MainsBack(event) => {
+                if let Some((v_rms, hz)) = self.mains.remove(event) {
+                    hob.set_mains(v_rms, hz);
+                }
+            }
+            Change::Inject(injection) => {
+                let injected = &mut self.injected;
+                hob.inject(|all| {
+                    injected.insert(event, all.start(*injection));
+                });
+            }
+            Change::InjectEnd(event) => {
+                if let Some(number) = self.injected.remove(event) {
+                    hob.inject(|all| all.end(number));
+                }
+            }
+            Change::Panel(touch) => hob.panel(*touch),
+            Change::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
+            Change::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
+            Change::Glass(celsius) => hob.temperatures().glass_c = *celsius,
+            Change::Power(_)
+            | Change::Silent
+            | Change::ClearFault
+            | Change::ResetLookup
+            | Change::PushLookup(_)
+            | Change::Repeat { .. } => {}
+        }
+        Ok(())
+    }
+}
