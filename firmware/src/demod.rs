@@ -10,6 +10,8 @@
 //! instructions to see whether it is out of the ordinary; per block the boxcars add eight 64-bit
 //! additions and four scalings. Sums are exact integers: nothing drifts.
 
+use core::hint::black_box;
+
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, I_FULL_SCALE_A, Pair,
     V_FULL_SCALE_V,
@@ -56,6 +58,22 @@ const _: () = assert!(GAIN_V < 128 && GAIN_I < 128);
 
 /// Most blocks of a boxcar: 0.2 ms at 80 kHz are 5.3.
 pub const MAX_BOXCAR: usize = 6;
+
+/// What scales the sums of V and I behind boxcars of N blocks, N from 1: amplitude = 2/p · mean over N² sums.
+/// At compile time, as a crossing with another frequency has no time for divisions of 64 bit.
+static GAINS: [(i32, i32); MAX_BOXCAR] = {
+    const fn gain(numerator: u64, n: u64) -> i32 {
+        let divisor = ADC_LOCK_P as u64 * n * n;
+        (((numerator << GAIN_BITS) + divisor / 2) / divisor) as i32
+    }
+    let mut gains = [(0, 0); MAX_BOXCAR];
+    let mut n = 1;
+    while n <= MAX_BOXCAR {
+        gains[n - 1] = (gain(GAIN_V, n as u64), gain(GAIN_I, n as u64));
+        n += 1;
+    }
+    gains
+};
 
 /// cos (low half) and −sin (high half) of 2π·q·k/p, as one load brings them.
 static TABLE: [u32; ADC_LOCK_P] = packed(table());
@@ -157,8 +175,8 @@ const ABOVE: u32 = halves(
 const BELOW: u32 = halves(ALARM_V - 1, ALARM_I - 2);
 const SIGNS: u32 = 0x8000_8000;
 
-/// Correlates one block with the fundamental. The only loop that runs per sample; a second one
-/// follows for a block that holds a sample out of the ordinary.
+/// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
+/// of the ordinary.
 #[inline(never)]
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let words = Pair::words(pairs);
@@ -169,10 +187,11 @@ pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let mut s = BlockSums {
         v: sums.v,
         i: sums.i,
-        vi: i64::from(sums.vi),
         ..BlockSums::default()
     };
-    if holds_alarm(words) {
+    let (vi, alarm) = power_and_alarm(words);
+    s.vi = i64::from(vi);
+    if alarm {
         look_closer(pairs, &mut s);
     }
     s
@@ -183,7 +202,6 @@ pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
 struct Correlation {
     v: Complex,
     i: Complex,
-    vi: i32,
 }
 
 impl Correlation {
@@ -193,17 +211,29 @@ impl Correlation {
         self.v.im = self.v.im.wrapping_add(low(pair) * high(phase));
         self.i.re = self.i.re.wrapping_add(high(pair) * low(phase));
         self.i.im = self.i.im.wrapping_add(high(pair) * high(phase));
-        self.vi = self.vi.wrapping_add(low(pair).wrapping_mul(high(pair)));
     }
 }
 
-/// Whether any pair is out of the ordinary. A loop of its own: one for all would need more
+/// Σ v·i, and whether any pair is out of the ordinary. A loop of its own: one for all would need more
 /// registers than there are.
 #[inline(never)]
-fn holds_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
+fn power_and_alarm(words: &[u32; ADC_LOCK_P]) -> (i32, bool) {
     let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
-    let alarm = words.iter().fold(0, |alarm, &word| alarm | look(word));
-    alarm & SIGNS != 0
+    let add = |(vi, alarm): (i32, u32), word: u32| {
+        (
+            vi.wrapping_add(low(word).wrapping_mul(high(word))),
+            alarm | look(word),
+        )
+    };
+    let (by_twelve, rest) = words.as_chunks::<12>();
+    let mut both = rest.iter().fold((0, 0), |both, &word| add(both, word));
+    for twelve in by_twelve {
+        // Unrolled no further than this.
+        let twelve = black_box(twelve);
+        both = twelve.iter().fold(both, |both, &word| add(both, word));
+    }
+    let (vi, alarm) = both;
+    (vi, alarm & SIGNS != 0)
 }
 
 /// Peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can
@@ -279,22 +309,24 @@ impl Demodulator {
 
     /// An empty demodulator for a switching frequency.
     pub fn new(f_sw_hz: u32) -> Self {
+        let mut new = Self::blank();
+        new.restart(f_sw_hz);
+        new
+    }
+
+    /// Empties it, for a switching frequency.
+    pub fn restart(&mut self, f_sw_hz: u32) {
         // 0.2 ms in blocks of q/f_sw, to nearest: f · 0.2e-3 / 3 = f / 15 000.
         let length = ((f_sw_hz + 7_500) / (5_000 * ADC_LOCK_Q)).clamp(1, MAX_BOXCAR as u32);
-        // Amplitude = 2/p · mean over N² sums.
-        // Never 0, which the compiler would otherwise provide for.
-        let divisor = u64::from(ADC_LOCK_P as u32 * length * length).max(1);
-        let gain = |numerator: u64| (((numerator << GAIN_BITS) + divisor / 2) / divisor) as i32;
-        Self {
-            length: length as usize,
-            first: [[0; 4]; MAX_BOXCAR],
-            second: [[0; 4]; MAX_BOXCAR],
-            first_sum: [0; 4],
-            second_sum: [0; 4],
-            at: 0,
-            filled: 0,
-            gain_v: gain(GAIN_V),
-            gain_i: gain(GAIN_I),
+        self.length = length as usize;
+        self.first = [[0; 4]; MAX_BOXCAR];
+        self.second = [[0; 4]; MAX_BOXCAR];
+        self.first_sum = [0; 4];
+        self.second_sum = [0; 4];
+        (self.at, self.filled) = (0, 0);
+        // There for every length, which the compiler cannot see.
+        if let Some(&(gain_v, gain_i)) = GAINS.get(self.length - 1) {
+            (self.gain_v, self.gain_i) = (gain_v, gain_i);
         }
     }
 

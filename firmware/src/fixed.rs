@@ -68,6 +68,18 @@ pub fn saturate(x: i64) -> i32 {
     }
 }
 
+/// `n / d`, truncated, for `n` below 2^46 and `d` from 1 to 2^17: two divisions in hardware, where one of 64 bit is
+/// a library call of some 300 cycles. A larger `d` counts as 2^17, 0 as 1.
+pub fn short_quotient(n: u64, d: u32) -> u64 {
+    debug_assert!(n < 1 << 46 && (1..=1 << 17).contains(&d));
+    const DIGIT: u32 = 15;
+    let d = d.clamp(1, 1 << 17);
+    let upper = (n >> DIGIT) as u32;
+    // The remainder is below 2^17, so that with another digit it fits.
+    let rest = (upper % d) << DIGIT | n as u32 & ((1 << DIGIT) - 1);
+    (u64::from(upper / d) << DIGIT) + u64::from(rest / d)
+}
+
 /// 1/n as `mantissa · 2^-exponent`, mantissa in (2^30, 2^31).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reciprocal {
@@ -174,6 +186,11 @@ mod tests {
             if (1..=62).contains(&(inverse.exponent - q)) {
                 prop_assert_eq!(inverse.factor(q).times(y), inverse.scale(y, q));
             }
+        }
+
+        #[test]
+        fn a_short_quotient_is_exact(n in 0u64..1 << 46, d in 1u32..=1 << 17) {
+            prop_assert_eq!(short_quotient(n, d), n / u64::from(d));
         }
 
         #[test]

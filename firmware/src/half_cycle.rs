@@ -147,10 +147,12 @@ impl Accumulator {
         if !self.blocks.is_multiple_of(OFFSET_EVERY) || self.offset_blocks > 1_000 {
             return;
         }
-        for pair in pairs {
-            self.offsets.0 += i32::from(pair.v);
-            self.offsets.1 += i32::from(pair.i);
-        }
+        // A load brings both channels.
+        let (v, i) = Pair::words(pairs).iter().fold((0, 0), |(v, i), &word| {
+            (v + i32::from(word as u16 as i16), i + (word as i32 >> 16))
+        });
+        self.offsets.0 += v;
+        self.offsets.1 += i;
         self.offset_blocks += 1;
     }
 
@@ -262,6 +264,48 @@ mod tests {
         assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
         let afresh = a.finish(8, 0, 0, 0, false).summary();
         assert_eq!(afresh.power_mw, 0, "it must start afresh");
+    }
+
+    #[test]
+    fn offsets_are_the_means_of_both_channels() {
+        for (v, i) in [
+            (100, -50),
+            (-3, 3),
+            (-2_048, 2_047),
+            (2_047, -2_048),
+            (0, -1),
+        ] {
+            let mut a = Accumulator::default();
+            for block in 0..3 * OFFSET_EVERY as i16 {
+                a.add_block(&BlockSums::default(), 0, None);
+                // Around the mean, and unlike from pair to pair, as far as the range allows.
+                let swing = |mean: i16, k: usize| match mean.unsigned_abs() {
+                    2_000.. => mean,
+                    _ => mean + (k as i16 - 30) * (1 + block % 3),
+                };
+                let pairs = core::array::from_fn(|k| Pair {
+                    v: swing(v, k),
+                    i: swing(i, ADC_LOCK_P - 1 - k),
+                });
+                a.look_at_offset(&pairs);
+            }
+            let s = a.finish(0, 45_000, 10_000_000, 0, false).summary();
+            let (v_dv, i_ma) = (
+                f64::from(v) * VOLT_PER_CODE * 10.0,
+                f64::from(i) * AMPERE_PER_CODE * 1e3,
+            );
+            // Rounded down.
+            assert!(
+                (-1.0..=0.0).contains(&(f64::from(s.v_offset_dv) - v_dv)),
+                "{v}: {} {v_dv}",
+                s.v_offset_dv
+            );
+            assert!(
+                (-1.0..=0.0).contains(&(f64::from(s.i_offset_ma) - i_ma)),
+                "{i}: {} {i_ma}",
+                s.i_offset_ma
+            );
+        }
     }
 
     #[test]

@@ -4,13 +4,14 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
+use ihd_shared::wire::RESEND_MINOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, Configure, DecodeError, FaultEvent, Hello, Message, NO_PANEL,
-    NO_SENSOR_C, Outcome, PushLookup, ReplayBlocks, ReplayMode, ReplayStart, Reply, ResetLookup,
-    SetPower, State, Status, Stream, Telemetry, Utilisation,
+    NO_SENSOR_C, Outcome, PushLookup, ReplayBlocks, ReplayMode, ReplayStart, Reply, ResendWindow,
+    ResetLookup, SetPower, State, Status, Stream, Telemetry, Utilisation,
 };
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
@@ -113,7 +114,10 @@ impl Housekeeping {
                 continue;
             };
             let (id, seq) = (frame.id, frame.seq);
-            self.half_cycles_unheard = 0;
+            // A host sends it by itself for as long as windows come: it answers for no power.
+            if id != ResendWindow::ID {
+                self.half_cycles_unheard = 0;
+            }
             match AnyMessage::decode(id, frame.payload) {
                 // These two borrow from the deframer; the rest may borrow all of self.
                 Ok(AnyMessage::PushLookup(push)) if self.paired => {
@@ -150,6 +154,7 @@ impl Housekeeping {
                 }
                 Ok(AnyMessage::Configure(m)) => self.configure(access, m),
                 Ok(AnyMessage::GetFrontEnd(_)) => self.queue.answer(Answer::FrontEnd),
+                Ok(AnyMessage::ResendWindow(m)) => self.queue.resend(access, m),
                 Ok(AnyMessage::ClearFault(_)) => self.clear_fault(access),
                 Ok(AnyMessage::GetUtilisation(_)) => {
                     let utilisation = access.with(utilisation);
@@ -181,13 +186,15 @@ impl Housekeeping {
 
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
-        self.queue.restart(access);
+        self.paired = check(self.queue.hello(), theirs).is_ok();
+        let minor = self.queue.hello().protocol_minor.min(theirs.protocol_minor);
+        let asks_again = self.paired && minor >= RESEND_MINOR;
+        self.queue.restart(access, asks_again);
         self.replay.forget_sequence();
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was reported to somebody before.
         self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
-        self.paired = check(self.queue.hello(), theirs).is_ok();
         self.queue.answer(Answer::Hello);
         if self.paired {
             self.queue.answer(Answer::FrontEnd);
@@ -340,6 +347,7 @@ impl Housekeeping {
             self.lookup_changes = self.lookup_changes.wrapping_add(1);
         }
         self.watch_host(access);
+        self.queue.half_cycle(access);
         self.last = *summary;
         let action = self.control.on_half_cycle(summary, now);
         self.send_telemetry(access, summary);

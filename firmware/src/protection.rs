@@ -90,7 +90,7 @@ impl Protection {
         }
     }
 
-    /// Resonance moves with the switching frequency; the divisions it takes happen only here.
+    /// Resonance moves with the switching frequency; what that takes happens only here.
     pub fn set_frequency(&mut self, f_sw_hz: u32) {
         self.l_min = resonant_inductance(f_sw_hz);
         self.below_resonance = 0;

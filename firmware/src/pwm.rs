@@ -32,13 +32,18 @@ pub struct Periods {
 }
 
 const fn m_of(f_sw_hz: u32) -> u32 {
-    let f = P as u64 * f_sw_hz as u64;
-    // What asks for 0 Hz gets the lowest.
-    let m = match (TICK_HZ as u64 + f / 2).checked_div(f) {
-        Some(m) if m < M_MAX as u64 => m as u32,
-        _ => M_MAX,
+    // Within the ratings first: then 32 bit do, and the sampling path divides in 12 cycles.
+    let f = match f_sw_hz {
+        ..F_SW_MIN_HZ => F_SW_MIN_HZ,
+        F_SW_MIN_HZ..F_SW_MAX_HZ => f_sw_hz,
+        _ => F_SW_MAX_HZ,
     };
-    if m < M_MIN { M_MIN } else { m }
+    let m = (TICK_HZ + P * f / 2) / (P * f);
+    match m {
+        ..M_MIN => M_MIN,
+        M_MIN..M_MAX => m,
+        _ => M_MAX,
+    }
 }
 
 impl Periods {

@@ -1,11 +1,11 @@
 //! The sampling path: what runs once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 650
-//! instructions of it, 36 %: 61 times at most 18 to correlate, 250 for the boxcars, 800 for the
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 430
+//! instructions of it, 33 %: 61 times at most 14.6 to correlate, 225 for the boxcars, 726 for the
 //! estimator, the rest for protection, soft limits and recording. firmware/budget.toml holds these ceilings,
 //! docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
-//! Nothing here waits, allocates, divides by a variable of 64 bit (but at a frequency step), uses
+//! Nothing here waits, allocates, divides by a variable of 64 bit, uses
 //! floating point or can panic.
 
 use ihd_shared::fault::Fault;
@@ -485,7 +485,8 @@ impl RealTime {
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
     fn cross_zero(&mut self, block: &Block<'_>, at: usize) {
         let (before, after) = block.pairs.split_at(at);
-        let offset_ns = at as i64 * i64::from(self.block_ns) / ADC_LOCK_P as i64;
+        // 61 times 88 µs at most: 32 bit, as one of 64 is divided by a library.
+        let offset_ns = i64::from(at as u32 * self.block_ns / ADC_LOCK_P as u32);
         let duration_ns = self.since_crossing_ns.saturating_add(offset_ns);
         self.since_crossing_ns = -offset_ns;
         self.recorder.push(before, false);
@@ -574,7 +575,7 @@ impl RealTime {
         self.soft
             .set_frequency(next.f_sw_hz, self.protection.l_min());
         self.lower_on_ns = 0;
-        self.demod = Demodulator::new(next.f_sw_hz);
+        self.demod.restart(next.f_sw_hz);
         self.recorder.interrupt();
         self.drive = next;
     }

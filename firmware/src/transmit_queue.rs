@@ -3,17 +3,19 @@
 //!
 //! Nothing waits for the link. Answers go first, then faults, telemetry and windows. Telemetry and
 //! windows take their sequence number before they look for room, so that what is dropped shows as
-//! a gap at the host.
+//! a gap at the host. A window that was sent stays for a while, for a host that asks for pieces again.
 
 use heapless::Deque;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::sampling::{CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
-use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES};
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
 use ihd_shared::wire::messages::{
-    FaultEvent, FrontEnd, Hello, LookupBlob, Message, Raw, ReplayMode, Reply, Status, Telemetry,
-    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
+    FaultEvent, FrontEnd, Hello, LookupBlob, Message, Outcome, Piece, Raw, ReplayMode, Reply,
+    ResendWindow, Status, Telemetry, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd,
+    WindowStart,
 };
+use ihd_shared::wire::timing::WINDOW_KEPT_HALF_CYCLES;
 
 use crate::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
 use crate::realtime::Access;
@@ -46,6 +48,8 @@ pub enum Answer {
     ReplayMode(ReplayMode),
     /// What replayed blocks led to.
     ReplayEstimates(Estimates),
+    /// A piece of a window once more.
+    Piece(ResendWindow),
 }
 
 /// What the codes of this firmware's channels stand for.
@@ -72,6 +76,8 @@ enum Stage {
     Pairs(u16),
     Trajectory(u16),
     End,
+    /// All of it is sent; the host may ask for pieces again.
+    Sent,
 }
 
 /// Queues and counters of the outgoing side.
@@ -83,6 +89,10 @@ pub struct TransmitQueue {
     telemetry_due: u32,
     telemetry_dropped: u32,
     cursor: Option<Cursor>,
+    /// The host asks for what it misses, and lets go of what it has.
+    host_asks_again: bool,
+    /// Half-cycles for which a window that was sent is still kept.
+    kept_half_cycles: u8,
 }
 
 impl TransmitQueue {
@@ -96,6 +106,8 @@ impl TransmitQueue {
             telemetry_due: 0,
             telemetry_dropped: 0,
             cursor: None,
+            host_asks_again: false,
+            kept_half_cycles: 0,
         }
     }
 
@@ -141,12 +153,40 @@ impl TransmitQueue {
         self.telemetry_dropped
     }
 
-    /// Forgets everything queued for a host that is gone.
-    pub fn restart(&mut self, access: &mut impl Access) {
+    /// Forgets everything queued for a host that is gone. The one that comes may ask for pieces of windows
+    /// again.
+    pub fn restart(&mut self, access: &mut impl Access, host_asks_again: bool) {
         self.answers.clear();
         self.telemetry.clear();
         self.cursor = None;
+        self.host_asks_again = host_asks_again;
         access.with(|rt| rt.recorder().abandon());
+    }
+
+    /// The host asks for a piece of a window, or lets go of it.
+    pub fn resend(&mut self, access: &mut impl Access, m: ResendWindow) {
+        if m.piece != Piece::Nothing {
+            self.kept_half_cycles = WINDOW_KEPT_HALF_CYCLES;
+            self.answer(Answer::Piece(m));
+        } else if self.cursor.as_ref().is_some_and(|c| c.header.seq == m.seq) {
+            self.let_go(access);
+        }
+    }
+
+    /// A half-cycle is over: a window that was sent, and that the host says nothing of, is not kept for ever.
+    pub fn half_cycle(&mut self, access: &mut impl Access) {
+        if !matches!(&self.cursor, Some(cursor) if matches!(cursor.stage, Stage::Sent)) {
+            return;
+        }
+        self.kept_half_cycles = self.kept_half_cycles.saturating_sub(1);
+        if self.kept_half_cycles == 0 {
+            self.let_go(access);
+        }
+    }
+
+    fn let_go(&mut self, access: &mut impl Access) {
+        self.cursor = None;
+        access.with(|rt| rt.recorder().release());
     }
 
     /// Writes the next frame, if there is one; returns its length, 0 for none.
@@ -176,6 +216,7 @@ impl TransmitQueue {
                     let mut raw = [0; Estimates::BYTES];
                     self.frame(&estimates.message(&mut raw), out)
                 }
+                Answer::Piece(m) => self.piece(&m, access, out),
             };
         }
         if let Some(telemetry) = self.telemetry.pop_front() {
@@ -202,81 +243,143 @@ impl TransmitQueue {
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
         let h = cursor.header;
-        let mut raw = [0; CHUNK_BYTES];
+        cursor.stage = match cursor.stage {
+            Stage::Pairs(offset) if offset >= h.pairs => Stage::Trajectory(0),
+            stage => stage,
+        };
+        cursor.stage = match cursor.stage {
+            Stage::Trajectory(offset) if offset >= h.trajectory => Stage::End,
+            stage => stage,
+        };
+        let digest = &mut cursor.digest;
         let (length, next) = match cursor.stage {
-            Stage::Start => {
-                let dropped = access.with(|rt| rt.recorder().counters().dropped);
-                let start = WindowStart {
-                    seq: h.seq,
-                    dropped,
-                    half_cycle: h.half_cycle,
-                    f_sw_hz: h.f_sw_hz,
-                    half_cycle_ns: h.half_cycle_ns,
-                    first_pair_ns: h.first_pair_ns,
-                    first_trajectory_ns: h.first_trajectory_ns,
-                    pairs: h.pairs,
-                    trajectory: h.trajectory,
-                    saturated: h.saturated,
-                    lookup_version: h.lookup_version,
-                    v_full_scale_mv: V_FULL_SCALE_MV,
-                    i_full_scale_ma: I_FULL_SCALE_MA,
-                };
-                (self.frame(&start, out), Stage::Pairs(0))
+            Stage::Start => (self.start(&h, access, out), Stage::Pairs(0)),
+            Stage::Pairs(offset) => {
+                let (n, length) = self.pairs(h.seq, offset, digest, access, out);
+                (length, Stage::Pairs(offset + n.max(1)))
             }
-            Stage::Pairs(offset) if offset < h.pairs => {
-                let n = access.with(|rt| rt.recorder().read_pairs(offset, &mut raw));
-                let data = &raw[..usize::from(n) * ihd_shared::window::PAIR_BYTES];
-                cursor.digest.update(data);
-                let chunk = WindowChunk {
-                    seq: h.seq,
-                    offset,
-                    data: Raw(data),
-                };
-                (self.frame(&chunk, out), Stage::Pairs(offset + n.max(1)))
+            Stage::Trajectory(offset) => {
+                let (n, length) = self.trajectory(h.seq, offset, digest, access, out);
+                (length, Stage::Trajectory(offset + n.max(1)))
             }
-            Stage::Pairs(_) => return self.trajectory_frame(cursor, 0, access, out),
-            Stage::Trajectory(offset) => return self.trajectory_frame(cursor, offset, access, out),
             Stage::End => {
-                let end = WindowEnd {
-                    seq: h.seq,
-                    crc32: cursor.digest.finalize(),
-                };
-                access.with(|rt| rt.recorder().release());
-                return self.frame(&end, out);
+                self.kept_half_cycles = WINDOW_KEPT_HALF_CYCLES;
+                (self.end(&cursor, out), Stage::Sent)
             }
+            Stage::Sent => (0, Stage::Sent),
         };
         cursor.stage = next;
         self.cursor = Some(cursor);
+        if matches!(next, Stage::Sent) && !self.host_asks_again {
+            self.let_go(access);
+        }
         length
     }
 
-    fn trajectory_frame(
+    /// A piece once more, or the news that there is none.
+    #[inline(never)]
+    fn piece(
         &mut self,
-        mut cursor: Cursor,
-        offset: u16,
+        m: &ResendWindow,
         access: &mut impl Access,
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
-        let h = cursor.header;
-        if offset >= h.trajectory {
-            cursor.stage = Stage::End;
-            return self.window_frame(cursor, access, out);
+        if let Some(cursor) = self.cursor.take_if(|c| c.header.seq == m.seq) {
+            let h = cursor.header;
+            let mut digest = CRC32.digest();
+            let length = match m.piece {
+                Piece::Start => self.start(&h, access, out),
+                Piece::Pairs if m.offset < h.pairs => {
+                    self.pairs(h.seq, m.offset, &mut digest, access, out).1
+                }
+                Piece::Trajectory if m.offset < h.trajectory => {
+                    self.trajectory(h.seq, m.offset, &mut digest, access, out).1
+                }
+                Piece::End if matches!(cursor.stage, Stage::Sent) => self.end(&cursor, out),
+                // It comes by itself.
+                _ => 0,
+            };
+            self.cursor = Some(cursor);
+            if length > 0 || m.piece == Piece::End {
+                return length;
+            }
         }
+        let gone = Reply {
+            to: ResendWindow::ID,
+            outcome: Outcome::OutOfRange,
+            detail: m.seq,
+        };
+        self.frame(&gone, out)
+    }
+
+    fn start(
+        &mut self,
+        h: &Header,
+        access: &mut impl Access,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> usize {
+        let start = WindowStart {
+            seq: h.seq,
+            dropped: access.with(|rt| rt.recorder().counters().dropped),
+            half_cycle: h.half_cycle,
+            f_sw_hz: h.f_sw_hz,
+            half_cycle_ns: h.half_cycle_ns,
+            first_pair_ns: h.first_pair_ns,
+            first_trajectory_ns: h.first_trajectory_ns,
+            pairs: h.pairs,
+            trajectory: h.trajectory,
+            saturated: h.saturated,
+            lookup_version: h.lookup_version,
+            v_full_scale_mv: V_FULL_SCALE_MV,
+            i_full_scale_ma: I_FULL_SCALE_MA,
+        };
+        self.frame(&start, out)
+    }
+
+    /// The pairs from `offset` on, as many as a chunk takes; how many, and the frame's length.
+    #[inline(never)]
+    fn pairs(
+        &mut self,
+        seq: u32,
+        offset: u16,
+        digest: &mut Digest,
+        access: &mut impl Access,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> (u16, usize) {
+        let mut raw = [0; CHUNK_BYTES];
+        let n = access.with(|rt| rt.recorder().read_pairs(offset, &mut raw));
+        let data = &raw[..usize::from(n) * PAIR_BYTES];
+        digest.update(data);
+        let data = Raw(data);
+        let chunk = WindowChunk { seq, offset, data };
+        (n, self.frame(&chunk, out))
+    }
+
+    /// As [`TransmitQueue::pairs`], for the trajectory.
+    #[inline(never)]
+    fn trajectory(
+        &mut self,
+        seq: u32,
+        offset: u16,
+        digest: &mut Digest,
+        access: &mut impl Access,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> (u16, usize) {
         let mut raw = [0; CHUNK_BYTES];
         let n = access.with(|rt| rt.recorder().read_trajectory(offset, &mut raw));
-        let data = &raw[..usize::from(n) * ihd_shared::window::TRAJECTORY_ENTRY_BYTES];
-        cursor.digest.update(data);
-        let length = self.frame(
-            &TrajectoryChunk {
-                seq: h.seq,
-                offset,
-                data: Raw(data),
-            },
-            out,
-        );
-        cursor.stage = Stage::Trajectory(offset + n.max(1));
-        self.cursor = Some(cursor);
-        length
+        let data = &raw[..usize::from(n) * TRAJECTORY_ENTRY_BYTES];
+        digest.update(data);
+        let data = Raw(data);
+        let chunk = TrajectoryChunk { seq, offset, data };
+        (n, self.frame(&chunk, out))
+    }
+
+    fn end(&mut self, cursor: &Cursor, out: &mut [u8; MAX_ENCODED]) -> usize {
+        let end = WindowEnd {
+            seq: cursor.header.seq,
+            crc32: cursor.digest.clone().finalize(),
+        };
+        self.frame(&end, out)
     }
 
     fn frame<M: Message>(&mut self, message: &M, out: &mut [u8; MAX_ENCODED]) -> usize {

@@ -43,6 +43,7 @@ fn hints(reader: &mut Reader<'_>) -> Hints {
         f_sw_hz: hint([45e3, 60e3, 1e9]),
         mains_hz: hint([50.0, 60.0, 1e-3]),
         zero_crossing_s: hint([0.0, 5e-3, -1e3]),
+        ..Hints::default()
     }
 }
 

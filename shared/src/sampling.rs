@@ -104,8 +104,9 @@ pub fn f_adc_hz(f_sw_hz: u32) -> f64 {
 
 /// Duration of one block of [`ADC_LOCK_P`] pairs, in nanoseconds, rounded to nearest.
 pub fn block_ns(f_sw_hz: u32) -> u32 {
-    let f = u64::from(f_sw_hz.max(1));
-    ((u64::from(ADC_LOCK_Q) * 1_000_000_000 + f / 2) / f) as u32
+    // In 32 bit, as the sampling path divides here: from 2^31 on it is one either way.
+    let f = f_sw_hz.clamp(1, 1 << 31);
+    (ADC_LOCK_Q * 1_000_000_000 + f / 2) / f
 }
 
 /// One simultaneous sample of coil voltage and coil current, as signed ADC codes.
@@ -130,6 +131,18 @@ impl Pair {
     pub fn words(block: &[Self; ADC_LOCK_P]) -> &[u32; ADC_LOCK_P] {
         const { assert!(cfg!(target_endian = "little")) };
         bytemuck::must_cast_ref(block)
+    }
+
+    /// Inverse of [`Pair::words`].
+    pub fn of_words(words: &[u32; ADC_LOCK_P]) -> &[Self; ADC_LOCK_P] {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::must_cast_ref(words)
+    }
+
+    /// Bytes as places for pairs in the wire's layout, where they begin at a word and are a whole number of pairs.
+    pub fn on_bytes(bytes: &mut [u8]) -> Option<&mut [Self]> {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::try_cast_slice_mut(bytes).ok()
     }
 
     /// The layout on the wire and in files: v then i, little-endian 16 bit.

@@ -3,7 +3,8 @@
 //! On the wire a window is a `WindowStart`, as many `WindowChunk`s and `TrajectoryChunk`s as it needs,
 //! and a `WindowEnd` with the CRC-32 of all pair bytes followed by all trajectory bytes. Pairs are
 //! [`crate::sampling::Pair::to_le_bytes`]; trajectory entries are [`TrajectoryEntry::to_le_bytes`]. Raw
-//! little-endian, because postcard's varints would make samples 40 % longer.
+//! little-endian, because postcard's varints would make samples 40 % longer. A piece that is lost is asked for
+//! again (`ResendWindow`).
 
 use crate::units::{MicroOhm, PicoHenry};
 
@@ -24,7 +25,8 @@ pub const TRAJECTORY_ENTRY_BYTES: usize = 8;
 pub const CHUNK_BYTES: usize = 960;
 
 /// The estimator's R and L at the centre of one block's demodulation kernel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct TrajectoryEntry {
     /// Resistance.
     pub r: MicroOhm,
@@ -33,6 +35,12 @@ pub struct TrajectoryEntry {
 }
 
 impl TrajectoryEntry {
+    /// Bytes as places for entries in the wire's layout, where they begin at a word and are a whole number of entries.
+    pub fn on_bytes(bytes: &mut [u8]) -> Option<&mut [Self]> {
+        const { assert!(cfg!(target_endian = "little")) };
+        bytemuck::try_cast_slice_mut(bytes).ok()
+    }
+
     /// The layout on the wire and in files: R in µΩ then L in pH, little-endian signed 32 bit.
     pub fn to_le_bytes(self) -> [u8; TRAJECTORY_ENTRY_BYTES] {
         let mut b = [0; TRAJECTORY_ENTRY_BYTES];

@@ -199,12 +199,15 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
         f_sw_hz: h.f_sw_hz,
         pairs: h.pairs.clone(),
         bus_dv: BUS_DV,
+        truth: None,
     };
     let settings = Settings {
         source: Source::Replay(half_cycles.iter().map(recorded).collect()),
         pinn: NetworkConfig::default(),
         store: None,
-        follow: None,
+        follow: false,
+        stop: None,
+        reopen: None,
     };
     let report = ihd_train::run(board.connect(), None, &settings, &mut |_| ()).unwrap();
     for (point, h) in report.points.iter().zip(&half_cycles) {
@@ -218,7 +221,8 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
     }
     let built = report.built.expect("four half-cycles teach something");
     assert_eq!(report.points.len(), half_cycles.len());
-    assert_eq!(report.status.lookup_version, built.lookup.version);
+    let status = report.status.expect("the board is there at the end");
+    assert_eq!(status.lookup_version, built.lookup.version);
     let mut client = board.connect();
     assert!(built.lookup.observed_cells() > 20);
     assert_eq!(client.hello().capabilities, CAP_SIMULATED, "not replaying");

@@ -13,10 +13,10 @@ use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, decode, encode_raw};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, Configure, FaultEvent, FrontEnd, GetFrontEnd, GetStatus,
-    GetUtilisation, Hello, Limit, LookupBlob, MESSAGES, Message, Outcome, Pot, PushLookup, Raw,
-    ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply,
-    ResetLookup, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry, TrajectoryChunk,
-    Utilisation, WindowChunk, WindowEnd, WindowStart,
+    GetUtilisation, Hello, Limit, LookupBlob, MESSAGES, Message, Outcome, Piece, Pot, PushLookup,
+    Raw, ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply,
+    ResendWindow, ResetLookup, SCHEMA_HASH, SetPower, State, Status, Stream, Telemetry,
+    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
@@ -101,6 +101,11 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             dither_permille: 9,
         }),
         AnyMessage::GetFrontEnd(GetFrontEnd {}),
+        AnyMessage::ResendWindow(ResendWindow {
+            seq: 77,
+            piece: Piece::Trajectory,
+            offset: 240,
+        }),
         AnyMessage::Reply(Reply {
             to: 5,
             outcome: Outcome::LookupStale,

@@ -4,6 +4,7 @@ mod board;
 mod budget;
 mod call_graph;
 mod cycles;
+mod daemon;
 mod emulator;
 mod fuzz;
 mod guest;
@@ -121,6 +122,22 @@ enum Chore {
         #[arg(long)]
         check: bool,
     },
+    /// Test the daemon on bad links, with hostile devices, killed at random and for long.
+    ///
+    /// The short form takes some four minutes; the full one, 200 kills and 24 hours of simulated time, some four hours.
+    /// IHD_KILLS, IHD_HOBS, IHD_SOAK_S, IHD_SOAK_SPEED, IHD_MANY, IHD_MANY_S and IHD_HOSTILE_S set each by hand.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask daemon\n  \
+        cargo xtask daemon kills\n  \
+        IHD_KILLS=200 cargo xtask daemon kills\n  \
+        cargo xtask daemon --full")]
+    Daemon {
+        /// Only tests whose name contains this
+        only: Option<String>,
+        /// The long form
+        #[arg(long)]
+        full: bool,
+    },
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
     /// Starts from fuzz/corpus/TARGET and the seeds named in fuzz/Cargo.toml. What reaches new code is kept in
@@ -165,6 +182,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Scenarios { only, quick, check } => {
             scenarios::run(&session.workspace, only.as_deref(), quick, check)
         }
+        Chore::Daemon { only, full } => daemon::test(&session.workspace, only.as_deref(), full),
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),

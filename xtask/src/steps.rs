@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{board, budget, cycles, emulator, fuzz, guest, licences, scenarios};
+use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, scenarios};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features, as in the other steps: what they built
@@ -33,6 +33,8 @@ pub enum Step {
     Tests,
     /// The first variant of each scenario in tests/scenarios against its limits
     Scenarios,
+    /// The daemon with hostile devices, bad links and kills, in the short form
+    Daemon,
     /// The examples in the documentation
     Doctests,
     /// The documentation builds, without broken links
@@ -73,6 +75,7 @@ impl Session {
             }
             Step::Tests => self.cargo("test --workspace --lib --bins --tests --no-fail-fast"),
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
+            Step::Daemon => daemon::test(&self.workspace, None, false),
             Step::Doctests => self.cargo("test --workspace --doc --no-fail-fast"),
             Step::Rustdoc => {
                 let mut doc = self.workspace.cargo(["doc", "--workspace", "--no-deps"]);

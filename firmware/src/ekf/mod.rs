@@ -36,7 +36,7 @@ mod update;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::demod::{Phasors, STATE_BITS};
-use crate::fixed::{Complex, narrow, narrow_within, saturate, wide};
+use crate::fixed::{Complex, Reciprocal, narrow, narrow_within, saturate, short_quotient, wide};
 
 /// Fractional bits of covariances.
 pub const COVARIANCE_BITS: u32 = 29;
@@ -177,11 +177,12 @@ impl Ekf {
     fn tune(&mut self, f_sw_hz: u32) {
         self.f_sw_hz = f_sw_hz.max(1);
         // L = X·2 ohm / (2π f) per 2^26, in pH, 33 fractional bits: 2e12·2^7 / 2π = 4.0743665e13.
-        self.henry_gain = 40_743_665_431_525 / i64::from(self.f_sw_hz);
+        self.henry_gain = short_quotient(40_743_665_431_525, self.f_sw_hz) as i64;
     }
 
     fn x_of(&self, l: PicoHenry) -> i32 {
-        saturate((i64::from(l.0.max(0)) << 33) / self.henry_gain.max(1))
+        Reciprocal::of(self.henry_gain as u64)
+            .scale(l.0.max(0), 33)
             .clamp(X_BOUNDS.0, X_BOUNDS.1)
     }
 

@@ -250,6 +250,11 @@ fn assembled(
     let of_first = files[0].source.channels().len();
     let chosen = choose(&channels, &options.channels).map_err(choice)?;
     let mut metadata = files[0].source.metadata();
+    // Of another clock the truth says nothing.
+    let truth = match options.rate_hz {
+        None => files[0].source.truth().map_err(|e| e.in_file(&path))?,
+        Some(_) => Vec::new(),
+    };
     let mut read = |file: &mut Opened, wanted: &[usize]| {
         let samples = file.source.read(wanted, progress);
         samples.map_err(|e| e.in_file(&file.path))
@@ -297,7 +302,7 @@ fn assembled(
         f_sw: Vec::new(),
         mains_hz: None,
         zero_crossing_s: None,
-        truth: Vec::new(),
+        truth,
         metadata,
     })
 }

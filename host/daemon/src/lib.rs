@@ -18,6 +18,7 @@ pub mod daemon;
 mod device;
 mod face;
 mod figures;
+pub mod learning;
 pub mod lease;
 mod ledger;
 pub mod model;

@@ -151,7 +151,7 @@ pub async fn follow_usb(devices: Arc<Devices>, context: Context, board: Board) {
         match listed {
             Ok(Ok(boards)) => {
                 complained = false;
-                let serials: Vec<_> = boards.into_iter().map(|b| b.serial_number).collect();
+                let serials: Vec<_> = boards.into_iter().map(|b| b.serial).collect();
                 unplug(&devices, &mut plugged, &serials);
                 for serial in serials {
                     plug(&devices, &mut plugged, serial, &context, &board);

@@ -178,10 +178,13 @@ pub fn run_watched(
         Method::EkfPaper => ekf::literal::identify(segment),
         Method::Rts => ekf::identify_smoothed(segment, settings),
         Method::Lockin => lockin::identify(segment, &settings.lockin),
-        Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
+        // A mean is no part of what these two explain a segment with, and they would bend R and L for it.
+        Method::LeastSquares => {
+            least_squares::identify(&segment.without_offsets(), &settings.least_squares)
+        }
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
-        Method::Pinn => pinn::identify(segment, settings, watch),
+        Method::Pinn => pinn::identify(&segment.without_offsets(), settings, watch),
     }
 }
 

@@ -68,7 +68,6 @@ impl AsyncClient {
         let serve = move || {
             // Dropped last, when the transport is closed.
             let _closing = closing;
-            let heir = Heir(heir);
             let client = match open().and_then(Client::connect) {
                 Ok(client) => client,
                 Err(error) => return drop(connected.send(Err(error))),
@@ -83,8 +82,10 @@ impl AsyncClient {
                     client,
                     events,
                     held: None,
+                    last_words: heir,
                 };
-                heir.inherit(served.serve(waiting, &heir));
+                let reason = served.serve(waiting);
+                served.leave(reason);
             }
         };
         let no_thread = |source| LinkError::Connect {
@@ -171,34 +172,31 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Leaves a reason behind even where an order panicked.
-struct Heir(Arc<LastWords>);
-
-impl Heir {
-    fn inherit(&self, reason: LinkError) {
-        *lock(&self.0.ended) = Some(Arc::new(reason));
-    }
-}
-
-impl Drop for Heir {
-    fn drop(&mut self) {
-        if thread::panicking() {
-            self.inherit(LinkError::Panicked);
-        }
-    }
-}
-
 /// The thread's side.
 struct Served {
     client: Client,
     events: mpsc::Sender<Event>,
     /// The next event, which found its channel full.
     held: Option<Event>,
+    last_words: Arc<LastWords>,
+}
+
+impl Drop for Served {
+    /// Before the events' channel closes, as with every other reason.
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.leave(LinkError::Panicked);
+        }
+    }
 }
 
 impl Served {
+    fn leave(&self, reason: LinkError) {
+        *lock(&self.last_words.ended) = Some(Arc::new(reason));
+    }
+
     /// Orders and events in turn, until the link fails or nobody gives orders any more.
-    fn serve(&mut self, mut orders: mpsc::Receiver<Order>, heir: &Heir) -> LinkError {
+    fn serve(&mut self, mut orders: mpsc::Receiver<Order>) -> LinkError {
         loop {
             match orders.try_recv() {
                 Ok(order) => order(&mut self.client),
@@ -218,7 +216,7 @@ impl Served {
                 Ok(()) => {}
                 // The link goes on.
                 Err(failure @ LinkError::Recording(_)) => {
-                    *lock(&heir.0.recording) = Some(failure);
+                    *lock(&self.last_words.recording) = Some(failure);
                 }
                 Err(reason) => return reason,
             }

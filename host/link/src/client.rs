@@ -3,22 +3,30 @@
 use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::RESEND_MINOR;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
 use ihd_shared::wire::messages::{
     ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
-    Outcome, PushLookup, Raw, ReadLookup, Reply, ResetLookup, SetPower, Status, Stream,
-    Utilisation,
+    Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, ResendWindow, ResetLookup, SetPower,
+    Status, Stream, Utilisation,
 };
 
 use super::incoming::{Answer, Event, Incoming};
+use super::resend::{Resend, Step};
 use super::tap::Tap;
-use super::{Counters, FrameSink, LinkError, Transport};
+use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
 
 /// How long a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// After a time-out the next command first discards replies for this long, so that a late one is not
+/// Times that a command which may come twice is sent within its time-out: an answer is lost as any frame.
+const TRIES: u32 = 3;
+
+/// How long a lookup that was taken may wait for its half-cycle.
+const ACTIVE_WITHIN: Duration = Duration::from_millis(200);
+
+/// After a time-out, or a repetition, the next command first discards replies for this long, so that a late one is not
 /// taken for its own.
 const LATE: Duration = Duration::from_millis(50);
 
@@ -26,10 +34,10 @@ const LATE: Duration = Duration::from_millis(50);
 /// 70 kB.
 const MAX_EVENTS: usize = 256;
 
-/// Reads, and bytes, that [`Client::next_event`] takes of what is there when its time is over: a whole window
-/// comes in a thousand packets over USB.
-const LATE_READS: u32 = 4_096;
-const LATE_BYTES: usize = 4 << 20;
+/// Reads that [`Client::next_event`] makes of what is there when its time is over, and for how long: a whole window
+/// comes in a thousand packets over USB. The number is for clocks that stand still meanwhile.
+const OVERTIME_READS: u32 = 4_096;
+const OVERTIME: Duration = Duration::from_millis(50);
 
 /// A device, connected and compatible.
 pub struct Client {
@@ -41,9 +49,15 @@ pub struct Client {
     timeout: Duration,
     /// An answer stayed away and may still come.
     owed: bool,
+    /// The last command was sent more than once.
+    repeated: bool,
     tap: Tap,
     answers_stray: u32,
     events_dropped: u32,
+    resend: Resend,
+    /// The device sends pieces of windows again.
+    resends: bool,
+    pieces_asked: u32,
 }
 
 impl Client {
@@ -70,12 +84,16 @@ impl Client {
             frame_seq: 0,
             timeout: DEFAULT_TIMEOUT,
             owed: false,
+            repeated: false,
             tap: Tap::default(),
             answers_stray: 0,
             events_dropped: 0,
+            resend: Resend::default(),
+            resends: false,
+            pieces_asked: 0,
         };
-        let theirs = client.ask(&ours, "Hello", |answer| match answer {
-            Answer::Hello(hello) => Some(hello),
+        let theirs = client.ask_again(&ours, "Hello", |answer| match answer {
+            Answer::Hello(hello) => Some(printable_hello(hello)),
             _ => None,
         })?;
         check(&ours, &theirs).map_err(|why| LinkError::Mismatch {
@@ -84,6 +102,7 @@ impl Client {
         })?;
         // What came before the hello was for somebody else.
         client.incoming.events.clear();
+        client.resends = theirs.protocol_minor >= RESEND_MINOR;
         client.hello = theirs;
         client.front_end = client.await_front_end()?;
         Ok(client)
@@ -95,8 +114,11 @@ impl Client {
             Answer::FrontEnd(front_end) => Some(front_end),
             _ => None,
         };
-        match self.await_answer(GetFrontEnd::ID, "GetFrontEnd", LATE, wanted) {
-            Err(LinkError::NoAnswer { .. }) => self.ask(&GetFrontEnd {}, "GetFrontEnd", wanted),
+        let before = self.incoming.counters();
+        match self.await_answer(GetFrontEnd::ID, "GetFrontEnd", LATE, &before, wanted) {
+            Err(LinkError::NoAnswer { .. }) => {
+                self.ask_again(&GetFrontEnd {}, "GetFrontEnd", wanted)
+            }
             answer => answer,
         }
     }
@@ -121,6 +143,7 @@ impl Client {
         Counters {
             answers_stray: self.answers_stray,
             events_dropped: self.events_dropped,
+            pieces_asked: self.pieces_asked,
             ..self.incoming.counters()
         }
     }
@@ -154,7 +177,7 @@ impl Client {
     /// [`LinkError::Refused`] above the rating or while a fault is active, else as every command:
     /// [`LinkError::NoAnswer`] or what the transport reports.
     pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
-        self.order(&SetPower { power_w }, "SetPower")
+        self.order_again(&SetPower { power_w }, "SetPower")
     }
 
     /// Chooses a telemetry and a window every so many half-cycles; 0 for none.
@@ -166,7 +189,7 @@ impl Client {
             telemetry_every,
             windows_every,
         };
-        self.order(&stream, "Stream")
+        self.order_again(&stream, "Stream")
     }
 
     /// The controller now.
@@ -174,7 +197,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn status(&mut self) -> Result<Status, LinkError> {
-        self.ask(&GetStatus {}, "GetStatus", |answer| match answer {
+        self.ask_again(&GetStatus {}, "GetStatus", |answer| match answer {
             Answer::Status(status) => Some(status),
             _ => None,
         })
@@ -185,7 +208,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn utilisation(&mut self) -> Result<Utilisation, LinkError> {
-        self.ask(
+        self.ask_again(
             &GetUtilisation {},
             "GetUtilisation",
             |answer| match answer {
@@ -204,12 +227,16 @@ impl Client {
         self.push_lookup_bytes(&lookup.to_bytes())
     }
 
-    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges.
+    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges. Where the answer
+    /// stays away the push is repeated; a repetition that is refused because the first was taken is a success.
     ///
     /// # Errors
     /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
     pub fn push_lookup_bytes(&mut self, blob: &[u8]) -> Result<(), LinkError> {
-        self.order(&PushLookup { blob: Raw(blob) }, "PushLookup")
+        let pushed = self.order_again(&PushLookup { blob: Raw(blob) }, "PushLookup");
+        self.or_done_before(pushed, |client| {
+            client.lookup_bytes().is_ok_and(|active| active == blob)
+        })
     }
 
     /// The active lookup.
@@ -217,13 +244,17 @@ impl Client {
     /// # Errors
     /// [`LinkError::DamagedLookup`] when it fails the checks, else as every command.
     pub fn read_lookup(&mut self) -> Result<RlLookup, LinkError> {
-        let blob = self.ask(&ReadLookup {}, "ReadLookup", |answer| match answer {
-            Answer::Lookup(blob) => Some(blob),
-            _ => None,
-        })?;
+        let blob = self.lookup_bytes()?;
         RlLookup::from_bytes(&blob).map_err(|source| LinkError::DamagedLookup {
             device: self.describe(),
             source,
+        })
+    }
+
+    fn lookup_bytes(&mut self) -> Result<Vec<u8>, LinkError> {
+        self.ask_again(&ReadLookup {}, "ReadLookup", |answer| match answer {
+            Answer::Lookup(blob) => Some(blob),
+            _ => None,
         })
     }
 
@@ -232,7 +263,36 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn reset_lookup(&mut self) -> Result<(), LinkError> {
-        self.order(&ResetLookup {}, "ResetLookup")
+        let reset = self.order_again(&ResetLookup {}, "ResetLookup");
+        self.or_done_before(reset, |client| {
+            client
+                .status()
+                .is_ok_and(|status| status.lookup_version == 0)
+        })
+    }
+
+    /// Whether a refusal only says that a repeated command had been done the first time, which `is_done` sees.
+    fn or_done_before(
+        &mut self,
+        outcome: Result<(), LinkError>,
+        mut is_done: impl FnMut(&mut Self) -> bool,
+    ) -> Result<(), LinkError> {
+        let (Err(LinkError::Refused { outcome: why, .. }), true) = (&outcome, self.repeated) else {
+            return outcome;
+        };
+        if !matches!(why, Outcome::LookupStale | Outcome::Busy) {
+            return outcome;
+        }
+        let deadline = self.transport.clock() + ACTIVE_WITHIN;
+        while !is_done(self) {
+            let left = deadline.saturating_sub(self.transport.clock());
+            if left.is_zero() {
+                return outcome;
+            }
+            // Half a half-cycle.
+            self.receive(left.min(Duration::from_millis(5)))?;
+        }
+        Ok(())
     }
 
     /// Changes the device's settings until its next boot.
@@ -240,7 +300,7 @@ impl Client {
     /// # Errors
     /// [`LinkError::Refused`] when one is outside its range, else as every command.
     pub fn configure(&mut self, settings: &Configure) -> Result<(), LinkError> {
-        self.order(settings, "Configure")
+        self.order_again(settings, "Configure")
     }
 
     /// Leaves the safe state after a fault; power must be asked for again.
@@ -248,18 +308,18 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn clear_fault(&mut self) -> Result<(), LinkError> {
-        self.order(&ClearFault {}, "ClearFault")
+        self.order_again(&ClearFault {}, "ClearFault")
     }
 
     /// The next event, in the order the device sent them; `None` when `timeout` has passed on the
     /// transport's clock, whatever else has come meanwhile. A zero `timeout` takes what is there, within
-    /// bounds: a device that sends without end and completes nothing is left after some megabytes.
+    /// bounds: a device that sends without end and completes nothing is left after 50 ms.
     ///
     /// # Errors
     /// [`LinkError::Recording`] once when the recording fails, and what the transport reports.
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
         let deadline = self.transport.clock() + timeout;
-        let (mut late_reads, mut late_bytes) = (0, 0);
+        let mut overtime_reads = 0;
         loop {
             if let Some(error) = self.tap.take_failure() {
                 return Err(LinkError::Recording(error));
@@ -267,20 +327,16 @@ impl Client {
             if let Some(event) = self.incoming.events.pop_front() {
                 return Ok(Some(event));
             }
-            let left = deadline.saturating_sub(self.transport.clock());
-            if left.is_zero() {
-                late_reads += 1;
-            }
-            if late_reads > LATE_READS || late_bytes > LATE_BYTES {
+            let now = self.transport.clock();
+            let left = deadline.saturating_sub(now);
+            overtime_reads += u32::from(left.is_zero());
+            if overtime_reads > OVERTIME_READS || now.saturating_sub(deadline) > OVERTIME {
                 return Ok(None);
             }
             let length = self.receive(left)?;
             self.drop_answers();
             if length == 0 {
                 return Ok(self.incoming.events.pop_front());
-            }
-            if left.is_zero() {
-                late_bytes += length;
             }
         }
     }
@@ -312,28 +368,64 @@ impl Client {
         self.events_dropped = self.events_dropped.wrapping_add(1);
     }
 
-    /// A command that is answered by a [`Reply`].
-    fn order<M: Message>(&mut self, message: &M, command: &'static str) -> Result<(), LinkError> {
-        self.ask(message, command, |answer| match answer {
+    /// A command that is answered by a [`Reply`], and that may come twice.
+    fn order_again<M: Message>(
+        &mut self,
+        message: &M,
+        command: &'static str,
+    ) -> Result<(), LinkError> {
+        self.ask_again(message, command, |answer| match answer {
             Answer::Reply(Reply { to, .. }) if to == M::ID => Some(()),
             _ => None,
         })
     }
 
+    /// A command that may come twice: it is sent several times within the time-out if need be.
+    fn ask_again<M: Message, T>(
+        &mut self,
+        message: &M,
+        command: &'static str,
+        wanted: impl Fn(Answer) -> Option<T>,
+    ) -> Result<T, LinkError> {
+        self.ask_times(TRIES, message, command, wanted)
+    }
+
+    /// A command that is sent once.
     pub(super) fn ask<M: Message, T>(
         &mut self,
         message: &M,
         command: &'static str,
         wanted: impl Fn(Answer) -> Option<T>,
     ) -> Result<T, LinkError> {
+        self.ask_times(1, message, command, wanted)
+    }
+
+    fn ask_times<M: Message, T>(
+        &mut self,
+        tries: u32,
+        message: &M,
+        command: &'static str,
+        wanted: impl Fn(Answer) -> Option<T>,
+    ) -> Result<T, LinkError> {
         self.forget_answers()?;
-        let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, self.frame_seq, &mut frame)
-            .map_err(|source| LinkError::Unsendable { command, source })?;
-        self.frame_seq = self.frame_seq.wrapping_add(1);
-        self.transport.send(&frame[..length])?;
-        self.tap.give(self.transport.clock(), &frame[..length]);
-        self.await_answer(M::ID, command, self.timeout, wanted)
+        self.repeated = false;
+        // Faults of the link seen so far do not explain a missing answer to this command.
+        let before = self.incoming.counters();
+        let mut left = tries;
+        loop {
+            left -= 1;
+            let mut frame = [0; MAX_ENCODED];
+            let length = self.framed(message, command, &mut frame)?;
+            self.transport.send(&frame[..length])?;
+            self.tap.give(self.transport.clock(), &frame[..length]);
+            let answer = self.await_answer(M::ID, command, self.timeout / tries, &before, &wanted);
+            // All that were sent may be answered in the end.
+            self.owed |= self.repeated;
+            match answer {
+                Err(LinkError::NoAnswer { .. }) if left > 0 => self.repeated = true,
+                answer => return answer,
+            }
+        }
     }
 
     /// The answer to the command of number `id`, as `wanted` knows it.
@@ -342,11 +434,10 @@ impl Client {
         id: u8,
         command: &'static str,
         timeout: Duration,
+        before: &Counters,
         wanted: impl Fn(Answer) -> Option<T>,
     ) -> Result<T, LinkError> {
         let start = self.transport.clock();
-        // Faults of the link seen so far do not explain a missing answer to this command.
-        let before = self.incoming.counters();
         loop {
             while let Some(answer) = self.incoming.answers.pop_front() {
                 if let Answer::Reply(reply) = &answer
@@ -370,7 +461,7 @@ impl Client {
             let left = timeout.saturating_sub(waited);
             if left.is_zero() || self.receive(left)? == 0 {
                 self.owed = true;
-                return Err(self.no_answer(command, &before));
+                return Err(self.no_answer(command, before));
             }
         }
     }
@@ -403,6 +494,7 @@ impl Client {
                 if left.is_zero() || self.receive(left)? == 0 {
                     break;
                 }
+                self.drop_answers();
             }
         }
         self.drop_answers();
@@ -415,20 +507,140 @@ impl Client {
         self.incoming.answers.clear();
     }
 
-    /// Takes what comes within `timeout`; returns how many bytes it was.
+    /// Takes what comes within `timeout`, and asks for the missing pieces of windows meanwhile; returns
+    /// how many bytes it was.
     fn receive(&mut self, timeout: Duration) -> Result<usize, LinkError> {
+        let start = self.transport.clock();
+        loop {
+            let pause = self.ask_for_pieces()?;
+            let now = self.transport.clock();
+            let left = timeout.saturating_sub(now.saturating_sub(start));
+            let length = self.read(left.min(pause))?;
+            if length > 0 || left <= pause {
+                // Asked for now rather than with the next call, which may be late.
+                self.ask_for_pieces()?;
+                return Ok(length);
+            }
+        }
+    }
+
+    /// Takes what comes within `timeout`; returns how many bytes it was.
+    fn read(&mut self, timeout: Duration) -> Result<usize, LinkError> {
         let mut buf = [0; 16 * 1024];
         let length = self.transport.receive(&mut buf, timeout)?;
         let bytes = &buf[..length];
+        let known = self.incoming.events.len();
         for &byte in bytes {
             // Bad frames are in the counters.
             let _ = self.incoming.push(byte);
         }
-        while self.incoming.events.len() > MAX_EVENTS {
-            self.incoming.events.pop_front();
-            self.events_dropped = self.events_dropped.wrapping_add(1);
-        }
         self.tap.take(self.transport.clock(), bytes);
+        self.take_refusals();
+        self.let_go_of_windows(known)?;
+        self.limit_events();
+        Ok(length)
+    }
+
+    /// What the device answers to requests that no command waits for.
+    fn take_refusals(&mut self) {
+        let (mut gone, mut unknown) = (None, false);
+        self.incoming.answers.retain(|answer| match answer {
+            Answer::Reply(reply) if reply.to == ResendWindow::ID => {
+                match reply.outcome {
+                    Outcome::OutOfRange => gone = Some(reply.detail),
+                    _ => unknown = true,
+                }
+                false
+            }
+            _ => true,
+        });
+        if let Some(seq) = gone {
+            self.incoming.give_up(seq);
+        }
+        if unknown {
+            self.resends = false;
+        }
+    }
+
+    /// Lets the device forget the windows that have been given out or rejected since there were `known` events.
+    fn let_go_of_windows(&mut self, known: usize) -> Result<(), LinkError> {
+        if !self.resends {
+            return Ok(());
+        }
+        let newest = self.incoming.events.iter().skip(known).rev();
+        let seq = newest.into_iter().find_map(|event| match event {
+            Event::Window(window) => Some(window.seq),
+            Event::WindowRejected { seq, .. } => Some(*seq),
+            Event::Telemetry(_) | Event::Fault(_) => None,
+        });
+        // The device has one window at a time: those before it are gone.
+        let let_go = seq.map(|seq| ResendWindow {
+            seq,
+            piece: Piece::Nothing,
+            offset: 0,
+        });
+        self.send_requests(let_go.as_slice())
+    }
+
+    /// Asks for what is missing of the window under way when it is time; returns how long it is not.
+    fn ask_for_pieces(&mut self) -> Result<Duration, LinkError> {
+        loop {
+            let now = self.transport.clock();
+            let window = self.incoming.unfinished();
+            match self.resend.step(now, window.as_ref(), self.resends) {
+                Step::Wait(pause) => return Ok(pause),
+                Step::GiveUp(seq) => self.incoming.give_up(seq),
+                Step::Ask(pieces) => {
+                    self.pieces_asked = self.pieces_asked.wrapping_add(pieces.len() as u32);
+                    self.send_requests(&pieces)?;
+                }
+            }
+        }
+    }
+
+    fn send_requests(&mut self, requests: &[ResendWindow]) -> Result<(), LinkError> {
+        let mut frames = Vec::new();
+        for request in requests {
+            let mut frame = [0; MAX_ENCODED];
+            let length = self.framed(request, "ResendWindow", &mut frame)?;
+            self.tap.give(self.transport.clock(), &frame[..length]);
+            frames.extend_from_slice(&frame[..length]);
+        }
+        if frames.is_empty() {
+            return Ok(());
+        }
+        self.transport.send(&frames)
+    }
+
+    /// Keeps the events that wait within bounds: telemetry goes first, then the oldest.
+    fn limit_events(&mut self) {
+        let events = &mut self.incoming.events;
+        let excess = events.len().saturating_sub(MAX_EVENTS);
+        if excess == 0 {
+            return;
+        }
+        let mut left = excess;
+        events.retain(|event| {
+            let goes = left > 0 && matches!(event, Event::Telemetry(_));
+            left -= usize::from(goes);
+            !goes
+        });
+        events.drain(..left);
+        self.events_dropped = self.events_dropped.wrapping_add(excess as u32);
+    }
+
+    fn framed<M: Message>(
+        &mut self,
+        message: &M,
+        command: &'static str,
+        frame: &mut [u8; MAX_ENCODED],
+    ) -> Result<usize, LinkError> {
+        let length = encode(message, self.frame_seq, frame)
+            .map_err(|source| LinkError::Unsendable { command, source })?;
+        self.frame_seq = self.frame_seq.wrapping_add(1);
         Ok(length)
     }
 }
+
+#[cfg(test)]
+mod hostile_tests;

@@ -27,7 +27,9 @@ pub struct Counters {
     pub windows: SequenceCounters,
     /// Windows rejected, by [`super::WindowDefect::label`].
     pub windows_rejected: BTreeMap<&'static str, u32>,
-    /// Window messages that belong to no window under way, beyond the first of each window.
+    /// Pieces of windows that were asked for again.
+    pub pieces_asked: u32,
+    /// Messages of windows that had already been given out or rejected.
     pub window_messages_stray: u32,
 }
 
@@ -48,19 +50,34 @@ pub struct SequenceCounters {
     /// Dropped since boot, as the device last reported.
     pub dropped_by_device: u32,
     next: Option<u32>,
+    /// Which of the last 64 numbers count as missing; the lowest bit is the last.
+    late: u64,
 }
 
 impl SequenceCounters {
-    /// Takes the sequence number of something that arrived, whole or not, and the device's own count
-    /// of what it dropped.
-    pub(super) fn see(&mut self, seq: u32, dropped_by_device: u32) {
-        self.dropped_by_device = dropped_by_device;
-        if let Some(next) = self.next {
-            let gap = seq.wrapping_sub(next);
-            // More than half the range is a repetition, or a device that began anew.
-            if gap < 1 << 31 {
-                self.missing = self.missing.wrapping_add(gap);
+    /// Takes the sequence number of something that arrived, whole or not.
+    pub(super) fn see(&mut self, seq: u32) {
+        let Some(next) = self.next else {
+            self.next = Some(seq.wrapping_add(1));
+            return;
+        };
+        let (gap, back) = (seq.wrapping_sub(next), next.wrapping_sub(seq));
+        if gap < 1 << 31 {
+            self.missing = self.missing.wrapping_add(gap);
+            let skipped = 1u64.checked_shl(gap).map_or(u64::MAX, |bit| bit - 1);
+            let shifted = self.late.checked_shl(gap).unwrap_or(0);
+            self.late = (shifted | skipped) << 1;
+        } else if back <= 64 {
+            // A repetition, or one that another has overtaken.
+            let bit = 1u64 << (back - 1);
+            if self.late & bit != 0 {
+                self.late &= !bit;
+                self.missing = self.missing.wrapping_sub(1);
             }
+            return;
+        } else {
+            // The device began anew.
+            self.late = 0;
         }
         self.next = Some(seq.wrapping_add(1));
     }
@@ -73,9 +90,38 @@ mod tests {
     #[test]
     fn gaps_count_and_repetitions_do_not() {
         let mut s = SequenceCounters::default();
-        for seq in [5, 6, 9, 9, u32::MAX, 0] {
-            s.see(seq, 3);
+        for seq in [5, 6, 9, 9, 6, 10] {
+            s.see(seq);
         }
-        assert_eq!((s.missing, s.dropped_by_device), (2, 3));
+        assert_eq!(s.missing, 2);
+        for seq in [100_000, 100_001] {
+            s.see(seq);
+        }
+        assert_eq!(s.missing, 2 + 99_989);
+        for seq in [0, 1] {
+            s.see(seq);
+        }
+        assert_eq!(
+            s.missing,
+            2 + 99_989,
+            "a device that began anew misses nothing"
+        );
+        for seq in [u32::MAX - 1, u32::MAX] {
+            s.see(seq);
+        }
+        assert_eq!(s.missing, 2 + 99_989);
+    }
+
+    #[test]
+    fn what_was_overtaken_is_not_missing() {
+        let mut s = SequenceCounters::default();
+        for seq in [5, 7, 6, 6, 10, 8, 11] {
+            s.see(seq);
+        }
+        assert_eq!(s.missing, 1, "9 alone");
+        for seq in [12 + 63, 12 + 62, 12] {
+            s.see(seq);
+        }
+        assert_eq!(s.missing, 1 + 61);
     }
 }

@@ -75,7 +75,6 @@ pub struct Fake {
     time: Duration,
     on_message: Box<OnMessage>,
     on_wait: Box<OnWait>,
-    per_read: usize,
 }
 
 impl Fake {
@@ -90,14 +89,7 @@ impl Fake {
             time: Duration::ZERO,
             on_message: Box::new(on_message),
             on_wait: Box::new(on_wait),
-            per_read: usize::MAX,
         }
-    }
-
-    /// Gives at most so many bytes a read.
-    pub fn per_read(mut self, bytes: usize) -> Self {
-        self.per_read = bytes;
-        self
     }
 }
 
@@ -117,7 +109,7 @@ impl Transport for Fake {
         if self.sent.bytes.is_empty() {
             (self.on_wait)(&mut self.sent);
         }
-        let n = self.sent.bytes.len().min(buf.len()).min(self.per_read);
+        let n = self.sent.bytes.len().min(buf.len());
         if n == 0 {
             if self.sent.closed {
                 return Err(LinkError::Closed {

@@ -11,7 +11,7 @@ use ihd_shared::wire::messages::{
 };
 
 use super::Counters;
-use super::assembler::{Assembler, Rejected};
+use super::assembler::{Assembler, Rejected, Unfinished};
 use super::protocol_1;
 use super::window::{Window, WindowDefect};
 
@@ -119,7 +119,8 @@ impl Incoming {
                     .push_back(Answer::ReplayEstimates(m.first, bytes));
             }
             Ok(AnyMessage::Telemetry(m)) => {
-                counters.telemetry.see(m.seq, m.dropped);
+                counters.telemetry.see(m.seq);
+                counters.telemetry.dropped_by_device = m.dropped;
                 counters.telemetry.received += 1;
                 self.events.push_back(Event::Telemetry(m));
             }
@@ -131,11 +132,13 @@ impl Incoming {
                 | AnyMessage::WindowEnd(_)),
             ) => {
                 if let AnyMessage::WindowStart(start) = m {
-                    counters.windows.see(start.seq, start.dropped);
+                    counters.windows.dropped_by_device = start.dropped;
                 }
                 let events = &mut self.events;
-                self.assembler
-                    .take(m, |result| events.push_back(window_event(result, counters)));
+                let closed = |result| events.push_back(window_event(result, counters));
+                if let Some(seq) = self.assembler.take(m, closed) {
+                    self.counters.windows.see(seq);
+                }
             }
             // What only a host sends has no business here.
             Ok(
@@ -148,6 +151,7 @@ impl Incoming {
                 | AnyMessage::ResetLookup(_)
                 | AnyMessage::Configure(_)
                 | AnyMessage::GetFrontEnd(_)
+                | AnyMessage::ResendWindow(_)
                 | AnyMessage::ClearFault(_)
                 | AnyMessage::ReplayStart(_)
                 | AnyMessage::ReplayBlocks(_)
@@ -161,6 +165,19 @@ impl Incoming {
         Ok(())
     }
 
+    /// The window that began last, while it is not complete.
+    pub fn unfinished(&self) -> Option<Unfinished<'_>> {
+        self.assembler.unfinished()
+    }
+
+    /// Rejects a window that is under way: what is missing is not to be had.
+    pub fn give_up(&mut self, seq: u32) {
+        if let Some(rejected) = self.assembler.give_up(seq) {
+            let event = window_event(Err(rejected), &mut self.counters);
+            self.events.push_back(event);
+        }
+    }
+
     /// The next frame begins a new sequence: nothing is missing before it.
     pub fn restart_sequence(&mut self) {
         self.deframer.restart_sequence();
@@ -168,7 +185,7 @@ impl Incoming {
 
     /// The stream is over: a window under way is rejected.
     pub fn finish(&mut self) {
-        if let Some(rejected) = self.assembler.finish() {
+        while let Some(rejected) = self.assembler.finish() {
             let event = window_event(Err(rejected), &mut self.counters);
             self.events.push_back(event);
         }

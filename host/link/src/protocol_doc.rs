@@ -92,6 +92,15 @@ What 2.0 changed: windows carry their scales and the device tells those of its c
 where 1.x meant ±400 V and ±80 A; states, `Limit`, temperatures and panel; a lookup can be reset, and a
 version steps by at most {LOOKUP_VERSION_STEP}. A recording of 1.x is still read.
 
+What 2.1 added: pieces of windows are sent again (`ResendWindow`). Neither end of 2.1 uses it with one of 2.0.
+
+## Commands that are repeated
+
+Answers get lost as other frames do. A host repeats what may come twice, twice within its time-out: `Hello`,
+`SetPower`, `Stream`, `Configure`, `ClearFault`, and all that only asks. `PushLookup` too: a device that answers a
+repetition with `LookupStale` or `Busy` may have taken the first, and the host reads the lookup back.
+`ResetLookup` likewise. `ReplayBlocks` is repeated as its own description says.
+
 ## Windows
 
 A window is every sample pair of one mains half-cycle: `WindowStart`, `WindowChunk`s, `TrajectoryChunk`s,
@@ -101,9 +110,13 @@ entries, {CHUNK_BYTES} bytes a chunk.
     pair              v i16 LE · i i16 LE   ADC codes, 4 bytes; {ADC_LOCK_P} pairs per {ADC_LOCK_Q} switching periods
     trajectory entry  R i32 LE · L i32 LE   µΩ and pH, 8 bytes; one per {ADC_LOCK_P} pairs
 
-Chunks follow each other without gap or overlap. `WindowEnd` carries the CRC-32 of all pair bytes, then
-all trajectory bytes. A window's number counts before a buffer is claimed: a gap is a window that was
-dropped.
+`WindowEnd` carries the CRC-32 of all pair bytes, then all trajectory bytes. A window's number counts before a
+buffer is claimed: a gap is a window that was dropped.
+
+Chunks leave the device without gap or overlap. What is lost of them the host asks for again with `ResendWindow`,
+at most a few pieces at a time, when the window's end has come or nothing more of the window has come for
+30 ms, and six times at the most without success. A receiver takes pieces in any order and more than once;
+those that overlap must agree.
 
 ## Lookup
 

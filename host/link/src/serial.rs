@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use serialport::SerialPort;
 
+use super::transport::{SEND_TIMEOUT, send_within};
 use super::{LinkError, Transport};
 
 /// Rate of the board's serial port in bit/s (`firmware/src/board/stm32g474/serial.rs`).
@@ -62,9 +63,11 @@ impl SerialTransport {
 
 impl Transport for SerialTransport {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.port
-            .write_all(bytes)
-            .map_err(|e| self.failed("send", e))
+        let sent = send_within(SEND_TIMEOUT, bytes, |rest, left| {
+            self.port.set_timeout(left)?;
+            self.port.write(rest)
+        });
+        sent.map_err(|e| self.failed("send", e))
     }
 
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {

@@ -4,13 +4,11 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
 
+use super::transport::{SEND_TIMEOUT, send_within};
 use super::{LinkError, Transport};
 
 /// How long a connection may take to come about.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-
-/// How long a device may leave what we send unread.
-const SEND_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A TCP connection.
 pub struct TcpTransport {
@@ -48,7 +46,6 @@ impl TcpTransport {
     fn new(stream: TcpStream, address: &str) -> io::Result<Self> {
         // Commands are small and wait for their answer.
         stream.set_nodelay(true)?;
-        stream.set_write_timeout(Some(SEND_TIMEOUT))?;
         Ok(Self {
             stream,
             device: format!("tcp:{address}"),
@@ -72,9 +69,11 @@ impl TcpTransport {
 
 impl Transport for TcpTransport {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.stream
-            .write_all(bytes)
-            .map_err(|e| self.failed("send", e))
+        let sent = send_within(SEND_TIMEOUT, bytes, |rest, left| {
+            self.stream.set_write_timeout(Some(left))?;
+            self.stream.write(rest)
+        });
+        sent.map_err(|e| self.failed("send", e))
     }
 
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {

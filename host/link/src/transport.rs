@@ -1,6 +1,6 @@
 //! What carries the bytes, and where a copy of them may go.
 
-use std::io;
+use std::io::{self, ErrorKind};
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
@@ -32,6 +32,38 @@ pub trait Transport: Send {
     }
 }
 
+/// How long a device may leave what we send unread.
+pub const SEND_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Sends all of `bytes` within `timeout` of wall time: `write` takes the rest and the time left, and gives how many
+/// bytes went. A device that reads a byte now and then does not keep the host.
+pub(crate) fn send_within(
+    timeout: Duration,
+    bytes: &[u8],
+    mut write: impl FnMut(&[u8], Duration) -> io::Result<usize>,
+) -> io::Result<()> {
+    let start = Instant::now();
+    let mut rest = bytes;
+    while !rest.is_empty() {
+        let left = timeout.saturating_sub(start.elapsed());
+        if left.is_zero() {
+            let why = format!(
+                "the device has read {} of {} bytes in {timeout:?}",
+                bytes.len() - rest.len(),
+                bytes.len()
+            );
+            return Err(io::Error::new(ErrorKind::TimedOut, why));
+        }
+        match write(rest, left) {
+            Ok(0) => return Err(ErrorKind::WriteZero.into()),
+            Ok(n) => rest = rest.get(n..).unwrap_or_default(),
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(())
+}
+
 /// Takes a copy of the bytes on a link, with the transport's clock at each.
 pub trait FrameSink: Send {
     /// Takes the next bytes of the device, in whole frames from the first byte on.
@@ -51,4 +83,40 @@ pub trait FrameSink: Send {
     /// # Errors
     /// As [`FrameSink::received`].
     fn finish(self: Box<Self>) -> io::Result<()>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_that_reads_a_byte_now_and_then_does_not_keep_the_host() {
+        let start = Instant::now();
+        let mut sent = 0;
+        let error = send_within(Duration::from_millis(60), &[0; 1_000], |_, _| {
+            std::thread::sleep(Duration::from_millis(10));
+            sent += 1;
+            Ok(1)
+        });
+        assert_eq!(error.unwrap_err().kind(), ErrorKind::TimedOut);
+        assert!((1..20).contains(&sent), "{sent}");
+        assert!(start.elapsed() < Duration::from_secs(2));
+    }
+
+    #[test]
+    fn all_is_sent_in_order_whatever_is_taken_at_once() {
+        let bytes: Vec<u8> = (0..=255).collect();
+        let mut taken = Vec::new();
+        let sent = send_within(Duration::from_secs(1), &bytes, |rest, _| {
+            if taken.len() % 3 == 2 {
+                taken.push(rest[0]);
+                return Ok(1);
+            }
+            let n = rest.len().min(7);
+            taken.extend_from_slice(&rest[..n]);
+            Ok(n)
+        });
+        assert!(sent.is_ok());
+        assert_eq!(taken, bytes);
+    }
 }

@@ -9,14 +9,12 @@ use nusb::descriptors::TransferType;
 use nusb::io::{EndpointRead, EndpointWrite};
 use nusb::transfer::{Bulk, Direction, In, Out};
 
-use super::{LinkError, Transport};
+use super::transport::SEND_TIMEOUT;
+use super::{LinkError, Transport, printable};
 
 /// The device sends packets of less than 64 bytes, each of which ends a transfer: many in flight.
 const TRANSFER: usize = 64;
 const IN_FLIGHT: usize = 64;
-
-/// How long a device may leave what we send unread.
-const SEND_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A claimed interface.
 pub struct UsbTransport {
@@ -44,25 +42,28 @@ fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
     Ok(devices.filter(ours).collect())
 }
 
-/// A board on USB.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A controller that is plugged in.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Board {
-    /// Its serial number, which `usb:SERIAL` opens; empty where it has none.
-    pub serial_number: String,
+    /// Its serial number, which `usb:SERIAL` takes; empty where it has none.
+    pub serial: String,
     /// What it calls itself.
     pub product: String,
 }
 
-/// The boards that are plugged in.
+/// The controllers that are plugged in, in order of their serial numbers. Their strings are
+/// [`printable`](super::printable).
 ///
 /// # Errors
-/// [`LinkError::Connect`] where the system cannot list what is on USB.
+/// [`LinkError::Connect`] where the system has no USB, or does not let us look.
 pub fn boards() -> Result<Vec<Board>, LinkError> {
-    let board = |device: nusb::DeviceInfo| Board {
-        serial_number: device.serial_number().unwrap_or_default().to_owned(),
-        product: device.product_string().unwrap_or_default().to_owned(),
+    let board = |device: &nusb::DeviceInfo| Board {
+        serial: printable(device.serial_number().unwrap_or_default()),
+        product: printable(device.product_string().unwrap_or_default()),
     };
-    Ok(controllers()?.into_iter().map(board).collect())
+    let mut boards: Vec<Board> = controllers()?.iter().map(board).collect();
+    boards.sort();
+    Ok(boards)
 }
 
 /// The one of `found` that is meant: the only one, or that with the serial number.
@@ -126,6 +127,7 @@ impl UsbTransport {
             .map_err(|e| failed("", e.into()))?;
         Ok(Self {
             reader: reader.reader(TRANSFER).with_num_transfers(IN_FLIGHT),
+            // For each transfer, of which a frame has seventeen at the most.
             writer: writer.writer(TRANSFER).with_write_timeout(SEND_TIMEOUT),
             device,
         })

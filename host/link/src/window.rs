@@ -91,11 +91,11 @@ impl Window {
 /// Why a window was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WindowDefect {
-    /// A chunk or an end came, and no start before it.
+    /// Chunks or an end came, and no start.
     #[error("its start is missing")]
     NoStart,
-    /// The same window began twice.
-    #[error("its start came twice")]
+    /// The same window began twice, each time as another.
+    #[error("its start came twice, and not the same")]
     RepeatedStart,
     /// Another window began, or the stream ended, before the window's end.
     #[error("its end is missing")]
@@ -118,11 +118,11 @@ pub enum WindowDefect {
     MissingChunk {
         /// What the chunk would have held.
         of: Part,
-        /// Where the next chunk, or the end, stands.
+        /// Where the gap ends.
         offset: u16,
     },
-    /// A chunk covers what an earlier one has already brought.
-    #[error("a chunk came twice, or overlaps another, at {of} {offset}")]
+    /// A chunk holds something else than an earlier one where it covers the same.
+    #[error("two chunks contradict each other at {of} {offset}")]
     RepeatedChunk {
         /// What the chunk holds.
         of: Part,

@@ -1,5 +1,7 @@
 //! What every estimator takes: evenly sampled coil voltage and current.
 
+use std::f64::consts::TAU;
+
 /// Fewest switching periods that an estimator can work on.
 pub const MIN_PERIODS: f64 = 10.0;
 
@@ -144,6 +146,22 @@ impl Segment {
         check_channel("current", &self.i_a)
     }
 
+    /// The segment without its channels' means: the coil's voltage has none, nor has its current, so a mean is the
+    /// measuring chain's offset. Weighted so that the carrier does not count, however many of its periods there are.
+    pub fn without_offsets(&self) -> Self {
+        let n = self.len().max(1) as f64;
+        let weight = |k: usize| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / n);
+        let less_mean = |x: &[f64]| {
+            let (sum, weights) = x.iter().enumerate().fold((0.0, 0.0), |(sum, all), (k, x)| {
+                let w = weight(k);
+                (sum + w * x, all + w)
+            });
+            let mean = if weights > 0.0 { sum / weights } else { 0.0 };
+            x.iter().map(|x| x - mean).collect()
+        };
+        self.with_samples(less_mean(&self.v_v), less_mean(&self.i_a))
+    }
+
     /// The same segment with other samples.
     pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
         Self {
@@ -250,4 +268,37 @@ fn check_channel(channel: &'static str, x: &[f64]) -> Result<(), SegmentError> {
         return Err(SegmentError::Silent { channel });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offsets_are_taken_off_and_the_carrier_stays() {
+        // Not a whole number of periods.
+        let n = 12_345;
+        let wave = |k: usize, a: f64| {
+            let t_s = k as f64 * 80e-9;
+            a * libm::sin(TAU * 50.0 * t_s) * libm::sin(TAU * 45e3 * t_s + 0.4)
+        };
+        let segment = |v_offset_v: f64, i_offset_a: f64| Segment {
+            f_sw_hz: 45e3,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+            t0_s: 0.0,
+            dt_s: 80e-9,
+            v_v: (0..n).map(|k| wave(k, 290.0) + v_offset_v).collect(),
+            i_a: (0..n).map(|k| wave(k, 42.0) + i_offset_a).collect(),
+        };
+        let (clean, off) = (segment(0.0, 0.0), segment(12.0, -3.0).without_offsets());
+        for (a, b) in clean.v_v.iter().zip(&off.v_v) {
+            assert!((a - b).abs() < 3e-3, "{a} {b}");
+        }
+        for (a, b) in clean.i_a.iter().zip(&off.i_a) {
+            assert!((a - b).abs() < 5e-4, "{a} {b}");
+        }
+        let empty = clean.with_samples(Vec::new(), Vec::new());
+        assert!(empty.without_offsets().is_empty());
+    }
 }

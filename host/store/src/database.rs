@@ -109,7 +109,7 @@ fn version(connection: &Connection, path: &Path, schema: &Schema) -> Result<i64,
         return Err(StoreError::Newer { file, found, known });
     }
     if found < 0 || (found == 0) != (any == 0) {
-        let why = format!("version {found} of its tables, and {any} of them");
+        let why = format!("its tables are of version {found}, and there are {any} of them");
         return Err(damaged(path, why));
     }
     Ok(found)
@@ -146,7 +146,7 @@ fn tables(connection: &Connection, path: &Path, schema: &Schema) -> Result<(), S
             )
             .map_err(as_error(path, "opening"))?;
         if found == 0 {
-            return Err(damaged(path, format!("its table {table} is missing")));
+            return Err(damaged(path, format!("a table is missing: {table}")));
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! What can go wrong with the store.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use rusqlite::ErrorCode;
@@ -145,9 +145,7 @@ impl StoreError {
                 Some(ErrorCode::DiskFull) => true,
                 // SQLite tells a full disk from other errors of a write, but no quota and no limit of a
                 // file's size, and no full disk where it cannot make its shared memory.
-                Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) => {
-                    file.parent().is_some_and(has_no_room)
-                }
+                Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) => has_no_room(&file),
                 _ => false,
             };
             Self::Database {
@@ -189,10 +187,16 @@ fn is_full(error: &io::Error) -> bool {
     )
 }
 
-/// Whether a few pages more cannot be written in a folder.
-fn has_no_room(folder: &Path) -> bool {
-    let path = folder.join(format!(".room-{}.tmp", std::process::id()));
+/// Whether a file as long as this one, and a few pages more, cannot be written beside it.
+fn has_no_room(file: &Path) -> bool {
+    let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
+    let mut log = file.as_os_str().to_owned();
+    log.push("-wal");
+    let end = length(file).max(length(Path::new(&log)));
+    let path = file.with_file_name(format!(".room-{}.tmp", std::process::id()));
     let tried = File::create(&path).and_then(|mut file| {
+        // What is left out before it takes no room.
+        file.seek(SeekFrom::Start(end))?;
         file.write_all(&[0; 1 << 16])?;
         file.sync_all()
     });

@@ -81,6 +81,17 @@ pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(found)
 }
 
+/// Names of all databases that were found damaged and set aside.
+///
+/// # Errors
+/// What the operating system reports.
+pub fn set_aside_names(folder: &Path) -> Result<Vec<String>, StoreError> {
+    let mut found = names(folder)?;
+    found.retain(|name| name.contains(DAMAGED) && !BESIDE.iter().any(|b| name.ends_with(b)));
+    found.sort();
+    Ok(found)
+}
+
 fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
     let reading = || StoreError::files(folder, "reading the folder");
     let mut names = Vec::new();

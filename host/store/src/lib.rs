@@ -12,9 +12,11 @@
 //! committed. docs/store.md has the tables, queries and what to do with a damaged file.
 
 mod backup;
+pub mod check;
 pub mod clock;
 mod database;
 mod error;
+pub mod export;
 pub mod folder;
 mod journal;
 mod lookups;

@@ -101,6 +101,12 @@ impl Reader {
         StoreError::database(&self.path, doing)
     }
 
+    pub(crate) fn count(&self, sql: &str) -> Result<u64, StoreError> {
+        let count = self.records.query_row(sql, [], |row| row.get::<_, i64>(0));
+        let count = count.map_err(self.failed("counting"))?;
+        Ok(u64::try_from(count).unwrap_or(0))
+    }
+
     /// Results, newest first.
     ///
     /// # Errors

@@ -52,9 +52,7 @@ impl Store {
         self.measure_other_days()?;
         let (deleted, bytes) = self.delete_old_days()?;
         (collected.deleted, collected.bytes) = (deleted, bytes);
-        let today = clock::day(self.now());
-        let today = folder::of_day(self.folder(), &today);
-        collected.bytes_left = self.other_days_bytes + folder::size(&today);
+        collected.bytes_left = self.other_days_bytes + folder::size(&self.path_of_today());
         collected.today_is_too_large = !self.has_room_today()?;
         Ok(collected)
     }
@@ -88,12 +86,10 @@ impl Store {
     }
 
     pub(crate) fn measure_other_days(&mut self) -> Result<(), StoreError> {
-        let today = self.days.today.as_ref().map(|day| day.file.path.clone());
+        let today = self.path_of_today();
         let days = folder::days(self.folder())?.into_iter().map(|day| day.path);
         let damaged = folder::damaged_days(self.folder())?;
-        let others = days
-            .chain(damaged)
-            .filter(|path| Some(path) != today.as_ref());
+        let others = days.chain(damaged).filter(|path| *path != today);
         self.other_days_bytes = others.map(|path| folder::size(&path)).sum();
         Ok(())
     }
@@ -143,9 +139,17 @@ impl Store {
         Ok(all)
     }
 
+    fn path_of_today(&self) -> PathBuf {
+        folder::of_day(self.folder(), &clock::day(self.now()))
+    }
+
     fn today_bytes(&self) -> Result<u64, StoreError> {
+        let path = self.path_of_today();
         let today = self.days.today.as_ref();
-        today.map_or(Ok(0), |day| day.used_bytes())
+        match today.filter(|day| day.file.path == path) {
+            Some(day) => day.used_bytes(),
+            None => Ok(folder::size(&path)),
+        }
     }
 
     /// Whether samples may be kept now, after the oldest days have made room.

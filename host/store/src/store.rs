@@ -26,6 +26,8 @@ pub struct Store {
     /// Bytes of all days but today, and of those set aside.
     pub(crate) other_days_bytes: u64,
     figures: Figures,
+    /// The day of which was told that its windows are too many.
+    told_too_large: Option<String>,
     /// Let go last.
     _lock: Lock,
 }
@@ -83,6 +85,7 @@ impl Store {
             sessions: HashMap::new(),
             other_days_bytes: 0,
             figures: Figures::default(),
+            told_too_large: None,
             _lock: lock,
         })
     }
@@ -284,8 +287,20 @@ impl Store {
         {
             return Ok(Some(NotKept::Policy));
         }
-        let room = self.has_room_today()?;
-        Ok((!room).then_some(NotKept::Size))
+        if self.has_room_today()? {
+            return Ok(None);
+        }
+        let today = self.days.today.as_ref().map(|day| day.file.day.clone());
+        if self.told_too_large != today {
+            let max = self.settings.retention.max_bytes;
+            let text = format!(
+                "today's windows take all of the {max} bytes that windows may: their samples are not kept"
+            );
+            tracing::warn!("{text}");
+            self.event(None, "store", &text)?;
+            self.told_too_large = today;
+        }
+        Ok(Some(NotKept::Size))
     }
 
     fn count(&mut self, kept: Kept, not_kept: Option<NotKept>) {

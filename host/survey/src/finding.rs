@@ -342,7 +342,8 @@ impl fmt::Display for Finding {
             } => write!(
                 f,
                 "the {channel} has an offset of {mean:.3} {} ({of_rms_pct:.1} % of its rms): \
-                 harmless to phasors, not to filters in the time domain; zero the probe or calibrate",
+                 lock-in, least squares and pinn take it off, filters in the time domain lose accuracy; zero the \
+                 probe or calibrate",
                 channel.unit()
             ),
             Self::Noisy { channel, snr_db } => write!(

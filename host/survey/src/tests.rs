@@ -370,3 +370,66 @@ fn json_keeps_the_keys_that_users_have() {
     let source = serde_json::to_value(mains::Source::Specified).unwrap();
     assert_eq!(source, "told");
 }
+
+#[test]
+fn what_the_user_did_is_to_be_undone_not_done_again() {
+    let mut c = capture(&settings(50e3, 10e-3));
+    let told = |c: &Capture, hints: Hints| {
+        let survey = Survey::of(c, &hints).unwrap();
+        survey
+            .findings
+            .first()
+            .map(ToString::to_string)
+            .unwrap_or_default()
+    };
+    std::mem::swap(&mut c.v_v, &mut c.i_a);
+    assert!(told(&c, Hints::default()).ends_with("use --swap"));
+    let swapped = Hints {
+        swapped: true,
+        ..Hints::default()
+    };
+    assert!(told(&c, swapped).ends_with("leave out --swap"));
+    std::mem::swap(&mut c.v_v, &mut c.i_a);
+    c.i_a.iter_mut().for_each(|i| *i = -*i);
+    assert!(told(&c, Hints::default()).ends_with("use --invert i"));
+    let inverted = Hints {
+        inverted: true,
+        ..Hints::default()
+    };
+    assert!(told(&c, inverted).ends_with("leave out --invert"));
+}
+
+#[test]
+fn a_probe_factor_that_gives_kilovolts_is_told() {
+    let mut c = capture(&settings(50e3, 10e-3));
+    // A probe of 1:10 taken for one of 1:100.
+    c.v_v.iter_mut().for_each(|v| *v *= 10.0);
+    c.v_full_scale_v = None;
+    let survey = survey(&c);
+    let told = survey
+        .findings
+        .iter()
+        .find(|f| matches!(f, Finding::Implausible { .. }));
+    let told = told.unwrap_or_else(|| panic!("{:?}", survey.findings));
+    assert_eq!(told.severity(), Severity::Warning);
+    assert!(told.to_string().contains("--probe"), "{told}");
+}
+
+#[test]
+fn a_capture_without_samples_says_so() {
+    let mut c = capture(&settings(50e3, 1e-3));
+    (c.v_v, c.i_a, c.time) = (
+        Vec::new(),
+        Vec::new(),
+        TimeBase::Even {
+            t0_s: 0.0,
+            dt_s: 0.0,
+        },
+    );
+    let refused = Survey::of(&c, &Hints::default()).unwrap_err();
+    assert!(matches!(refused, SurveyError::Empty { .. }));
+    assert!(
+        refused.to_string().ends_with("holds no samples"),
+        "{refused}"
+    );
+}

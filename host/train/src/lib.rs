@@ -1,24 +1,28 @@
-//! The trainer: asks a hob for power, identifies its load from the windows it streams, and updates its
-//! lookup; and replay, which runs recorded samples through a device's own firmware.
+//! What a hob's windows teach: the network on each, the lookup of all, the run that asks a hob for them; and
+//! replay, which runs recorded samples through a device's own firmware.
 //!
 //! ```text
 //! device ─► Window ─► Segment ─► network ─► gate ─► LoadCurve ─► Observations ─► lookup ─► device
-//!           (link)    (link)                trainer/  network.rs  gate.rs point.rs  observations.rs  device.rs
+//!           (link)    (link)     learning/ ──────────────────────────────────►  version.rs  trainer/device.rs
 //! ```
 //!
-//! One operating point after the other: ask for power, wait until the frequency stays, take a
-//! window, identify R(t) and L(t) with the PINN, let the gate decide, add the load curve to what was
-//! observed, build the lookup, push it, wait until the device reports it active. Recorded half-cycles
-//! can stand for the heating: they are replayed through the device, which records its windows from
-//! them.
+//! [`Learning`] is what is known of one device; the daemon and the run share it. A run takes one operating
+//! point after the other: ask for power, wait until the frequency stays, take a window, identify R(t) and
+//! L(t) with the PINN, let the gate decide, add the load curve to what was observed, build the lookup, push
+//! it, wait until the device reports it active. Recorded half-cycles can stand for the heating: they are
+//! replayed through the device, which records its windows from them.
 
+#[cfg(feature = "pinn")]
+pub mod learning;
 pub mod lookup;
 pub mod replay;
 #[cfg(feature = "pinn")]
 mod trainer;
 
 #[cfg(feature = "pinn")]
+pub use learning::{Learning, Verdict as GateVerdict, judge};
+#[cfg(feature = "pinn")]
 pub use trainer::{
-    GateVerdict, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, Settings,
-    Source, TrainerError, TruthSource, judge, run,
+    Failed, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, Settings, Source,
+    TrainerError, TruthSource, run,
 };

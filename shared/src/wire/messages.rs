@@ -137,6 +137,22 @@ wire_enum! {
     }
 }
 
+wire_enum! {
+    /// A piece of a window, as it travels in one message.
+    pub enum Piece {
+        /// Its `WindowStart`.
+        Start = 0,
+        /// A `WindowChunk`.
+        Pairs = 1,
+        /// A `TrajectoryChunk`.
+        Trajectory = 2,
+        /// Its `WindowEnd`.
+        End = 3,
+        /// None: the host has the window, or has given it up.
+        Nothing = 4,
+    }
+}
+
 macro_rules! message_table {
     ($lt:lifetime; $(
         $(#[doc = $doc:literal])+
@@ -227,7 +243,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Asks for power; 0 switches off. A device that hears no frame for 10 s switches off by itself.
+    /// Asks for power; 0 switches off. A device that hears no frame but `ResendWindow` for 10 s switches off by itself.
     0x02 "to device" SetPower {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
@@ -291,6 +307,19 @@ message_table! { 'a;
     }
     /// Asks for a `FrontEnd`.
     0x0e "to device" GetFrontEnd {}
+    /// Asks for a piece of a window again, or lets go of the window. A device keeps a window that it has
+    /// sent to a host of this minor version or a newer one until the host lets go of it, or has said nothing
+    /// of it for [`super::timing::WINDOW_KEPT_HALF_CYCLES`]; meanwhile windows that are due are dropped and counted. Answered
+    /// by the piece, a chunk being as long as any; by `Reply` with `OutOfRange` and the window's number as its detail
+    /// where the device has no such window or piece; not at all for `Nothing`. Keeps no power on.
+    0x0f "to device" ResendWindow {
+        /// Window.
+        seq: u32,
+        /// What is asked for.
+        piece: Piece,
+        /// Index of a chunk's first pair or entry; else 0.
+        offset: u16,
+    }
     /// Answer to every command that has no answer of its own.
     0x80 "from device" Reply {
         /// Id of the command.
@@ -556,7 +585,13 @@ pub const NO_SENSOR_C: i16 = -300;
 pub const NO_PANEL: u8 = u8::MAX;
 
 /// Every enumeration that messages use.
-pub const ENUMS: &[Entry] = &[State::ENTRY, Limit::ENTRY, Pot::ENTRY, Outcome::ENTRY];
+pub const ENUMS: &[Entry] = &[
+    State::ENTRY,
+    Limit::ENTRY,
+    Pot::ENTRY,
+    Outcome::ENTRY,
+    Piece::ENTRY,
+];
 
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they
 /// are open ([`crate::fault`]).

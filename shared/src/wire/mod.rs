@@ -16,4 +16,7 @@ pub mod timing;
 pub const PROTOCOL_MAJOR: u16 = 2;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 0;
+pub const PROTOCOL_MINOR: u16 = 1;
+
+/// The minor version that knows [`messages::ResendWindow`].
+pub const RESEND_MINOR: u16 = 1;

@@ -199,6 +199,7 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let state = cpu.get_data_mut();
     let cycles = state.timing.run(&block);
     state.chip.log.pc = address;
+    state.note(address, cycles);
     state.event |= block.sends_event;
     state.pass(u64::from(cycles));
     if state.chip.log.now < state.chip.next_event()

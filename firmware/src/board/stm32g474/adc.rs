@@ -72,7 +72,8 @@ pub struct Adc {
     mains: ZeroCrossing,
     drive: Drive,
     block_cycles: u32,
-    pairs: [Pair; ADC_LOCK_P],
+    /// Of the block that is taken, a word each.
+    pairs: [u32; ADC_LOCK_P],
 }
 
 impl Adc {
@@ -91,15 +92,15 @@ impl Adc {
             mains: ZeroCrossing::default(),
             drive: Drive::OFF,
             block_cycles: block_cycles(periods),
-            pairs: [Pair::default(); ADC_LOCK_P],
+            pairs: [0; ADC_LOCK_P],
         }
     }
 
     /// Copies a half; the DMA is a block away unless this task came late, which the ring finds out.
     fn copy(&mut self, half: usize) {
-        let begin = PAIRS.0.get().cast::<Pair>().wrapping_add(half * ADC_LOCK_P);
+        let begin = PAIRS.0.get().cast::<u32>().wrapping_add(half * ADC_LOCK_P);
         for (k, pair) in self.pairs.iter_mut().enumerate() {
-            // SAFETY: `half` is 0 or 1, so this is inside PAIRS; a Pair is any 32 bits.
+            // SAFETY: `half` is 0 or 1, so this is inside PAIRS.
             *pair = unsafe { ptr::read_volatile(begin.wrapping_add(k)) };
         }
     }
@@ -157,7 +158,7 @@ impl SampleSource for Adc {
         SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
         let (bus_dv, mains) = self.slow();
         let drive = take(&Block {
-            pairs: &self.pairs,
+            pairs: Pair::of_words(&self.pairs),
             zero_crossing: self.mains.on_block(mains),
             bus_dv,
             dc_link_ma: None,

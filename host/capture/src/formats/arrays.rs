@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use ihd_signal::TimeBase;
+use ihd_signal::truth::{ORDERS, PeriodTruth};
 
 use super::time::time_base;
 use super::unit::{Quantity, Unit};
@@ -55,6 +56,8 @@ enum Clock {
 
 /// Names of a time vector, in lower case; a unit may follow.
 const TIME: [&str; 5] = ["time", "t", "timestamp", "x", "zeit"];
+/// How the names of what a simulation knows of its load begin.
+const TRUTH: &str = "truth_";
 /// Names of the sampling interval, in lower case: ours, Tektronix', PicoScope's.
 const INTERVAL: [&str; 5] = [
     "dt",
@@ -81,9 +84,12 @@ impl<A: Arrays> ArraySource<A> {
             a.length > 1 && named && unit.is_none_or(|u| u.quantity == Quantity::Time)
         };
         let time = arrays.iter().position(is_time);
-        let longest = arrays.iter().map(|a| a.length).max().unwrap_or(0);
+        let longest = arrays.iter().filter(|a| !a.name.starts_with(TRUTH));
+        let longest = longest.map(|a| a.length).max().unwrap_or(0);
         let length = time.map_or(longest, |k| arrays[k].length);
-        let is_channel = |k: &usize| Some(*k) != time && arrays[*k].length == length;
+        let is_channel = |k: &usize| {
+            Some(*k) != time && arrays[*k].length == length && !arrays[*k].name.starts_with(TRUTH)
+        };
         let columns: Vec<usize> = (0..arrays.len()).filter(is_channel).collect();
         if length < 2 || columns.is_empty() {
             let names: Vec<_> = arrays.iter().take(12).map(|a| a.name.as_str()).collect();
@@ -127,6 +133,17 @@ impl<A: Arrays> ArraySource<A> {
             metadata,
             arrays,
         })
+    }
+
+    /// All numbers of the array of that name, row by row; `None` where there is none.
+    fn column(&mut self, name: &str) -> Result<Option<Vec<f64>>, FormatError> {
+        let Some(index) = self.arrays.iter().position(|a| a.name == name) else {
+            return Ok(None);
+        };
+        let mut numbers = Vec::new();
+        // Without current there is no impedance: what is no number here is none.
+        self.reader.numbers(index, &mut |x| numbers.push(x))?;
+        Ok(Some(numbers))
     }
 
     /// Reads one vector; `keep` takes each number.
@@ -181,6 +198,49 @@ impl<A: Arrays> Source for ArraySource<A> {
 
     fn metadata(&self) -> BTreeMap<String, String> {
         self.metadata.clone()
+    }
+
+    fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
+        let [
+            Some(t_s),
+            Some(f_sw_hz),
+            Some(i_a),
+            Some(r_power_ohm),
+            Some(p_w),
+        ] = [
+            self.column("truth_t_s")?,
+            self.column("truth_f_sw_hz")?,
+            self.column("truth_i_a")?,
+            self.column("truth_r_power_ohm")?,
+            self.column("truth_p_w")?,
+        ]
+        else {
+            return Ok(Vec::new());
+        };
+        let (Some(r_ohm), Some(l_h)) = (self.column("truth_r_ohm")?, self.column("truth_l_h")?)
+        else {
+            return Ok(Vec::new());
+        };
+        let (r_ohm, rest_r) = r_ohm.as_chunks::<{ ORDERS.len() }>();
+        let (l_h, rest_l) = l_h.as_chunks::<{ ORDERS.len() }>();
+        let n = t_s.len();
+        let lengths = [f_sw_hz.len(), i_a.len(), r_power_ohm.len(), p_w.len()];
+        let of_orders = [r_ohm.len(), l_h.len()];
+        let whole = rest_r.is_empty() && rest_l.is_empty();
+        if !whole || lengths.iter().chain(&of_orders).any(|length| *length != n) {
+            let what = "the arrays truth_* are of different length: save all or none of them";
+            return Err(FormatError::at_byte(0, what));
+        }
+        let period = |k: usize| PeriodTruth {
+            t_s: t_s[k],
+            f_sw_hz: f_sw_hz[k],
+            r_ohm: r_ohm[k],
+            l_h: l_h[k],
+            i_a: i_a[k],
+            r_power_ohm: r_power_ohm[k],
+            p_w: p_w[k],
+        };
+        Ok((0..n).map(period).collect())
     }
 
     fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {

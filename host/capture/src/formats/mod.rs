@@ -17,6 +17,7 @@ pub mod wfm;
 use std::collections::BTreeMap;
 
 use ihd_signal::TimeBase;
+use ihd_signal::truth::PeriodTruth;
 
 use self::unit::Unit;
 use super::error::FormatError;
@@ -64,6 +65,14 @@ pub trait Source {
 
     /// What else the header states, as text: the format, the instrument.
     fn metadata(&self) -> BTreeMap<String, String>;
+
+    /// What the file knows of the load; nothing where it holds no simulation.
+    ///
+    /// # Errors
+    /// [`FormatError`] where it is damaged.
+    fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
+        Ok(Vec::new())
+    }
 
     /// Reads the samples of the channels with these indices into [`Source::channels`].
     ///

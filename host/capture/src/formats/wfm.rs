@@ -3,7 +3,13 @@
 //! After Tektronix' *Reference Waveform File Format* (001-1378-03); version 3 has two more data
 //! formats and a wider point density. Samples are value = scale · code + offset. The time of sample
 //! k is offset + (k + tt) · scale with the trigger's place between two samples, tt, from the update
-//! specification: the vendor's own CSV of the same waveform has these times.
+//! specification: the CSV that an MSO64 wrote of the same waveform has these times (`analog_waveform`: offset −1 µs,
+//! tt 0.83984375, interval 40 ps; first time in the CSV −9.99966406e-07 s, zero index 24999.16015625).
+//!
+//! Tektronix's package tm_data_types (0.5.0) differs: it reads offset + k · scale, whatever tt
+//! (files_and_formats/wfm/wfm.py), and writes 0.5 for it always (wfm_format.py, `setup_update_specifications`). So a tt
+//! of 0.5, which an instrument's 8 bits take once in 256, is that package's for "not known" and is left out: its files
+//! have the times that it gave them. Both files of one acquisition share tt, so no skew comes of it.
 
 use std::collections::BTreeMap;
 
@@ -25,6 +31,9 @@ pub const VERSION: &[u8] = b":WFM#00";
 const EXPLICIT_BYTES: u64 = 100;
 const IMPLICIT_BYTES: u64 = 76;
 const TIME_BASE_BYTES: u64 = 12;
+
+/// The trigger's place between two samples where tm_data_types writes it.
+const NOT_KNOWN: f64 = 0.5;
 
 /// Longest text in the metadata that is kept.
 const LONGEST_TEXT: u64 = 256;
@@ -156,6 +165,7 @@ impl WfmSource {
             offset: vertical.offset,
         };
         let scale = time_unit.scale;
+        let between = if trigger == NOT_KNOWN { 0.0 } else { trigger };
         Ok(Self {
             channel: Channel {
                 name: label.trim().to_owned(),
@@ -166,7 +176,7 @@ impl WfmSource {
             endian,
             metadata,
             curve,
-            t0_s: (first_s + trigger * dt_s) * scale,
+            t0_s: (first_s + between * dt_s) * scale,
             dt_s: dt_s * scale,
         })
     }

@@ -108,13 +108,21 @@ pub enum McapFileError {
         why: Mismatch,
     },
     /// Writing failed.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}: {}", path.display(), cause(source))]
     Write {
         /// The file.
         path: PathBuf,
         /// What went wrong.
         source: ::mcap::McapError,
     },
+}
+
+/// What the operating system reports, where it is that: the crate's own words leave it out.
+fn cause(source: &::mcap::McapError) -> String {
+    match source {
+        ::mcap::McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
+    }
 }
 
 impl McapFileError {

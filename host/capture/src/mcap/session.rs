@@ -7,7 +7,9 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::path::Path;
-use std::time::Duration;
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::time::{Duration, Instant};
 
 use ihd_link::incoming::{Answer, Incoming};
 use ihd_link::{Counters, Event, FrameSink, Window, protocol_1};
@@ -27,11 +29,28 @@ use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, Writer};
 
 /// What a recorder that is killed may lose, on the transport's clock.
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_EVERY: Duration = Duration::from_millis(250);
+
+/// What it may lose on the wall's clock, where that is the transport's too: also when nothing comes any more.
+const FLUSH_EVERY_WALL: Duration = Duration::from_millis(500);
+
+/// How often the wall's clock is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A session being recorded.
 pub struct SessionRecorder {
+    recording: Arc<Mutex<Recording>>,
+    /// Dropped, it ends the thread that flushes.
+    flushing: Option<mpsc::Sender<()>>,
+}
+
+/// The file, and what is known of the session so far.
+struct Recording {
     writer: Writer,
+    /// When what is not yet in the file began to gather.
+    unflushed_since: Option<Instant>,
+    /// Why the last flush by the wall's clock failed.
+    failed: Option<McapFileError>,
     incoming: Incoming,
     /// The host's frames, for what they push.
     outgoing: Deframer,
@@ -80,19 +99,65 @@ impl SessionRecorder {
         let length = encode(hello, 0, &mut frame).unwrap_or(0);
         writer.message(Topic::FromDevice, 0.0, &frame[..length])?;
         writer.flush()?;
-        Ok(Self {
+        let recording = Recording {
             writer,
+            unflushed_since: None,
+            failed: None,
             incoming: Incoming::default(),
             outgoing: Deframer::new(),
             began: None,
             flushed: Duration::ZERO,
             grid: None,
+        };
+        Ok(Self {
+            recording: Arc::new(Mutex::new(recording)),
+            flushing: None,
         })
     }
 
+    /// Flushes by the wall's clock too, on a thread of its own, so that what came last is in the file even when
+    /// nothing comes after it. Not for a hob simulated in process: there the same session gives the same bytes, and a
+    /// flush ends a chunk.
+    #[must_use]
+    pub fn flushed_by_the_wall_clock(mut self) -> Self {
+        let (flushing, ended) = mpsc::channel();
+        let recording = Arc::downgrade(&self.recording);
+        // Without the thread the file is flushed by what comes, as before.
+        let thread = std::thread::Builder::new().name("recorder".into());
+        let started = thread.spawn(move || {
+            while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(LOOK_EVERY) {
+                match recording.upgrade() {
+                    Some(recording) => locked(&recording).flush_by_the_wall_clock(),
+                    None => return,
+                }
+            }
+        });
+        self.flushing = started.is_ok().then_some(flushing);
+        self
+    }
+
     /// How large the file is by now, in bytes, to be asked from anywhere.
-    pub fn size(&self) -> std::sync::Arc<std::sync::atomic::AtomicU64> {
-        self.writer.size()
+    pub fn size(&self) -> Arc<AtomicU64> {
+        locked(&self.recording).writer.size()
+    }
+}
+
+/// A panic of the other thread leaves the recording as it was before its last message.
+fn locked(recording: &Mutex<Recording>) -> MutexGuard<'_, Recording> {
+    recording.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Recording {
+    fn flush_by_the_wall_clock(&mut self) {
+        let due = |since: Instant| since.elapsed() >= FLUSH_EVERY_WALL;
+        if self.failed.is_none() && self.unflushed_since.is_some_and(due) {
+            self.failed = self.flush().err();
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), McapFileError> {
+        self.unflushed_since = None;
+        self.writer.flush()
     }
 
     fn seconds(&mut self, at: Duration) -> f64 {
@@ -136,13 +201,29 @@ impl SessionRecorder {
     }
 
     fn flush_when_due(&mut self, at: Duration, t_s: f64) -> Result<(), McapFileError> {
+        if let Some(failed) = self.failed.take() {
+            return Err(failed);
+        }
         if at.saturating_sub(self.flushed) < FLUSH_EVERY {
+            self.unflushed_since.get_or_insert_with(Instant::now);
             return Ok(());
         }
         self.flushed = at;
         let counters = notes::link_counters(&self.incoming.counters());
         self.writer.json(Topic::LinkCounters, t_s, &counters)?;
-        self.writer.flush()
+        self.flush()
+    }
+
+    fn finish(&mut self) -> Result<(), McapFileError> {
+        if let Some(failed) = self.failed.take() {
+            return Err(failed);
+        }
+        self.unflushed_since = None;
+        let counters = notes::link_counters(&self.incoming.counters());
+        let began = self.began.unwrap_or_default();
+        let t_s = self.flushed.saturating_sub(began).as_secs_f64();
+        self.writer.json(Topic::LinkCounters, t_s, &counters)?;
+        self.writer.end()
     }
 
     fn event(&mut self, t_s: f64, event: &Event) -> Result<(), McapFileError> {
@@ -216,21 +297,19 @@ impl SessionRecorder {
 
 impl FrameSink for SessionRecorder {
     fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
-        self.take(at, bytes).map_err(io::Error::other)
+        let taken = locked(&self.recording).take(at, bytes);
+        taken.map_err(io::Error::other)
     }
 
     fn sent(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
-        self.give(at, bytes).map_err(io::Error::other)
+        let given = locked(&self.recording).give(at, bytes);
+        given.map_err(io::Error::other)
     }
 
-    fn finish(mut self: Box<Self>) -> io::Result<()> {
-        let counters = notes::link_counters(&self.incoming.counters());
-        let began = self.began.unwrap_or_default();
-        let t_s = self.flushed.saturating_sub(began).as_secs_f64();
-        let written = self.writer.json(Topic::LinkCounters, t_s, &counters);
-        written
-            .and_then(|()| self.writer.finish())
-            .map_err(io::Error::other)
+    fn finish(self: Box<Self>) -> io::Result<()> {
+        drop(self.flushing);
+        let finished = locked(&self.recording).finish();
+        finished.map_err(io::Error::other)
     }
 }
 

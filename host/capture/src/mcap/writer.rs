@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ::mcap::records::{MessageHeader, Metadata};
 use ::mcap::write::NoSeek;
@@ -34,19 +34,26 @@ pub enum Existing {
 
 /// Counts the bytes that go to the file.
 struct Counted {
-    file: BufWriter<File>,
+    file: Buffered,
     bytes: Arc<AtomicU64>,
+}
+
+/// The file, of the MCAP writer and of [`Writer::end`]: the former leaves its last bytes in the buffer.
+type Buffered = Arc<Mutex<BufWriter<File>>>;
+
+fn locked(file: &Buffered) -> MutexGuard<'_, BufWriter<File>> {
+    file.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let n = self.file.write(bytes)?;
+        let n = locked(&self.file).write(bytes)?;
         self.bytes.fetch_add(n as u64, Ordering::Relaxed);
         Ok(n)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        locked(&self.file).flush()
     }
 }
 
@@ -55,6 +62,7 @@ pub struct Writer {
     mcap: ::mcap::Writer<NoSeek<Counted>>,
     path: PathBuf,
     channels: BTreeMap<Topic, (u16, u32)>,
+    file: Buffered,
     bytes: Arc<AtomicU64>,
     single: bool,
     begun: bool,
@@ -90,8 +98,9 @@ impl Writer {
             // A chunk is gathered in memory and written at once: whole or not at all.
             .disable_seeking(true);
         let bytes = Arc::new(AtomicU64::new(0));
+        let file = Arc::new(Mutex::new(BufWriter::new(file)));
         let counted = Counted {
-            file: BufWriter::new(file),
+            file: Arc::clone(&file),
             bytes: Arc::clone(&bytes),
         };
         let mcap = options.create(NoSeek::new(counted));
@@ -103,6 +112,7 @@ impl Writer {
             mcap,
             path: path.into(),
             channels: BTreeMap::new(),
+            file,
             bytes,
             single,
             begun: false,
@@ -238,17 +248,23 @@ impl Writer {
     /// # Errors
     /// As [`Writer::message`].
     pub fn finish(mut self) -> Result<(), McapFileError> {
+        self.end()
+    }
+
+    /// As [`Writer::finish`]; after it nothing more may be written.
+    pub(super) fn end(&mut self) -> Result<(), McapFileError> {
         if !self.begun {
             self.begin()?;
         }
         let result = self.mcap.finish();
         self.written(result)?;
-        let mut counted = self.mcap.into_inner().into_inner();
-        counted.flush().map_err(|source| McapFileError::Io {
-            path: self.path,
-            offset: self.bytes.load(Ordering::Relaxed),
-            source,
-        })
+        locked(&self.file)
+            .flush()
+            .map_err(|source| McapFileError::Io {
+                path: self.path.clone(),
+                offset: self.bytes.load(Ordering::Relaxed),
+                source,
+            })
     }
 }
 

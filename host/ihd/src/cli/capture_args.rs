@@ -128,11 +128,11 @@ impl CaptureArgs {
         self.open_with(&mut |_| ())
     }
 
-    /// Opens the capture; `progress` hears how far the file has been read, from 0 to 1.
+    /// Whether the values can be, before a file is looked at.
     ///
     /// # Errors
-    /// As [`CaptureArgs::open`].
-    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Loaded> {
+    /// [`Usage`](super::usage::Usage), naming the argument.
+    pub fn check(&self) -> Result<()> {
         if let Some(rate_hz) = self.rate {
             let sound = rate_hz.is_finite() && rate_hz > 0.0;
             ensure_usage!(
@@ -140,6 +140,15 @@ impl CaptureArgs {
                 "--rate is {rate_hz}, but a sampling rate is positive"
             );
         }
+        Ok(())
+    }
+
+    /// Opens the capture; `progress` hears how far the file has been read, from 0 to 1.
+    ///
+    /// # Errors
+    /// As [`CaptureArgs::open`].
+    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Loaded> {
+        self.check()?;
         let Salvaged {
             mut capture,
             losses,

@@ -1,6 +1,5 @@
 //! `ihd hob`: the simulated hob as a process of its own.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -11,6 +10,7 @@ use ihd_sim::scenario::script::Script;
 use ihd_sim::server::{Ended, Server, ServerEvent};
 
 use super::interrupt;
+use super::output::complain;
 use super::simulated::SimulatedHobArgs;
 
 /// Fastest that is asked for; the machine may not get there, and the hob says so.
@@ -88,10 +88,10 @@ impl HobArgs {
             server.address()
         )?;
         if !server.address().ip().is_loopback() {
-            eprintln!(
+            complain(format_args!(
                 "warning: {} is not loopback, and there is no authentication: whoever reaches this port commands the hob",
                 server.address()
-            );
+            ));
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let speed = self.speed;
@@ -113,12 +113,12 @@ impl HobArgs {
     }
 }
 
+/// One line an event. A hob whose lines nobody can take goes on.
 fn tell(speed: f64, event: ServerEvent) {
-    let line = |from: SocketAddr, what: &str| println!("{from} {what}");
-    match event {
-        ServerEvent::Connected(from) => line(from, "connected"),
-        ServerEvent::TurnedAway(from) => line(from, "turned away: one host at a time"),
-        ServerEvent::Disconnected(why) => println!(
+    let _ = match event {
+        ServerEvent::Connected(from) => say!("{from} connected"),
+        ServerEvent::TurnedAway(from) => say!("{from} turned away: one host at a time"),
+        ServerEvent::Disconnected(why) => say!(
             "disconnected{}",
             match why {
                 Ended::Left => "",
@@ -127,9 +127,9 @@ fn tell(speed: f64, event: ServerEvent) {
                 Ended::Replaced => ": no frame for 10 s, and another host is there",
             }
         ),
-        ServerEvent::Lagging(share) => println!(
+        ServerEvent::Lagging(share) => say!(
             "this machine is too slow for {speed} times real time: {:.0} % of the last minute was left out",
             100.0 * share
         ),
-    }
+    };
 }

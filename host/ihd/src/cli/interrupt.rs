@@ -1,17 +1,31 @@
 //! ^C as a flag, so that a command ends in order: hob off, files complete.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::thread::sleep;
+use std::time::Duration;
 
 static STOP: AtomicBool = AtomicBool::new(false);
+static SIGNALS: AtomicU32 = AtomicU32::new(0);
 
-/// A flag that ^C or a termination signal raises. A second ^C ends the process at once.
+/// How long a command may still take to end in order after a second ^C.
+const IN_ORDER_WITHIN: Duration = Duration::from_secs(3);
+
+/// A flag that ^C or a termination signal raises. A second one leaves the command 3 s to switch the hob off,
+/// a third ends the process at once.
 ///
 /// # Errors
 /// When the handler cannot be installed.
 pub fn flag() -> Result<&'static AtomicBool, ctrlc::Error> {
     ctrlc::set_handler(|| {
-        if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+        STOP.store(true, Ordering::Relaxed);
+        match SIGNALS.fetch_add(1, Ordering::Relaxed) {
+            0 => {}
+            // The handler has a thread of its own, which a third one must find free.
+            1 => drop(std::thread::spawn(|| {
+                sleep(IN_ORDER_WITHIN);
+                std::process::exit(130);
+            })),
+            _ => std::process::exit(130),
         }
     })?;
     Ok(&STOP)

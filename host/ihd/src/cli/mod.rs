@@ -105,9 +105,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         return 2;
     }
     #[cfg(feature = "pinn")]
-    if let Some(error) = error.downcast_ref::<ihd_train::TrainerError>() {
+    if let Some(failed) = error.downcast_ref::<ihd_train::Failed>() {
         use ihd_train::TrainerError as E;
-        return match error {
+        return match &failed.error {
+            E::Link(LinkError::Recording(_)) | E::Interrupted => 1,
             E::Link(_) | E::Silent { .. } => 3,
             E::Fault { .. } | E::NoPot { .. } | E::SwitchedOff { .. } => 4,
             E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,

@@ -17,9 +17,9 @@ use ihd_sim::transport::SharedHob;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::interrupt;
 use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
+use super::{interrupt, output};
 use crate::report::utilisation;
 
 /// How often the device hears from us: it switches off after 10 s without.
@@ -75,13 +75,17 @@ struct Report {
     v_full_scale_v: f64,
     i_full_scale_a: f64,
     bits: u8,
+    /// duration, size, interrupt or error.
     ended_by: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
     seconds: f64,
     bytes: u64,
     faults: u32,
     link: LinkCounters,
-    device_windows_dropped: u32,
-    device_telemetry_dropped: u32,
+    /// None where the device could not be asked.
+    device_windows_dropped: Option<u32>,
+    device_telemetry_dropped: Option<u32>,
     /// While it recorded.
     processor: serde_json::Value,
     #[serde(skip)]
@@ -97,7 +101,8 @@ impl RecordArgs {
         self.check()?;
         let config = self.simulated.config()?;
         let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
-        self.record_from(Client::connect(self.device.open(sim)?)?)
+        let client = Client::connect(self.device.open(sim)?)?;
+        self.record_from(client, !matches!(self.device, DeviceSpec::Sim))
     }
 
     /// The recording of a device that somebody else opens.
@@ -118,30 +123,66 @@ impl RecordArgs {
         )?)
     }
 
-    /// Records and reports.
+    /// Records and reports; by the wall's clock where the device has it, not simulated time.
     ///
     /// # Errors
     /// As [`RecordArgs::run`].
-    pub fn record_from(&self, mut client: Client) -> Result<()> {
+    pub fn record_from(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
+        let mut recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
+        if has_wall_clock {
+            recorder = recorder.flushed_by_the_wall_clock();
+        }
         let size = recorder.size();
         client.record_to(recorder);
         let bar = spinner()?;
-        let recorded = self.record(&mut client, stop, &size, &bar);
+        let mut report = self.report(&client);
+        let recorded = self.record(&mut client, stop, &size, &bar, &mut report);
+        if recorded.is_err() {
+            // What fails with the recording must not keep the device from being switched off.
+            let _ = client.finish_recording();
+        }
         let left = self.leave(&mut client);
         let closed = client.finish_recording();
         bar.finish_and_clear();
-        let mut report = recorded?;
-        let (status, used) = left?;
-        closed?;
         report.link = ihd_capture::mcap::link_counters(&client.counters());
         report.bytes = std::fs::metadata(&self.out).map_or(0, |m| m.len());
-        report.device_windows_dropped = status.windows_dropped;
-        report.device_telemetry_dropped = status.telemetry_dropped;
-        report.processor = utilisation::json(used.as_ref());
-        report.processor_line = utilisation::line(used.as_ref());
-        self.print(&report)
+        if let Ok((status, used)) = &left {
+            report.device_windows_dropped = Some(status.windows_dropped);
+            report.device_telemetry_dropped = Some(status.telemetry_dropped);
+            report.processor = utilisation::json(used.as_ref());
+            report.processor_line = utilisation::line(used.as_ref());
+        }
+        let done = recorded.and(left.map(drop)).and(closed.map_err(Into::into));
+        if let Err(error) = &done {
+            report.ended_by = "error";
+            report.error = Some(super::message(error));
+        }
+        // Whatever ended it, what was recorded is told.
+        let printed = self.print(&report);
+        done.and(printed)
+    }
+
+    /// The report before anything was recorded.
+    fn report(&self, client: &Client) -> Report {
+        let front_end = client.front_end();
+        Report {
+            file: self.out.clone(),
+            device: format!("{} ({})", client.describe(), client.hello().build),
+            v_full_scale_v: front_end.scales().v_full_scale_v(),
+            i_full_scale_a: front_end.scales().i_full_scale_a(),
+            bits: front_end.bits,
+            ended_by: "error",
+            error: None,
+            seconds: 0.0,
+            bytes: 0,
+            faults: 0,
+            link: LinkCounters::default(),
+            device_windows_dropped: None,
+            device_telemetry_dropped: None,
+            processor: utilisation::json(None),
+            processor_line: utilisation::line(None),
+        }
     }
 
     fn check(&self) -> Result<()> {
@@ -161,7 +202,8 @@ impl RecordArgs {
         stop: &AtomicBool,
         size: &AtomicU64,
         bar: &ProgressBar,
-    ) -> Result<Report> {
+        report: &mut Report,
+    ) -> Result<()> {
         client.read_lookup()?;
         client.stream(self.telemetry_every, self.windows_every)?;
         if let Some(power_w) = self.power {
@@ -171,9 +213,9 @@ impl RecordArgs {
         client.utilisation()?;
         let began = client.clock();
         let mut heard = began;
-        let mut faults = 0;
-        let ended_by = loop {
+        report.ended_by = loop {
             let elapsed = client.clock().saturating_sub(began);
+            report.seconds = elapsed.as_secs_f64();
             if stop.load(Ordering::Relaxed) {
                 break "interrupt";
             }
@@ -185,7 +227,7 @@ impl RecordArgs {
                 break "size";
             }
             if let Some(Event::Fault(_)) = client.next_event(LOOK_EVERY)? {
-                faults += 1;
+                report.faults += 1;
             }
             if client.clock().saturating_sub(heard) >= HEARD_EVERY {
                 heard = client.clock();
@@ -193,23 +235,7 @@ impl RecordArgs {
             }
             show(bar, elapsed, bytes, client);
         };
-        let front_end = client.front_end();
-        Ok(Report {
-            file: self.out.clone(),
-            device: format!("{} ({})", client.describe(), client.hello().build),
-            v_full_scale_v: front_end.scales().v_full_scale_v(),
-            i_full_scale_a: front_end.scales().i_full_scale_a(),
-            bits: front_end.bits,
-            ended_by,
-            seconds: client.clock().saturating_sub(began).as_secs_f64(),
-            bytes: 0,
-            faults,
-            link: LinkCounters::default(),
-            device_windows_dropped: 0,
-            device_telemetry_dropped: 0,
-            processor: serde_json::Value::Null,
-            processor_line: String::new(),
-        })
+        Ok(())
     }
 
     /// Leaves the device silent, and off where it was switched on; takes what is on its way.
@@ -225,33 +251,44 @@ impl RecordArgs {
 
     fn print(&self, r: &Report) -> Result<()> {
         if self.json {
-            println!("{}", serde_json::to_string_pretty(r)?);
-            return Ok(());
+            return output::json(r);
         }
+        let dropped = |n: Option<u32>| n.map_or("?".to_owned(), |n| n.to_string());
         let (l, path) = (&r.link, r.file.display());
-        println!(
+        say!(
             "recorded   {path}, {} bytes, {:.1} s, ended by {}",
-            r.bytes, r.seconds, r.ended_by
-        );
-        println!("device     {}", r.device);
-        println!(
+            r.bytes,
+            r.seconds,
+            r.ended_by
+        )?;
+        say!("device     {}", r.device)?;
+        say!(
             "scales     ±{} V, ±{} A, {} bits",
-            r.v_full_scale_v, r.i_full_scale_a, r.bits
-        );
-        println!(
+            r.v_full_scale_v,
+            r.i_full_scale_a,
+            r.bits
+        )?;
+        say!(
             "telemetry  {} received, {} missing, {} dropped by the device",
-            l.telemetry, l.telemetry_missing, r.device_telemetry_dropped
-        );
-        println!(
+            l.telemetry,
+            l.telemetry_missing,
+            dropped(r.device_telemetry_dropped)
+        )?;
+        say!(
             "windows    {} received, {} missing, {} rejected, {} dropped by the device",
-            l.windows, l.windows_missing, l.windows_rejected, r.device_windows_dropped
-        );
-        println!(
+            l.windows,
+            l.windows_missing,
+            l.windows_rejected,
+            dropped(r.device_windows_dropped)
+        )?;
+        say!(
             "frames     {} good, {} bad, {} lost; {} fault events",
-            l.frames_good, l.frames_bad, l.frames_lost, r.faults
-        );
-        println!("processor  {}", r.processor_line);
-        Ok(())
+            l.frames_good,
+            l.frames_bad,
+            l.frames_lost,
+            r.faults
+        )?;
+        say!("processor  {}", r.processor_line)
     }
 }
 

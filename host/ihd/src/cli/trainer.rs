@@ -7,20 +7,21 @@ use std::{fs, io};
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use ihd_capture::{OpenOptions, open};
-use ihd_link::{Client, DeviceSpec};
+use ihd_link::{Client, DeviceSpec, LinkError};
 use ihd_pinn::{Backend, Config};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::sampling::Scales;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
-use ihd_sim::hob::SimHob;
+use ihd_signal::printable::printable;
+use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
-use ihd_train::{Progress, Recorded, Settings, Source, TruthSource, run};
+use ihd_train::{Failed, Progress, Recorded, Report, Settings, Source, TruthSource, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::interrupt;
 use super::simulated::SimulatedHobArgs;
+use super::{interrupt, output};
 use crate::report::{trained, training};
 
 /// Most runs in one store.
@@ -35,6 +36,7 @@ const MAX_RUNS: u32 = 9_999;
     ihd trainer --power 1500 --backend ndarray --json\n  \
     ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
     ihd trainer --replay capture.mcap\n\n\
+    Every end leaves the hob off, and what was found until then is printed.\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 the device does not heat (fault, no pot),\n\
     5 nothing fit for the lookup")]
 pub struct TrainerArgs {
@@ -66,7 +68,8 @@ pub struct TrainerArgs {
     /// Write nothing to disk.
     #[arg(long)]
     no_store: bool,
-    /// Go on at the last power until ^C, and push a lookup whenever the load has changed.
+    /// Go on at the last power until ^C, and push a lookup whenever the load has changed. A fault, a lifted
+    /// pot or a full disk is a line; a cut link is made again for a minute.
     #[arg(long)]
     follow: bool,
     /// Print the report as JSON.
@@ -87,17 +90,13 @@ impl TrainerArgs {
             return self.serve.run();
         }
         for &power_w in &self.power {
-            ensure!(
+            ensure_usage!(
                 (1..=RATED_POWER_W).contains(&power_w),
                 "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
             );
         }
         let pinn = self.pinn_config()?;
-        let stop = if self.follow {
-            Some(interrupt::flag().context("cannot catch ^C")?)
-        } else {
-            None
-        };
+        let stop = interrupt::flag().context("cannot catch ^C")?;
         let bar = progress_bar();
         let mut truth: TruthSource = None;
         let config = self.simulated.config()?;
@@ -109,6 +108,7 @@ impl TrainerArgs {
         })?;
         let client = Client::connect(transport)?;
         let scales = client.front_end().scales();
+        let reopen = || self.reopen();
         let settings = Settings {
             source: self.source(scales)?,
             pinn,
@@ -117,29 +117,63 @@ impl TrainerArgs {
             } else {
                 Some(new_run_folder(&self.store)?)
             },
-            follow: stop,
+            follow: self.follow,
+            stop: Some(stop),
+            reopen: (self.device != DeviceSpec::Sim).then_some(&reopen),
         };
-        let report = run(client, truth, &settings, &mut |p| {
+        let ended = run(client, truth, &settings, &mut |p| {
             show(&bar, self.follow, p)
         });
         bar.finish_and_clear();
-        let report = report?;
-        if let Some(store) = &settings.store {
-            trained::write(&report, &store.join("identified.svg"))?;
-        }
-        if self.json {
-            println!(
-                "{}",
-                serde_json::to_string_pretty(&training::json(&report))?
-            );
-        } else {
-            print!("{}", training::text(&report));
-            if let Some(store) = &settings.store {
-                println!(
-                    "kept     session.mcap, lookup-v*.json and identified.svg in {}",
-                    store.display()
-                );
+        match ended {
+            Ok(report) => self.tell(&report, None, settings.store.as_deref()),
+            Err(failed) => {
+                let failed = *failed;
+                self.tell(&failed.report, Some(&failed), settings.store.as_deref())?;
+                Err(failed.into())
             }
+        }
+    }
+
+    /// A new link to the same device; a simulated hob in this process has none.
+    fn reopen(&self) -> Result<Client, LinkError> {
+        let device = self.device.to_string();
+        let mut gone = false;
+        let transport = self.device.open(|| {
+            gone = true;
+            Box::new(SharedHob::new(SimHob::new(&HobConfig::default())))
+        })?;
+        if gone {
+            return Err(LinkError::Closed { device });
+        }
+        Client::connect(transport)
+    }
+
+    /// Prints and keeps what was found; `failed` where the run ended early.
+    fn tell(&self, report: &Report, failed: Option<&Failed>, store: Option<&Path>) -> Result<()> {
+        let found = !report.points.is_empty();
+        if self.json {
+            let mut json = training::json(report);
+            if let Some(failed) = failed {
+                json["error"] = failed.to_string().into();
+            }
+            output::json(&json)?;
+        } else if found || failed.is_none() {
+            output::text(&training::text(report))?;
+        }
+        let Some(store) = store.filter(|_| found) else {
+            return Ok(());
+        };
+        let drawn = trained::write(report, &store.join("identified.svg"));
+        if failed.is_none() {
+            // After a failure that one is told.
+            drawn?;
+        }
+        if !self.json {
+            say!(
+                "kept     session.mcap, lookup-v*.json and identified.svg in {}",
+                store.display()
+            )?;
         }
         Ok(())
     }
@@ -153,7 +187,7 @@ impl TrainerArgs {
         let segments = survey.segments(&capture);
         let half_cycles: Vec<_> = segments
             .iter()
-            .flat_map(|segment| Recorded::half_cycles(segment, scales))
+            .flat_map(|segment| Recorded::half_cycles(segment, scales, &capture.truth))
             .collect();
         ensure!(
             !half_cycles.is_empty(),
@@ -209,6 +243,15 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
+/// A line above the bar, or on standard error where nobody sees a bar.
+fn line(bar: &ProgressBar, text: &str) {
+    if bar.is_hidden() {
+        output::complain(format_args!("{text}"));
+    } else {
+        bar.println(printable(text).to_string());
+    }
+}
+
 /// Why the device does not heat, for a person.
 fn waiting(t: &Telemetry) -> String {
     match (t.state, t.pot, t.fault) {
@@ -236,7 +279,7 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
         Progress::Waiting {
             asked_w,
             telemetry: t,
-        } => bar.println(format!("{asked_w} W: {}", waiting(t))),
+        } => line(bar, &format!("{asked_w} W: {}", waiting(t))),
         Progress::AwaitingWindow { point } => {
             bar.set_message(format!("{point}: waiting for a window"));
         }
@@ -244,7 +287,10 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             "window {seq}: step {}, loss {:.3e}, change of R, L {:.1e}",
             step.iteration, step.loss, step.change
         )),
-        Progress::Rejected { seq, why } => bar.println(format!("window {seq} not used: {why}")),
+        Progress::Note { text } => line(bar, text),
+        Progress::Rejected { seq, why } => {
+            line(bar, &format!("window {seq} not used: {why}"));
+        }
         Progress::LookupActive {
             version,
             observed_cells,
@@ -252,7 +298,7 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             let text =
                 format!("lookup {version} active on the device, {observed_cells} cells observed");
             if follow {
-                bar.println(text);
+                line(bar, &text);
             } else {
                 bar.set_message(text);
             }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use ihd_shared::lookup::grid::CELLS;
 use ihd_shared::wire::messages::Status;
 use ihd_signal::Load;
+use ihd_signal::printable::printable;
 use ihd_train::{Point, Report};
 use serde::Serialize;
 
@@ -14,36 +15,23 @@ use super::utilisation;
 /// The report as text.
 pub fn text(report: &Report) -> String {
     let mut out = String::new();
-    let _ = writeln!(out, "{}\n", report.device);
+    let _ = writeln!(out, "{}\n", printable(&report.device));
     out.push_str(&points(&report.points));
     out.push('\n');
     if report.points.iter().any(|p| p.truth.is_some()) {
         out.push_str(&accuracy(&report.points));
         out.push('\n');
     }
-    let s = &report.status;
-    let observed = report
-        .built
-        .as_ref()
-        .map_or(0, |b| b.lookup.observed_cells());
-    let _ = writeln!(
-        out,
-        "lookup   version {} active on the device; {observed} of {CELLS} cells observed, the others \
-         keep the prior",
-        s.lookup_version
-    );
-    let _ = writeln!(
-        out,
-        "power    {} W asked, {:.0} W delivered at {:.2} kHz",
-        s.asked_w,
-        f64::from(s.delivered_mw) * 1e-3,
-        f64::from(s.f_sw_hz) * 1e-3
-    );
-    let _ = writeln!(
-        out,
-        "pot      {:?}; state {:?}, fault {:?}",
-        s.pot, s.state, s.fault
-    );
+    let built = report.built.as_ref();
+    if let Some(s) = &report.status {
+        out.push_str(&device(s, built.map_or(0, |b| b.lookup.observed_cells())));
+    } else if let Some(built) = built {
+        let _ = writeln!(
+            out,
+            "lookup   version {} was active last; the device was not asked at the end",
+            built.lookup.version
+        );
+    }
     let _ = writeln!(out, "link     {}", link(report));
     let used = utilisation::line(report.utilisation.as_ref());
     let _ = writeln!(out, "busy     {used}");
@@ -55,6 +43,23 @@ pub fn text(report: &Report) -> String {
         );
     }
     out
+}
+
+/// The device at the end.
+fn device(s: &Status, observed: u32) -> String {
+    format!(
+        "lookup   version {} active on the device; {observed} of {CELLS} cells observed, the others \
+         keep the prior\n\
+         power    {} W asked, {:.0} W delivered at {:.2} kHz\n\
+         pot      {:?}; state {:?}, fault {:?}\n",
+        s.lookup_version,
+        s.asked_w,
+        f64::from(s.delivered_mw) * 1e-3,
+        f64::from(s.f_sw_hz) * 1e-3,
+        s.pot,
+        s.state,
+        s.fault
+    )
 }
 
 fn link(report: &Report) -> String {
@@ -132,7 +137,7 @@ fn accuracy(points: &[Point]) -> String {
         t.row(std::iter::once(f_sw).chain(errors.into_iter().flatten()));
     }
     format!(
-        "Mean relative error against the simulation's truth, %, whole half-cycle:\n{}",
+        "Mean relative error against the truth, %, whole half-cycle:\n{}",
         t.render()
     )
 }
@@ -146,19 +151,20 @@ pub fn json(report: &Report) -> serde_json::Value {
         rejected: u32,
         refused_by_gate: u32,
     }
-    let s: &Status = &report.status;
+    let s = report.status.as_ref();
+    let built = report.built.as_ref();
     let c = &report.counters;
     serde_json::json!({
         "device": report.device,
         "points": report.points,
-        "lookup_version": s.lookup_version,
-        "observed_cells": report.built.as_ref().map_or(0, |b| b.lookup.observed_cells()),
-        "asked_w": s.asked_w,
-        "delivered_w": f64::from(s.delivered_mw) * 1e-3,
-        "f_sw_hz": s.f_sw_hz,
-        "pot": format!("{:?}", s.pot).to_lowercase(),
-        "state": format!("{:?}", s.state).to_lowercase(),
-        "fault": s.fault.number(),
+        "lookup_version": s.map(|s| s.lookup_version).or(built.map(|b| b.lookup.version)),
+        "observed_cells": built.map_or(0, |b| b.lookup.observed_cells()),
+        "asked_w": s.map(|s| s.asked_w),
+        "delivered_w": s.map(|s| f64::from(s.delivered_mw) * 1e-3),
+        "f_sw_hz": s.map(|s| s.f_sw_hz),
+        "pot": s.map(|s| format!("{:?}", s.pot).to_lowercase()),
+        "state": s.map(|s| format!("{:?}", s.state).to_lowercase()),
+        "fault": s.map(|s| s.fault.number()),
         "processor": utilisation::json(report.utilisation.as_ref()),
         "windows": Windows {
             received: c.windows.received,

@@ -151,7 +151,11 @@ fn connect(near: TcpStream, shared: &Arc<Shared>, number: u64) -> io::Result<()>
     let to = *shared.to.lock().unwrap();
     let far = TcpStream::connect_timeout(&to, Duration::from_secs(1))?;
     shared.counted.connections.fetch_add(1, Relaxed);
-    let seed = shared.faults.seed.wrapping_mul(1_000_003).wrapping_add(2 * number);
+    let seed = shared
+        .faults
+        .seed
+        .wrapping_mul(1_000_003)
+        .wrapping_add(2 * number);
     let mut chance = Chance::new(seed);
     let lives_s = match shared.faults.cut_every_s {
         0.0 => 1e9,
@@ -302,8 +306,8 @@ impl Direction {
             while self.bits_to_flip < 8 {
                 byte ^= 1 << self.bits_to_flip;
                 counted.flipped_bits.fetch_add(1, Relaxed);
-                self.bits_to_flip = (self.bits_to_flip + 1)
-                    .saturating_add(self.chance.failures(faults.flip));
+                self.bits_to_flip =
+                    (self.bits_to_flip + 1).saturating_add(self.chance.failures(faults.flip));
             }
             self.bits_to_flip -= 8;
             out.push(byte);
@@ -348,8 +352,7 @@ fn sent_through(faults: Faults, frames: &[Vec<u8>]) -> (Vec<u8>, Proxy) {
 
 fn numbered_frames(count: u16) -> Vec<Vec<u8>> {
     let frame = |k: u16| {
-        let [a, b] = k.to_le_bytes();
-        let body = [a | 1, b | 1, 0x55, (k % 251) as u8 | 1];
+        let body = [1 + (k % 250) as u8, 1 + (k / 250) as u8, 0x55, 0xAA];
         [&[0][..], &body, &body, &body, &[0]].concat()
     };
     (0..count).map(frame).collect()
@@ -369,27 +372,51 @@ fn each_fault_comes_as_often_as_asked_and_is_counted() {
     let all = frames.concat();
     let near = |count: &AtomicU64, expected: f64| {
         let n = count.load(Relaxed) as f64;
-        assert!((n - expected).abs() < 6.0 * expected.sqrt(), "{n} against {expected}");
+        assert!(
+            (n - expected).abs() < 6.0 * expected.sqrt(),
+            "{n} against {expected}"
+        );
         n as usize
     };
-    let faults = Faults { seed: 3, flip: 1e-4, ..Faults::default() };
+    let faults = Faults {
+        seed: 3,
+        flip: 1e-4,
+        ..Faults::default()
+    };
     let (taken, proxy) = sent_through(faults, &frames);
     let flipped = near(&proxy.counted().flipped_bits, 8e-4 * all.len() as f64);
-    let differing: u32 = taken.iter().zip(&all).map(|(a, b)| (a ^ b).count_ones()).sum();
+    let differing: u32 = taken
+        .iter()
+        .zip(&all)
+        .map(|(a, b)| (a ^ b).count_ones())
+        .sum();
     assert_eq!((taken.len(), differing as usize), (all.len(), flipped));
 
-    let faults = Faults { seed: 4, lose_byte: 1e-3, ..Faults::default() };
+    let faults = Faults {
+        seed: 4,
+        lose_byte: 1e-3,
+        ..Faults::default()
+    };
     let (taken, proxy) = sent_through(faults, &frames);
     let lost = near(&proxy.counted().lost_bytes, 1e-3 * all.len() as f64);
     assert_eq!(taken.len() + lost, all.len());
 
     let length = frames[0].len();
-    let faults = Faults { seed: 5, lose_frame: 0.01, ..Faults::default() };
+    let faults = Faults {
+        seed: 5,
+        lose_frame: 0.01,
+        ..Faults::default()
+    };
     let (taken, proxy) = sent_through(faults, &frames);
     let lost = near(&proxy.counted().lost_frames, 200.0);
     assert_eq!(taken.len() / length, frames.len() - lost);
 
-    let faults = Faults { seed: 6, repeat_frame: 0.01, swap_frames: 0.01, ..Faults::default() };
+    let faults = Faults {
+        seed: 6,
+        repeat_frame: 0.01,
+        swap_frames: 0.01,
+        ..Faults::default()
+    };
     let (taken, proxy) = sent_through(faults, &frames);
     let repeated = near(&proxy.counted().repeated_frames, 200.0);
     let swapped = near(&proxy.counted().swapped_frames, 200.0);
@@ -398,9 +425,16 @@ fn each_fault_comes_as_often_as_asked_and_is_counted() {
     let mut once = came.clone();
     once.dedup();
     assert_eq!(once.len(), frames.len());
-    let moved = once.iter().zip(&frames).filter(|(a, b)| **a != &b[..]).count();
+    let moved = once
+        .iter()
+        .zip(&frames)
+        .filter(|(a, b)| **a != &b[..])
+        .count();
     // A swap moves two frames.
-    assert!(moved > swapped && moved <= 2 * swapped, "{moved} of {swapped}");
+    assert!(
+        moved > swapped && moved <= 2 * swapped,
+        "{moved} of {swapped}"
+    );
 }
 
 #[test]
@@ -417,7 +451,8 @@ fn connections_are_cut_and_stalled_as_asked() {
     let began = Instant::now();
     for _ in 0..10 {
         let mut near = TcpStream::connect(proxy.address()).unwrap();
-        near.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        near.set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
         let _far = listener.accept().unwrap();
         assert_eq!(near.read(&mut [0; 8]).unwrap_or(0), 0);
     }

@@ -83,19 +83,19 @@ fn wrong_usage_exits_with_2_and_names_what_there_is() {
 
 #[test]
 fn values_out_of_range_are_refused_by_name() {
-    refused("trainer --no-store --power 0", 1, &["--power"]);
+    refused("trainer --no-store --power 0", 2, &["--power"]);
     refused(
         "trainer --no-store --mains 16.7",
-        1,
+        2,
         &["--mains", "45 and 65"],
     );
     refused(
-        "trainer --no-store --config /nowhere.toml",
+        "trainer --no-store --network /nowhere.toml",
         1,
         &["/nowhere.toml"],
     );
-    refused("trainer --no-store --power 9999", 1, &["9999", "2500"]);
-    refused("hob --speed 0", 1, &["--speed"]);
+    refused("trainer --no-store --power 9999", 2, &["9999", "2500"]);
+    refused("hob --speed 0", 2, &["--speed"]);
 }
 
 #[test]
@@ -145,8 +145,8 @@ fn the_trainer_identifies_and_teaches() {
     }
 }
 
-/// A capture of the behavioural reference load stands for the heating; nothing of the simulated hob's
-/// own load may be compared with it.
+/// A capture of the behavioural reference load stands for the heating; what it is compared with is the capture's
+/// own truth, and nothing of the simulated hob's load.
 #[test]
 fn the_trainer_teaches_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
@@ -166,7 +166,12 @@ fn the_trainer_teaches_from_a_capture() {
     let r_ohm = (2.2 + 3.5 / (1.0 + i_a / 15.0)) * (50.0f64 / 45.0).sqrt();
     let error = number(&report, "/points/1/pinn/r_ohm") / r_ohm - 1.0;
     assert!(error.abs() <= 0.01, "{report:#}");
-    assert!(report["points"][1]["truth"].is_null(), "{report:#}");
+    let truth = number(&report, "/points/1/truth/r_ohm") / r_ohm - 1.0;
+    assert!(truth.abs() <= 2e-3, "{report:#}");
+    for name in ["pinn_errors/r_whole_pct", "pinn_errors/l_whole_pct"] {
+        let of = number(&report, &format!("/points/1/{name}"));
+        assert!(of > 0.0 && of <= 1.0, "{report:#}");
+    }
     assert_eq!(number(&report, "/lookup_version"), 2.0);
     assert_eq!(report["state"], "idle");
     refused(

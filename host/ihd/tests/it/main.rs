@@ -5,6 +5,7 @@ mod command_line;
 mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
+mod exit_codes;
 mod identify;
 mod identify_accuracy;
 mod inspect;
@@ -12,3 +13,5 @@ mod record_replay;
 mod simulate;
 #[cfg(feature = "pinn")]
 mod study_paper;
+#[cfg(feature = "pinn")]
+mod trainer;

@@ -136,6 +136,94 @@ fn a_killed_recorder_leaves_a_readable_file() {
     assert!(stderr.contains("killed.mcap exists already"), "{stderr}");
 }
 
+/// Killed at any moment a recording can be inspected, and holds what came until half a second before.
+#[test]
+fn a_recording_killed_at_random_is_inspected() {
+    let dir = tempfile::tempdir().unwrap();
+    // A fixed sequence of moments from 0 to 2 s.
+    let mut state = 0x2545_f491_u32;
+    let mut with_windows = 0;
+    for k in 0..20 {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let moment = Duration::from_millis(u64::from(state >> 21));
+        let file = format!("killed-{k}.mcap");
+        let args = format!("record --device sim --power 1500 --out {file}");
+        let recorder = ihd(&args, dir.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        let mut recorder = Process(recorder.expect("ihd record runs"));
+        std::thread::sleep(moment);
+        recorder.0.kill().unwrap();
+        recorder.0.wait().unwrap();
+        let path = dir.path().join(&file);
+        if !path.exists() {
+            continue;
+        }
+        let began = Instant::now();
+        let output = run(&format!("inspect {file}"), dir.path());
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        // Nothing that a recorder which is killed leaves has an end mark.
+        assert_eq!(output.status.code(), Some(7), "{moment:?}: {stderr}");
+        assert!(
+            !stderr.contains("panicked") && stderr.contains(&file),
+            "{stderr}"
+        );
+        assert!(began.elapsed() < Duration::from_secs(30), "{moment:?}");
+        if std::fs::metadata(&path).unwrap().len() == 0 {
+            continue;
+        }
+        // Every window whose frames are in the file is in the samples too.
+        let mut session = SessionReader::open(&path).expect("a session");
+        let (mut windows, mut half_cycle_s) = (0, 0.0);
+        while let Some(event) = session.next_event().expect("readable") {
+            if let ihd_link::Event::Window(window) = event {
+                windows += 1;
+                half_cycle_s = 0.5 / window.f_mains_hz();
+            }
+        }
+        assert!(session.file_damage().is_none());
+        let capture = mcap::salvage(&path).unwrap().capture;
+        if windows > 0 {
+            with_windows += 1;
+            let pairs_s = capture.len() as f64 / 1.2e6;
+            assert!(
+                pairs_s > 0.8 * half_cycle_s * f64::from(windows),
+                "{windows} windows"
+            );
+        }
+    }
+    assert!(with_windows > 0, "no recording lived long enough");
+}
+
+#[test]
+fn a_device_that_vanishes_leaves_a_summary_and_3() {
+    let dir = tempfile::tempdir().unwrap();
+    let (hob, address) = hob(dir.path());
+    let args = format!("record --device tcp:{address} --out vanished.mcap --json");
+    let recorder = ihd(&args, dir.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("ihd record runs");
+    let path = dir.path().join("vanished.mcap");
+    await_size(&path, 15_000);
+    drop(hob);
+    let output = recorder.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(3), "{stderr}");
+    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON on stdout");
+    assert_eq!(report["ended_by"], "error");
+    assert!(
+        report["error"].as_str().is_some_and(|e| !e.is_empty()),
+        "{report:#}"
+    );
+    assert!(report["link"]["telemetry"].as_u64() > Some(5), "{report:#}");
+    assert!(report["device_windows_dropped"].is_null(), "{report:#}");
+    let (seen, cut) = events(&path);
+    assert!(!cut && seen > 5, "{seen}");
+}
+
 #[test]
 #[cfg(unix)]
 fn an_interrupted_recorder_ends_the_file_in_order() {

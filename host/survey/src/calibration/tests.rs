@@ -207,6 +207,7 @@ fn files_come_back_and_others_are_refused() {
         reference: "no-pot".to_owned(),
         assumed: vec!["right gains".to_owned()],
         capture: "empty.csv".to_owned(),
+        contradictions: Vec::new(),
     };
     for name in ["a.toml", "a.json", "a"] {
         let path = dir.path().join(name);
@@ -246,4 +247,66 @@ fn what_gives_no_calibration_is_refused_with_the_reason() {
     (swapped.v_full_scale_v, swapped.i_full_scale_a) = (None, None);
     let e = calibrated(&swapped, EMPTY).unwrap_err();
     assert!(matches!(e, CalibrateError::Unfit { .. }), "{e}");
+}
+
+/// What a current probe of 100 kHz shows of the empty coil is a delay that changes with frequency.
+#[test]
+fn a_probe_with_too_little_bandwidth_contradicts_itself() {
+    let mut c = capture(&settings(Pot::NONE, chain(Some(60.0)), 4));
+    assert_eq!(
+        calibrated(&c, EMPTY).unwrap().doubts(),
+        Vec::<String>::new()
+    );
+    // One pole: y' = 2π 100 kHz (x − y), at 12.5 MS/s.
+    let share = 1.0 - (-std::f64::consts::TAU * 100e3 / 12.5e6).exp();
+    let mut y = 0.0;
+    for i in &mut c.i_a {
+        y += share * (f64::from(*i) - y);
+        *i = y as f32;
+    }
+    match calibrated(&c, EMPTY) {
+        Ok(found) => assert!(
+            found.doubts().iter().any(|d| d.contains("bandwidth")),
+            "{found:?}"
+        ),
+        Err(refused) => panic!("{refused}"),
+    }
+}
+
+#[test]
+fn what_cannot_be_told_from_none_and_what_another_file_denies_is_doubted() {
+    let known = Calibration {
+        skew_s: 37e-9,
+        skew_sigma_s: 0.5e-9,
+        gain_ratio: 1.0,
+        gain_ratio_sigma: 0.0,
+        v_offset_v: 0.0,
+        i_offset_a: 0.0,
+        reference: "no-pot".into(),
+        assumed: Vec::new(),
+        capture: "a".into(),
+        contradictions: Vec::new(),
+    };
+    assert_eq!(known.doubts(), Vec::<String>::new());
+    let vague = Calibration {
+        skew_s: 3e-9,
+        skew_sigma_s: 20e-9,
+        ..known.clone()
+    };
+    assert!(vague.doubts()[0].contains("3.0 ± 20.0 ns"), "{vague:?}");
+    let other = Calibration {
+        skew_s: 60e-9,
+        ..known.clone()
+    };
+    let said = other.contradicts(&known);
+    assert!(
+        said.len() == 1 && said[0].contains("37.00 ± 0.50 ns, now 60.00"),
+        "{said:?}"
+    );
+    let near = Calibration {
+        skew_s: 38e-9,
+        ..known.clone()
+    };
+    assert_eq!(near.contradicts(&known), Vec::<String>::new());
+    assert_eq!(vague.contradicts(&known), Vec::<String>::new());
 }

@@ -218,6 +218,7 @@ fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
             f_sw_hz: [None, Some(45e3), Some(f64::NAN), Some(-1.0), Some(1e-9)][seed as usize % 5],
             mains_hz: [None, Some(0.0), Some(f64::INFINITY)][seed as usize % 3],
             zero_crossing_s: [None, Some(f64::NAN)][seed as usize % 2],
+            ..Hints::default()
         };
         match Survey::of(&c, &hints) {
             Ok(survey) => {

@@ -1,13 +1,20 @@
 //! What one identified window says about the load: R and L over current at one frequency.
 
 use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
+use serde::{Deserialize, Serialize};
 
 /// Points per step of the lookup's current axis.
 const POINTS_PER_STEP: usize = 8;
 
+/// Points of a curve at most: up to [`HIGHEST_A`], and the one at zero current.
+pub const MAX_POINTS: usize = POINTS_PER_STEP * (CURRENTS + 3);
+
 /// Currents below this, in ampere, are left out: the firmware's filter holds R and L there, and the
 /// network extrapolates.
 const LOWEST_A: f64 = 1.0;
+
+/// Currents above this, in ampere, are left out: no hob has them, only a device that lies.
+const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
 
 /// A curve that reaches below this, in ampere, is continued to zero current. No half-cycle shows the
 /// load there, but the grid's first knot lies there, and without it the prior's would stay beside
@@ -19,7 +26,7 @@ const CONTINUED_BELOW_A: f64 = 3.0;
 const CONTINUED_BY: f64 = 0.03;
 
 /// One point: current amplitude in ampere, R in ohm, L in henry.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoadPoint {
     /// Amplitude of the current's fundamental in ampere.
     pub i_a: f64,
@@ -30,7 +37,7 @@ pub struct LoadPoint {
 }
 
 /// R and L over current at one switching frequency, at even steps of the lookup's current axis.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoadCurve {
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
@@ -52,7 +59,7 @@ impl LoadCurve {
     pub fn from_half_cycle(f_sw_hz: f64, samples: impl Iterator<Item = LoadPoint>) -> Self {
         let mut bins: Vec<(LoadPoint, f64)> = Vec::new();
         let finite = |p: &LoadPoint| p.i_a.is_finite() && p.r_ohm.is_finite() && p.l_h.is_finite();
-        for p in samples.filter(|p| finite(p) && p.i_a >= LOWEST_A) {
+        for p in samples.filter(|p| finite(p) && (LOWEST_A..=HIGHEST_A).contains(&p.i_a)) {
             let bin = (coordinate(p.i_a) * POINTS_PER_STEP as f64) as usize;
             if bins.len() <= bin {
                 let none = LoadPoint {

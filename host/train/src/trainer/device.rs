@@ -1,14 +1,15 @@
 //! A device as the trainer uses it: power that settles, windows that count, a lookup that becomes
 //! active.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ihd_firmware::pwm;
-use ihd_link::{Client, Event, LinkError, Window};
+use ihd_link::{Client, Counters, Event, LinkError, Window};
 use ihd_shared::fault::Fault;
+use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::wire::messages::{State, Telemetry};
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::messages::{Outcome, State, Telemetry};
 use ihd_signal::truth::Truth;
 
 use super::{OperatingPoint, Progress, Recorded, TrainerError};
@@ -16,33 +17,49 @@ use super::{OperatingPoint, Progress, Recorded, TrainerError};
 /// Half-cycles at one frequency after which it counts as settled.
 const SETTLED_AFTER: u32 = 5;
 
-/// Half-cycles until an operating point must have settled: 6 s at 50 Hz.
-const SETTLE_WITHIN: u32 = 600;
+/// How long an operating point may take to settle while it heats, on the device's clock.
+const SETTLE_WITHIN: Duration = Duration::from_secs(6);
 
 /// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
 const WINDOWS_EVERY: u8 = 20;
 
-/// Half-cycles after which the device hears from us, whether we need anything or not: it switches
-/// off when it does not.
-const HEARD_EVERY: u32 = HOST_UNHEARD_HALF_CYCLES / 4;
+/// How long the device hears nothing from us, whether we need anything or not: it switches off after
+/// 10 s.
+const HEARD_EVERY: Duration = Duration::from_secs(2);
 
-/// Device time to wait for anything, in seconds.
-const PATIENCE_S: u64 = 10;
+/// How long an event may take before ^C is looked at again.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Device time to wait for anything.
+pub(super) const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Times that a command is sent which does the same when it comes twice.
+const TRIES: usize = 3;
 
 /// The truth of a half-cycle, counted as the device counts it, from whoever knows it; none where
 /// nobody does, as on a real hob.
 pub type TruthSource = Option<Box<dyn Fn(u32) -> Option<Truth>>>;
 
-/// A device that is being trained on.
+/// A device that is being trained on. Dropping it, in a panic too, switches off what it had asked for.
 pub struct Device<'a> {
-    pub(super) client: Client,
+    /// None while the link is cut.
+    client: Option<Client>,
     truth: TruthSource,
     progress: &'a mut dyn FnMut(Progress<'_>),
+    stop: Option<&'a AtomicBool>,
     pub(super) last: Option<Telemetry>,
+    /// Power that we have asked for and not taken back, in watt.
+    asked_w: u16,
+    /// When the device heard from us last, on its clock.
+    heard: Duration,
+    /// When it said something last.
+    spoke: Duration,
     /// Half-cycles show the power that was asked for last: what they say is about it.
     is_asked: bool,
     /// The device waits, and whoever watches knows.
     is_waiting: bool,
+    /// The recording's first failure.
+    pub(super) not_recorded: Option<LinkError>,
 }
 
 /// What a half-cycle's state means to the trainer.
@@ -57,19 +74,97 @@ enum Heats {
 impl<'a> Device<'a> {
     /// Starts the streams.
     pub fn start(
-        mut client: Client,
+        client: Client,
         truth: TruthSource,
+        stop: Option<&'a AtomicBool>,
         progress: &'a mut dyn FnMut(Progress<'_>),
-    ) -> Result<Self, TrainerError> {
-        client.stream(1, WINDOWS_EVERY)?;
-        Ok(Self {
-            client,
+    ) -> Self {
+        let now = client.clock();
+        Self {
+            client: Some(client),
             truth,
             progress,
+            stop,
             last: None,
+            asked_w: 0,
+            heard: now,
+            spoke: now,
             is_asked: false,
             is_waiting: false,
-        })
+            not_recorded: None,
+        }
+    }
+
+    /// Lets go of the device, whose link is cut.
+    pub fn let_go(&mut self) {
+        if let Some(mut client) = self.client.take() {
+            // What was recorded until now is complete.
+            if let Err(why) = client.finish_recording() {
+                self.note_recording(why);
+            }
+        }
+    }
+
+    /// Takes the device again over a new link.
+    pub fn take(&mut self, client: Client) {
+        (self.heard, self.spoke) = (client.clock(), client.clock());
+        self.client = Some(client);
+        self.last = None;
+    }
+
+    /// The client.
+    ///
+    /// # Errors
+    /// [`LinkError::Closed`] while the link is cut.
+    pub fn client(&mut self) -> Result<&mut Client, TrainerError> {
+        let closed = || LinkError::Closed {
+            device: "the device".into(),
+        };
+        Ok(self.client.as_mut().ok_or_else(closed)?)
+    }
+
+    /// What the link has counted since it was made.
+    pub fn counters(&self) -> Counters {
+        self.client
+            .as_ref()
+            .map(Client::counters)
+            .unwrap_or_default()
+    }
+
+    /// Sends what does the same when it comes twice, until it is answered.
+    pub fn command<T>(
+        &mut self,
+        mut command: impl FnMut(&mut Client) -> Result<T, LinkError>,
+    ) -> Result<T, TrainerError> {
+        let mut tries = 1;
+        loop {
+            let client = self.client()?;
+            match command(client) {
+                Err(LinkError::NoAnswer { .. }) if tries < TRIES => tries += 1,
+                answer => {
+                    self.heard = client.clock();
+                    return Ok(answer?);
+                }
+            }
+        }
+    }
+
+    /// Starts telemetry and windows.
+    pub fn stream(&mut self) -> Result<(), TrainerError> {
+        self.command(|client| client.stream(1, WINDOWS_EVERY))
+    }
+
+    /// Asks for a power in watt.
+    pub fn ask(&mut self, asked_w: u16) -> Result<(), TrainerError> {
+        // Even where no answer comes: the command may have.
+        self.asked_w = asked_w;
+        self.is_asked = false;
+        self.command(|client| client.set_power(asked_w))
+    }
+
+    /// Whether it is time to end.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
     /// What a half-cycle of an operating point says beside its numbers. Where the device only waits, this
@@ -121,24 +216,27 @@ impl<'a> Device<'a> {
         self.truth.as_ref()?(window.half_cycle)
     }
 
-    /// Asks for power and waits until it stays; returns the half-cycle since which it does. Half-cycles
-    /// in which the device waits do not count.
+    /// Asks for power and waits until it stays; returns the half-cycle since which it does. Time in which
+    /// the device waits does not count.
     pub fn settle(&mut self, asked_w: u16) -> Result<u32, TrainerError> {
-        self.client.set_power(asked_w)?;
-        self.is_asked = false;
+        self.ask(asked_w)?;
         let point = OperatingPoint::Heating { asked_w };
         let mut steady = 0;
         let mut f_sw_hz = 0;
-        let mut half_cycles = 0;
-        while half_cycles < SETTLE_WITHIN {
+        let mut before = self.client()?.clock();
+        let mut heated = Duration::ZERO;
+        while heated < SETTLE_WITHIN {
             let Some(telemetry) = self.next_telemetry(point)? else {
                 continue;
             };
+            let now = self.client()?.clock();
+            let passed = now.saturating_sub(before);
+            before = now;
             if self.heed(&telemetry, point)? == Heats::Later {
                 steady = 0;
                 continue;
             }
-            half_cycles += 1;
+            heated += passed;
             self.report(Progress::Settling {
                 asked_w,
                 telemetry: &telemetry,
@@ -166,23 +264,23 @@ impl<'a> Device<'a> {
                 .as_ref()
                 .map_or(0.0, |t| f64::from(t.power_mw) * 1e-3),
             f_sw_hz,
-            half_cycles: SETTLE_WITHIN,
+            seconds: SETTLE_WITHIN.as_secs(),
         })
     }
 
-    /// The next telemetry, `None` for another event; silence is an error.
+    /// The next telemetry, `None` for another event or none yet; silence is an error.
     fn next_telemetry(&mut self, point: OperatingPoint) -> Result<Option<Telemetry>, TrainerError> {
         match self.next_event("telemetry")? {
-            Event::Telemetry(t) => Ok(Some(t)),
-            Event::Fault(f) => self.note_fault(f.fault, point).map(|()| None),
-            Event::Window(_) => Ok(None),
-            Event::WindowRejected { seq, reason } => {
+            Some(Event::Telemetry(t)) => Ok(Some(t)),
+            Some(Event::Fault(f)) => self.note_fault(f.fault, point).map(|()| None),
+            Some(Event::WindowRejected { seq, reason }) => {
                 self.report(Progress::Rejected {
                     seq,
                     why: &reason.to_string(),
                 });
                 Ok(None)
             }
+            Some(Event::Window(_)) | None => Ok(None),
         }
     }
 
@@ -195,33 +293,33 @@ impl<'a> Device<'a> {
         Ok(())
     }
 
-    /// The next whole window that began after a half-cycle.
+    /// The next whole window that began after a half-cycle. Time in which the device waits does not count.
     pub fn window_after(
         &mut self,
         half_cycle: u32,
         point: OperatingPoint,
     ) -> Result<Box<Window>, TrainerError> {
         self.report(Progress::AwaitingWindow { point });
-        let limit = PATIENCE_S * 100;
-        let mut events = 0;
-        while events < limit {
-            events += 1;
+        let mut since = self.client()?.clock();
+        loop {
             match self.next_event("a window")? {
-                Event::Window(window) if window.half_cycle > half_cycle => return Ok(window),
-                Event::Window(_) => {}
-                Event::WindowRejected { seq, reason } => {
+                Some(Event::Window(window)) if window.half_cycle > half_cycle => return Ok(window),
+                Some(Event::WindowRejected { seq, reason }) => {
                     self.report(Progress::Rejected {
                         seq,
                         why: &reason.to_string(),
                     });
                 }
-                // What the device waits for does not count.
-                Event::Telemetry(t) if self.heed(&t, point)? == Heats::Later => events = 0,
-                Event::Telemetry(_) => {}
-                Event::Fault(f) => self.note_fault(f.fault, point)?,
+                Some(Event::Telemetry(t)) if self.heed(&t, point)? == Heats::Later => {
+                    since = self.client()?.clock();
+                }
+                Some(Event::Fault(f)) => self.note_fault(f.fault, point)?,
+                Some(Event::Telemetry(_) | Event::Window(_)) | None => {}
+            }
+            if self.client()?.clock().saturating_sub(since) >= PATIENCE {
+                return Err(self.silent("a window"));
             }
         }
-        Err(self.silent("a window"))
     }
 
     /// The window that the device records while a half-cycle is replayed to it: twice, because the
@@ -229,8 +327,9 @@ impl<'a> Device<'a> {
     pub fn replayed_window(&mut self, recorded: &Recorded) -> Result<Box<Window>, TrainerError> {
         let f_sw_hz = recorded.f_sw_hz;
         let (r, l) = prior().interpolate(f_sw_hz, 0);
-        self.client.stream(0, 1)?;
-        let mut replay = self.client.start_replay(f_sw_hz, r, l)?;
+        let client = self.client()?;
+        client.stream(0, 1)?;
+        let mut replay = client.start_replay(f_sw_hz, r, l)?;
         let replayed = (0..2).try_for_each(|_| {
             let answer = replay.blocks(&recorded.pairs, Some(0), recorded.bus_dv);
             answer.map(drop)
@@ -242,27 +341,53 @@ impl<'a> Device<'a> {
             .map_err(TrainerError::from)
             .and_then(|()| self.window_after(0, point));
         // Even after a failure: the device must not stay in replay mode.
-        let ended = self.client.continue_replay(taken).end();
+        let ended = self.client()?.continue_replay(taken).end();
         let window = window?;
         ended?;
         Ok(window)
     }
 
-    fn next_event(&mut self, what: &'static str) -> Result<Event, TrainerError> {
-        let event = self.client.next_event(Duration::from_secs(PATIENCE_S))?;
-        if let Some(Event::Telemetry(t)) = &event
-            && t.half_cycle.is_multiple_of(HEARD_EVERY)
-        {
-            self.client.status()?;
+    /// The next event, `None` where none has come yet. Keeps the device listening, and looks whether it is
+    /// time to end.
+    ///
+    /// # Errors
+    /// [`TrainerError::Interrupted`]; [`TrainerError::Silent`] where nothing has come for long.
+    pub fn next_event(&mut self, what: &'static str) -> Result<Option<Event>, TrainerError> {
+        if self.is_stopped() {
+            return Err(TrainerError::Interrupted);
         }
-        event.ok_or_else(|| self.silent(what))
+        let event = match self.client()?.next_event(LOOK_EVERY) {
+            Err(why @ LinkError::Recording(_)) => {
+                self.note_recording(why);
+                None
+            }
+            event => event?,
+        };
+        let now = self.client()?.clock();
+        if now.saturating_sub(self.heard) >= HEARD_EVERY {
+            self.command(|client| client.status())?;
+        }
+        if event.is_some() {
+            self.spoke = now;
+        } else if now.saturating_sub(self.spoke) >= PATIENCE {
+            return Err(self.silent(what));
+        }
+        Ok(event)
+    }
+
+    /// The recording fails once; the hob does not wait for it.
+    fn note_recording(&mut self, why: LinkError) {
+        self.report(Progress::Note {
+            text: &why.to_string(),
+        });
+        self.not_recorded.get_or_insert(why);
     }
 
     fn silent(&self, what: &'static str) -> TrainerError {
-        let c = self.client.counters();
+        let c = self.counters();
         TrainerError::Silent {
             what,
-            seconds: PATIENCE_S,
+            seconds: PATIENCE.as_secs(),
             windows: format!(
                 "{} received, {} missing, {} rejected, {} dropped by the device",
                 c.windows.received,
@@ -274,13 +399,10 @@ impl<'a> Device<'a> {
     }
 
     /// Pushes a lookup and waits until the device reports it active.
-    pub fn update_lookup(
-        &mut self,
-        lookup: &ihd_shared::lookup::RlLookup,
-    ) -> Result<(), TrainerError> {
-        self.client.push_lookup(lookup)?;
+    pub fn update_lookup(&mut self, lookup: &RlLookup) -> Result<(), TrainerError> {
+        self.push(lookup)?;
         for _ in 0..20 {
-            if self.client.status()?.lookup_version == lookup.version {
+            if self.command(|client| client.status())?.lookup_version == lookup.version {
                 self.report(Progress::LookupActive {
                     version: lookup.version,
                     observed_cells: lookup.observed_cells(),
@@ -288,7 +410,10 @@ impl<'a> Device<'a> {
                 return Ok(());
             }
             // It waits for the half-cycle boundary: let one pass.
-            self.client.next_event(Duration::from_millis(20))?;
+            match self.client()?.next_event(Duration::from_millis(20)) {
+                Err(why @ LinkError::Recording(_)) => self.note_recording(why),
+                event => drop(event?),
+            }
         }
         Err(TrainerError::Lookup(format!(
             "the device accepted version {} but does not use it",
@@ -296,9 +421,42 @@ impl<'a> Device<'a> {
         )))
     }
 
-    /// Leaves the hob off.
-    pub fn finish(&mut self) -> Result<(), LinkError> {
-        self.client.set_power(0)?;
-        self.client.stream(0, 0)
+    /// Sent again where no answer came, a lookup that did arrive is not newer any more.
+    fn push(&mut self, lookup: &RlLookup) -> Result<(), TrainerError> {
+        let mut sent = 0;
+        self.command(|client| {
+            sent += 1;
+            match client.push_lookup(lookup) {
+                Err(LinkError::Refused {
+                    outcome: Outcome::LookupStale | Outcome::Busy,
+                    ..
+                }) if sent > 1 => Ok(()),
+                answer => answer,
+            }
+        })
+    }
+
+    /// Leaves the hob off, and the recording complete.
+    pub fn finish(&mut self) -> Result<(), TrainerError> {
+        self.ask(0)?;
+        self.command(|client| client.stream(0, 0))
+    }
+
+    /// Ends the recording; its first failure.
+    pub fn finish_recording(&mut self) -> Option<LinkError> {
+        let ended = self
+            .client
+            .as_mut()
+            .map_or(Ok(()), Client::finish_recording);
+        self.not_recorded.take().or(ended.err())
+    }
+}
+
+impl Drop for Device<'_> {
+    fn drop(&mut self) {
+        if self.asked_w > 0 {
+            // Nobody is left to tell; the device switches off by itself when it hears nothing.
+            let _ = self.finish();
+        }
     }
 }

@@ -5,7 +5,7 @@ use ihd_link::LinkError;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::Pot;
 
-use super::OperatingPoint;
+use super::{OperatingPoint, Report};
 
 /// Why a training run ended early. The device keeps the last lookup that it accepted.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,7 @@ pub enum TrainerError {
     },
     /// The power did not settle.
     #[error(
-        "{asked_w} W did not settle within {half_cycles} half-cycles (last {last_w:.0} W at \
+        "{asked_w} W did not settle within {seconds} s of device time (last {last_w:.0} W at \
          {f_sw_hz} Hz): is it within what this load takes at this mains voltage?"
     )]
     NotSettled {
@@ -50,8 +50,8 @@ pub enum TrainerError {
         last_w: f64,
         /// Last switching frequency, in hertz.
         f_sw_hz: u32,
-        /// Half-cycles waited for.
-        half_cycles: u32,
+        /// How long it heated, in seconds.
+        seconds: u64,
     },
     /// Nothing came any more.
     #[error("{what} did not come within {seconds} s of device time; windows: {windows}")]
@@ -74,7 +74,10 @@ pub enum TrainerError {
     /// The lookup that the windows give is not one that a device would accept.
     #[error("the identified lookup is not pushed: {0}")]
     Lookup(String),
-    /// The recording of the session failed.
+    /// ^C, or a signal to end.
+    #[error("interrupted")]
+    Interrupted,
+    /// The recording of the session could not be begun.
     #[error(transparent)]
     Store(#[from] McapFileError),
     /// A file of the store could not be written.
@@ -85,4 +88,25 @@ pub enum TrainerError {
         /// What the operating system says.
         source: std::io::Error,
     },
+}
+
+/// A run that ended early, with all that it had found.
+#[derive(thiserror::Error)]
+#[error("{error}{}", .left_on.as_ref().map_or(String::new(), |why| format!(
+    "; the hob could not be switched off ({why}): it switches itself off 10 s after it has last heard from us"
+)))]
+pub struct Failed {
+    /// What was found until then.
+    pub report: Report,
+    /// Why it ended.
+    #[source]
+    pub error: TrainerError,
+    /// Why the hob was not switched off; none where it was.
+    pub left_on: Option<String>,
+}
+
+impl std::fmt::Debug for Failed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{self} ({} points)", self.report.points.len())
+    }
 }

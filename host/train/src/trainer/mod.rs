@@ -1,10 +1,8 @@
-//! A training run: all that needs the network.
+//! A training run: from a connected device, or a capture, to a report.
 
 mod device;
 mod error;
-mod gate;
-mod network;
-mod observations;
+mod follow;
 mod point;
 mod progress;
 mod run;
@@ -12,8 +10,7 @@ mod source;
 mod store;
 
 pub use self::device::TruthSource;
-pub use self::error::TrainerError;
-pub use self::gate::{GateVerdict, judge};
+pub use self::error::{Failed, TrainerError};
 pub use self::point::Point;
 pub use self::progress::Progress;
 pub use self::run::{Report, Settings, run};

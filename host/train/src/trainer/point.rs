@@ -6,9 +6,6 @@ use ihd_signal::Load;
 use ihd_signal::truth::{Mre, Truth};
 use serde::Serialize;
 
-use crate::lookup::LoadCurve;
-use crate::lookup::curve::LoadPoint;
-
 /// Mean relative errors in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Errors {
@@ -67,31 +64,6 @@ pub fn crest(identified: &Identified) -> (f64, f64) {
 pub fn track(window: &Window) -> impl Iterator<Item = (f64, f64, f64)> {
     let entries = window.trajectory.iter().enumerate();
     entries.map(|(k, e)| (window.trajectory_time_s(k), e.r.ohm(), e.l.henry()))
-}
-
-/// Largest standard deviation of R or L, relative to it, at which a point may teach: where the current
-/// goes to zero, noise leaves the network free.
-const SURE: f64 = 5e-3;
-
-/// The network's curve over current, where it is sure of R and L.
-pub fn curve(window: &Window, identified: &Identified) -> LoadCurve {
-    let sure = |k: &usize| {
-        let within = |sigma: &[f64], x: &[f64]| {
-            // A result without deviations is taken as it is.
-            sigma.get(*k).is_none_or(|s| *s <= SURE * x[*k])
-        };
-        within(&identified.r_sigma_ohm, &identified.r_ohm)
-            && within(&identified.l_sigma_h, &identified.l_h)
-    };
-    let point = |k: usize| LoadPoint {
-        i_a: identified.i_amplitude_a[k],
-        r_ohm: identified.r_ohm[k],
-        l_h: identified.l_h[k],
-    };
-    LoadCurve::from_half_cycle(
-        f64::from(window.f_sw_hz),
-        (0..identified.r_ohm.len()).filter(sure).map(point),
-    )
 }
 
 /// Errors of estimates over a half-cycle of the given duration in seconds.

@@ -48,4 +48,9 @@ pub enum Progress<'a> {
         /// Cells that rest on observations.
         observed_cells: u32,
     },
+    /// Something that a person wants to know and that ends nothing.
+    Note {
+        /// What.
+        text: &'a str,
+    },
 }

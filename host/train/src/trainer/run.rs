@@ -1,22 +1,21 @@
 //! A whole training run: one operating point after the other, and the report.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use ihd_capture::mcap::SessionRecorder;
-use ihd_link::{Client, Counters, Window};
-use ihd_pinn::{Config, Identified, Parameters};
+use ihd_link::{Client, Counters, LinkError, Window};
+use ihd_pinn::{Config, Identified};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_signal::truth::Truth;
 
 use super::device::{Device, TruthSource};
-use super::gate::{GateVerdict, judge};
-use super::network::identify_window;
-use super::observations::{Observations, is_news};
+use super::error::Failed;
 use super::point::{self, Point};
 use super::{OperatingPoint, Progress, Source, TrainerError, store};
+use crate::learning::{Fit, Learning, Outcome, Taught};
 use crate::lookup::Built;
 
 /// Windows tried at one operating point before it is given up.
@@ -30,8 +29,12 @@ pub struct Settings<'a> {
     pub pinn: Config,
     /// An existing folder for the recording, the lookups and the figure; `None` keeps nothing.
     pub store: Option<PathBuf>,
-    /// Go on heating after the last power until this becomes true.
-    pub follow: Option<&'a AtomicBool>,
+    /// Go on heating after the last power until `stop` becomes true.
+    pub follow: bool,
+    /// Ends the run when it becomes true; it is looked at every 100 ms, and the hob is switched off first.
+    pub stop: Option<&'a AtomicBool>,
+    /// Makes the link again where it is cut while following; `None` ends the run then.
+    pub reopen: Option<&'a dyn Fn() -> Result<Client, LinkError>>,
 }
 
 /// What a run found.
@@ -42,11 +45,11 @@ pub struct Report {
     pub points: Vec<Point>,
     /// The last lookup.
     pub built: Option<Built>,
-    /// The device at the end.
-    pub status: Status,
+    /// The device at the end; none where it could not be asked any more.
+    pub status: Option<Status>,
     /// How busy it was; `None` before protocol 1.3.
     pub utilisation: Option<Utilisation>,
-    /// What the link counted.
+    /// What the link counted since it was made last.
     pub counters: Counters,
     /// Windows that the gate refused.
     pub refused: u32,
@@ -58,77 +61,151 @@ pub struct Report {
     pub last: Option<(Box<Window>, Identified, Option<Truth>)>,
 }
 
-struct Run<'s, 'p> {
-    device: Device<'p>,
-    settings: &'s Settings<'s>,
-    observations: Observations,
-    version: u32,
-    warm: Option<Parameters>,
-    report: Report,
+pub(super) struct Run<'s, 'p> {
+    pub(super) device: Device<'p>,
+    pub(super) settings: &'s Settings<'s>,
+    pub(super) learning: Learning,
+    pub(super) report: Report,
+    /// Of the device that was connected last.
+    pub(super) boot_id: u32,
+    /// Recordings that were begun.
+    recordings: u32,
+    /// The first file that could not be written; it ends nothing before the end.
+    not_kept: Option<TrainerError>,
     started: Instant,
 }
 
-/// Runs the trainer on a connected device; switches the hob off at the end, whatever happened.
+/// Runs the trainer on a connected device; switches the hob off at the end, whatever happened, a panic
+/// included.
 ///
 /// # Errors
-/// The first [`TrainerError`]; the device then keeps the last lookup it accepted.
-pub fn run(
-    mut client: Client,
+/// [`Failed`] with what was found until then; the device keeps the last lookup that it accepted.
+pub fn run<'a>(
+    client: Client,
     truth: TruthSource,
-    settings: &Settings<'_>,
-    progress: &mut dyn FnMut(Progress<'_>),
-) -> Result<Report, TrainerError> {
-    let started = Instant::now();
-    if let Some(store) = &settings.store {
-        let path = store.join("session.mcap");
-        client.record_to(SessionRecorder::create(
-            &path,
-            client.hello(),
-            client.front_end(),
-        )?);
-    }
+    settings: &'a Settings<'a>,
+    progress: &'a mut dyn FnMut(Progress<'_>),
+) -> Result<Report, Box<Failed>> {
     let name = format!("{} ({})", client.describe(), client.hello().build);
-    let status = client.status()?;
-    if status.fault != Fault::NONE {
-        client.clear_fault()?;
-    }
-    let version = status.lookup_version;
-    let device = Device::start(client, truth, progress)?;
     let mut run = Run {
-        device,
+        boot_id: client.hello().boot_id,
+        device: Device::start(client, truth, settings.stop, progress),
         settings,
-        observations: Observations::default(),
-        version,
-        warm: None,
+        learning: Learning::new(settings.pinn.clone()),
         report: Report {
             device: name,
             points: Vec::new(),
             built: None,
             counters: Counters::default(),
-            status,
+            status: None,
             utilisation: None,
             refused: 0,
             first_lookup_s: None,
             total_s: 0.0,
             last: None,
         },
-        started,
+        recordings: 0,
+        not_kept: None,
+        started: Instant::now(),
     };
-    let outcome = run.all_points();
-    if outcome.is_ok() {
-        run.report.status = run.device.client.status()?;
-        run.report.utilisation = Some(run.device.client.utilisation()?);
-    }
-    let off = run.device.finish();
-    outcome?;
-    off?;
-    run.device.client.finish_recording()?;
-    run.report.counters = run.device.client.counters();
-    run.report.total_s = run.started.elapsed().as_secs_f64();
-    Ok(run.report)
+    let outcome = run.prepare().and_then(|()| run.all_points());
+    run.end(outcome)
 }
 
 impl Run<'_, '_> {
+    fn prepare(&mut self) -> Result<(), TrainerError> {
+        self.record()?;
+        let status = self.device.command(|client| client.status())?;
+        if status.fault != Fault::NONE {
+            self.device.command(|client| client.clear_fault())?;
+        }
+        let version = self.make_room(status.lookup_version)?;
+        self.learning.device_has(version);
+        self.device.stream()
+    }
+
+    /// After the highest version that there is no device takes another lookup, except after a reset.
+    fn make_room(&mut self, version: u32) -> Result<u32, TrainerError> {
+        if version < u32::MAX {
+            return Ok(version);
+        }
+        self.device.report(Progress::Note {
+            text: "the device's lookup has the highest version that there is: it is reset",
+        });
+        self.device.command(|client| client.reset_lookup())?;
+        Ok(0)
+    }
+
+    /// Everything from now on goes into a file of its own.
+    fn record(&mut self) -> Result<(), TrainerError> {
+        let Some(store) = &self.settings.store else {
+            return Ok(());
+        };
+        self.recordings += 1;
+        let path = match self.recordings {
+            1 => store.join("session.mcap"),
+            n => store.join(format!("session-{n}.mcap")),
+        };
+        let client = self.device.client()?;
+        let recorder = SessionRecorder::create(&path, client.hello(), client.front_end())?;
+        client.record_to(recorder);
+        Ok(())
+    }
+
+    /// A new link to the device.
+    pub(super) fn connected(&mut self, client: Client) {
+        self.boot_id = client.hello().boot_id;
+        self.device.take(client);
+        if let Err(why) = self.record() {
+            self.not_kept(why);
+        }
+    }
+
+    /// Notes that a file could not be written.
+    fn not_kept(&mut self, why: TrainerError) {
+        self.device.report(Progress::Note {
+            text: &why.to_string(),
+        });
+        self.not_kept.get_or_insert(why);
+    }
+
+    /// Switches off; the report, or why there is no whole one.
+    fn end(mut self, outcome: Result<(), TrainerError>) -> Result<Report, Box<Failed>> {
+        if outcome.is_ok() {
+            self.look_back();
+        }
+        // After a failure before everything else.
+        let off = match self.device.finish() {
+            // It says no because it is off already.
+            Err(TrainerError::Link(LinkError::Refused { .. })) => Ok(()),
+            off => off,
+        };
+        let left_on = off.as_ref().err().map(ToString::to_string);
+        if outcome.is_err() && left_on.is_none() {
+            self.look_back();
+        }
+        if let Some(why) = self.device.finish_recording() {
+            self.not_kept.get_or_insert(why.into());
+        }
+        self.report.counters = self.device.counters();
+        self.report.total_s = self.started.elapsed().as_secs_f64();
+        let not_kept = self.not_kept.take().map_or(Ok(()), Err);
+        match outcome.and(off).and(not_kept) {
+            Ok(()) => Ok(self.report),
+            Err(error) => Err(Box::new(Failed {
+                report: self.report,
+                error,
+                left_on,
+            })),
+        }
+    }
+
+    /// What the device says of the run.
+    fn look_back(&mut self) {
+        self.report.status = self.device.command(|client| client.status()).ok();
+        self.report.utilisation = self.device.command(|client| client.utilisation()).ok();
+    }
+
     fn all_points(&mut self) -> Result<(), TrainerError> {
         let settings = self.settings;
         match &settings.source {
@@ -136,10 +213,10 @@ impl Run<'_, '_> {
                 for &asked_w in powers_w {
                     let since = self.device.settle(asked_w)?;
                     let point = OperatingPoint::Heating { asked_w };
-                    self.point(point, |device| device.window_after(since, point))?;
+                    self.point(point, None, |device| device.window_after(since, point))?;
                 }
-                if let (Some(stop), Some(&asked_w)) = (settings.follow, powers_w.last()) {
-                    self.follow(OperatingPoint::Heating { asked_w }, stop)?;
+                if let (true, Some(&asked_w)) = (settings.follow, powers_w.last()) {
+                    self.follow(asked_w)?;
                 }
             }
             Source::Replay(half_cycles) => {
@@ -147,7 +224,8 @@ impl Run<'_, '_> {
                     let point = OperatingPoint::Replayed {
                         f_sw_hz: recorded.f_sw_hz,
                     };
-                    self.point(point, |device| device.replayed_window(recorded))?;
+                    let truth = recorded.truth.as_ref();
+                    self.point(point, truth, |device| device.replayed_window(recorded))?;
                 }
             }
         }
@@ -158,99 +236,84 @@ impl Run<'_, '_> {
     fn point(
         &mut self,
         point: OperatingPoint,
+        truth: Option<&Truth>,
         next: impl Fn(&mut Device<'_>) -> Result<Box<Window>, TrainerError>,
     ) -> Result<(), TrainerError> {
         let mut why = String::new();
         for _ in 0..TRIES {
             let window = next(&mut self.device)?;
-            match self.identify(&window) {
-                Ok(identified) => return self.learn(window, identified, point, true),
+            match self.learn(window, point, truth, true)? {
+                Ok(()) => return Ok(()),
                 Err(reason) => why = reason,
             }
         }
         Err(TrainerError::NoFit { point, why })
     }
 
-    /// R(t) and L(t) of a window that may enter the lookup; else why not, reported and counted.
-    fn identify(&mut self, window: &Window) -> Result<Identified, String> {
-        let config = Config {
-            start: self.warm.take(),
-            ..self.settings.pinn.clone()
-        };
-        let (device, seq) = (&mut self.device, window.seq);
-        let outcome = identify_window(window, config, &mut |step| {
-            device.report(Progress::Training { seq, step });
-        });
-        let outcome = outcome.map_err(|e| e.to_string());
-        let outcome = outcome.and_then(|identified| match judge(&identified) {
-            GateVerdict::Pass => Ok(identified),
-            GateVerdict::Reject(why) => Err(why),
-        });
-        if let Err(why) = &outcome {
-            self.report.refused += 1;
-            self.device.report(Progress::Rejected { seq, why });
-        }
-        outcome
-    }
-
-    /// Adds a window to the lookup; pushes it when it says something new.
-    fn learn(
+    /// Learns from a window, and pushes the lookup where that says something new. Within: why the window is
+    /// not fit, reported and counted.
+    pub(super) fn learn(
         &mut self,
         window: Box<Window>,
-        identified: Identified,
         at: OperatingPoint,
+        truth: Option<&Truth>,
         always: bool,
-    ) -> Result<(), TrainerError> {
+    ) -> Result<Result<(), String>, TrainerError> {
+        let (device, seq) = (&mut self.device, window.seq);
+        let outcome = self.learning.observe(&window, always, &mut |step| {
+            device.report(Progress::Training { seq, step });
+        });
+        let Fit { identified, taught } = match outcome {
+            Outcome::Fit(fit) => *fit,
+            Outcome::Unfit { why, .. } => {
+                self.report.refused += 1;
+                self.device.report(Progress::Rejected { seq, why: &why });
+                return Ok(Err(why));
+            }
+        };
         // The simulated hob knows nothing of a load that was recorded elsewhere.
-        let truth = at.asked_w().and_then(|_| self.device.truth_of(&window));
+        let simulated = at.asked_w().and_then(|_| self.device.truth_of(&window));
+        let truth = truth.cloned().or(simulated);
         let last = self.device.last.as_ref();
         let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
         let power = at.asked_w().zip(delivered_w);
         let mut point = point::compare(&window, &identified, truth.as_ref(), power);
-        let curve = point::curve(&window, &identified);
-        self.warm = Some(identified.parameters.clone());
-        let active = self.report.built.as_ref();
-        let news = always || active.is_none_or(|built| is_news(&curve, &built.lookup));
-        self.observations.remember(curve);
-        if news {
-            self.push()?;
-        }
-        point.lookup_version = self.version;
+        let (news, pushed) = match taught {
+            Taught::Known => (false, Ok(())),
+            Taught::News(built) => (true, self.push(*built)),
+            Taught::Refused(why) => (always, Err(TrainerError::Lookup(why))),
+        };
+        point.lookup_version = self.report.built.as_ref().map_or(0, |b| b.lookup.version);
         if !news {
             // Following an unchanged load: the newest window stands for all of them.
             self.report.points.pop();
         }
         self.report.points.push(point);
         self.report.last = Some((window, identified, truth));
-        Ok(())
+        pushed.map(Ok)
     }
 
-    fn push(&mut self) -> Result<(), TrainerError> {
-        let version = self.version + 1;
-        let built = self.observations.build(version)?;
-        self.device.update_lookup(&built.lookup)?;
-        self.version = version;
+    fn push(&mut self, built: Built) -> Result<(), TrainerError> {
+        let version = built.lookup.version;
+        if let Err(why) = self.device.update_lookup(&built.lookup) {
+            self.learning.refused(version);
+            return match why {
+                TrainerError::Link(why @ LinkError::Refused { .. }) => {
+                    Err(TrainerError::Lookup(why.to_string()))
+                }
+                why => Err(why),
+            };
+        }
+        self.learning.accepted(version);
         if self.report.first_lookup_s.is_none() {
             self.report.first_lookup_s = Some(self.started.elapsed().as_secs_f64());
         }
-        if let Some(store) = &self.settings.store {
-            store::save(store, &built)?;
+        if let Some(store) = &self.settings.store
+            && let Err(why) = store::save(store, &built)
+        {
+            self.not_kept(why);
         }
         self.report.built = Some(built);
-        Ok(())
-    }
-
-    /// Identifies every window until told to stop.
-    fn follow(&mut self, point: OperatingPoint, stop: &AtomicBool) -> Result<(), TrainerError> {
-        let last = self.report.last.as_ref();
-        let mut since = last.map_or(0, |(window, _, _)| window.half_cycle);
-        while !stop.load(Ordering::Relaxed) {
-            let window = self.device.window_after(since, point)?;
-            since = window.half_cycle;
-            if let Ok(identified) = self.identify(&window) {
-                self.learn(window, identified, point, false)?;
-            }
-        }
         Ok(())
     }
 }

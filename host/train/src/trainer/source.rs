@@ -4,6 +4,7 @@ use std::fmt;
 
 use ihd_shared::sampling::{Pair, Scales};
 use ihd_signal::Segment;
+use ihd_signal::truth::{PeriodTruth, Truth};
 
 use crate::replay::stretch::{BUS_DV, Stretch};
 
@@ -21,7 +22,7 @@ pub enum Source {
 }
 
 /// One mains half-cycle on the device's ADC grid, from its zero crossing on.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Recorded {
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
@@ -29,11 +30,14 @@ pub struct Recorded {
     pub pairs: Vec<Pair>,
     /// Bus voltage at the crest in decivolt.
     pub bus_dv: u16,
+    /// The load's truth, in seconds from the first pair on; none where the capture holds none.
+    pub truth: Option<Truth>,
 }
 
 impl Recorded {
-    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid in codes of the device's scales.
-    pub fn half_cycles(segment: &Segment, scales: Scales) -> Vec<Self> {
+    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid in codes of the device's scales;
+    /// `truth` is the whole capture's, empty where it holds none.
+    pub fn half_cycles(segment: &Segment, scales: Scales, truth: &[PeriodTruth]) -> Vec<Self> {
         let whole = WHOLE * segment.half_cycle_s() / segment.dt_s;
         let bounds = segment.half_cycles().into_iter();
         bounds
@@ -41,11 +45,29 @@ impl Recorded {
             .filter_map(|(from, to)| Stretch::of(&segment.part(from, to), scales))
             .map(|stretch| Self {
                 f_sw_hz: stretch.f_sw_hz,
+                truth: truth_of(&stretch, truth),
                 pairs: stretch.pairs,
                 bus_dv: BUS_DV,
             })
             .collect()
     }
+}
+
+/// The part of a capture's truth that lies within a stretch.
+fn truth_of(stretch: &Stretch, truth: &[PeriodTruth]) -> Option<Truth> {
+    let from = truth.partition_point(|t| t.t_s < stretch.t0_s);
+    let end_s = stretch.t0_s + stretch.pairs.len() as f64 * stretch.dt_s;
+    let to = truth.partition_point(|t| t.t_s <= end_s);
+    let within = truth.get(from..to).filter(|within| !within.is_empty())?;
+    let of = |value: fn(&PeriodTruth) -> f64| within.iter().map(value).collect::<Vec<_>>();
+    Some(Truth {
+        half_cycle: 0,
+        f_sw_hz: f64::from(stretch.f_sw_hz),
+        t_s: within.iter().map(|t| t.t_s - stretch.t0_s).collect(),
+        r_ohm: of(|t| t.r_ohm[0]),
+        l_h: of(|t| t.l_h[0]),
+        i_a: of(|t| t.i_a),
+    })
 }
 
 /// An operating point by name.

@@ -1,6 +1,5 @@
 //! What a run leaves in its folder beside the recording.
 
-use std::fs;
 use std::path::Path;
 
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
@@ -44,7 +43,7 @@ pub fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
     };
     let write = |name: String, bytes: &[u8]| {
         let path = store.join(name);
-        fs::write(&path, bytes).map_err(|source| TrainerError::Write {
+        ihd_signal::atomic::write(&path, bytes).map_err(|source| TrainerError::Write {
             path: path.display().to_string(),
             source,
         })

@@ -114,6 +114,9 @@ pub fn enter(cpu: &mut Cpu<'_>, exception: usize, pc: u32) -> Result<(), LockUp>
     let state = cpu.get_data_mut();
     let began = state.chip.cycles;
     state.chip.nvic.enter(exception, began);
+    if let Some(trace) = &mut state.timing.trace {
+        trace.begin(exception, pc);
+    }
     state.event = true;
     state.pass(ENTRY_CYCLES);
     Ok(())
@@ -139,6 +142,9 @@ pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
         let cycles = state.chip.cycles - began + RETURN_CYCLES;
         (time.runs, time.cycles, time.worst) =
             (time.runs + 1, time.cycles + cycles, time.worst.max(cycles));
+        if let Some(trace) = &mut state.timing.trace {
+            trace.end(exception, began, cycles);
+        }
     }
     state.event = true;
     let sp = register(cpu, RegisterARM::SP);

@@ -4,6 +4,7 @@ pub mod exceptions;
 pub mod flash_accelerator;
 pub mod instructions;
 pub mod nvic;
+pub mod trace;
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -12,6 +13,7 @@ use unicorn_engine::RegisterARM;
 
 use self::flash_accelerator::{Access, FlashAccelerator};
 use self::instructions::{Block, REFILL};
+use self::trace::Trace;
 use crate::chip::Chip;
 use crate::chip::register_file::RegisterFile;
 use crate::image::{FLASH, PROGRAM_BYTES};
@@ -50,9 +52,11 @@ pub struct Timing {
     pub total: Cost,
     /// What each exception's handler has taken, by its number.
     pub handlers: HashMap<usize, HandlerTime>,
+    /// The runs of one exception's handler, where somebody wants them.
+    pub trace: Option<Trace>,
 }
 
-/// The time of an exception's handler, from the request to the return, in cycles.
+/// The time of an exception's handler, from its entry to the return, in cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HandlerTime {
     /// Runs.
@@ -72,6 +76,7 @@ impl Default for Timing {
             last_end: 0,
             total: Cost::default(),
             handlers: HashMap::new(),
+            trace: None,
         }
     }
 }
@@ -151,6 +156,15 @@ pub struct State {
 }
 
 impl State {
+    /// Notes a block of code for whoever traces its handler.
+    pub fn note(&mut self, address: u32, cycles: u32) {
+        if let Some(trace) = &mut self.timing.trace
+            && self.chip.nvic.runs(trace.exception())
+        {
+            trace.note(address, cycles);
+        }
+    }
+
     /// Lets time pass by cycles of the processor.
     pub fn pass(&mut self, cycles: u64) {
         self.chip.cycles += cycles;

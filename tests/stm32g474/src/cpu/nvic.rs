@@ -129,6 +129,11 @@ impl Nvic {
         Some(ended)
     }
 
+    /// Whether the handler of an exception runs, nothing more urgent having interrupted it.
+    pub fn runs(&self, exception: usize) -> bool {
+        self.active.last().is_some_and(|&(n, _)| n == exception)
+    }
+
     /// Whether a handler runs.
     pub fn is_handler(&self) -> bool {
         !self.active.is_empty()

@@ -4,7 +4,9 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::ADC_LOCK_P;
+use ihd_shared::wire::messages::Configure;
 use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::cpu::trace::{Trace, TracedRun};
 use ihd_stm32g474::cpu::{CycleModel, HandlerTime};
 use ihd_stm32g474::registers::dma1::cndtr1;
 use ihd_stm32g474::time::{seconds, us};
@@ -55,12 +57,10 @@ fn a_block_is_done_within_its_budget() {
         share_50 * 100.0,
         worst_50 * 100.0
     );
-    assert!(share <= 0.65, "{share}");
-    assert!(share_50 <= 0.45, "{share_50}");
-    // Not yet what it should be: a zero crossing with another drive takes 1.23 of a block at 80 kHz (0.88 before the
-    // bursts). The ring holds two blocks and the mean is 0.63, so none is lost; the new periods are late by one.
+    assert!(share <= 0.60, "{share}");
+    assert!(share_50 <= 0.40, "{share_50}");
     assert!(
-        worst_share <= 1.30 && worst_50 <= 1.0,
+        worst_share <= 0.80 && worst_50 <= 0.60,
         "{worst_share} {worst_50}"
     );
     assert_no_violations(&bench);
@@ -144,9 +144,84 @@ fn new_periods_begin_with_a_block() {
         left
     });
     // The last pair is taken at that very tick, and its conversion takes half a microsecond more.
-    // But for one after a block that took longer than its time (see above).
     assert!(
-        left.iter().filter(|&&pairs| pairs > 1).count() <= 1,
+        left.iter().all(|&pairs| pairs <= 1),
         "{left:?} pairs of the block were left"
     );
+}
+
+/// Runs of the sampling interrupt over a time.
+fn runs(bench: &Bench, duration_s: f64) -> Vec<TracedRun> {
+    bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING)));
+    bench.run_s(duration_s);
+    let trace = bench.with(|machine| machine.timing().trace.take());
+    trace.expect("begun above").runs
+}
+
+/// Blocks come at their own pace; a handler that begins late was held up by what masks interrupts. Pins that the thread
+/// copied a chunk of a window byte by byte in 2,650 cycles, so that two blocks were taken in a row, 129 % of one.
+#[test]
+fn the_thread_holds_no_block_up_for_long() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.stream(1, 10).unwrap();
+    client.set_power(500).unwrap();
+    bench.run_s(0.1);
+    let block = block_cycles(bench.with(|machine| machine.chip().hrtim.f_sw_hz()));
+    let runs = runs(&bench, 0.25);
+    // Entry, end of an instruction and another exception's return among it: it is late by this at least now and then.
+    let late = |pair: &[TracedRun]| (pair[1].begun - pair[0].begun) as f64 - block;
+    let (most, at) = runs
+        .windows(2)
+        .map(|pair| (late(pair), pair[1].interrupted))
+        .fold(
+            (0.0, 0),
+            |most, one| if one.0 > most.0 { one } else { most },
+        );
+    println!("a block begins at most {most:.0} cycles late, with what is at {at:#x}");
+    assert!(runs.len() > 6_000, "{}", runs.len());
+    assert!(most <= 1_000.0, "{most:.0} cycles, with what is at {at:#x}");
+}
+
+/// Another frequency at each second half-cycle, and windows that end and begin beside it.
+#[test]
+fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    let dither_permille = *Configure::DITHER_PERMILLE.end();
+    client
+        .configure(&Configure {
+            dither_permille,
+            ..Configure::DEFAULT
+        })
+        .unwrap();
+    client.stream(1, 4).unwrap();
+    client.set_power(650).unwrap();
+    bench.run_s(0.2);
+    bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING)));
+    let mut f_sw_hz = Vec::new();
+    for _ in 0..100 {
+        bench.run_s(0.005);
+        f_sw_hz.push(bench.with(|machine| machine.chip().hrtim.f_sw_hz()));
+    }
+    let trace = bench.with(|machine| machine.timing().trace.take());
+    let changes = f_sw_hz.windows(2).filter(|f| f[0] != f[1]).count();
+    let runs = trace.expect("begun above").runs;
+    let longest = runs.iter().max_by_key(|run| run.cycles);
+    let longest = longest.expect("blocks came");
+    // What it does is the same at each frequency, and its time shortest at the highest.
+    let share = longest.cycles as f64 / block_cycles(80e3);
+    let most: Vec<_> = longest.most_at(8).iter().map(hex).collect();
+    println!(
+        "{changes} changes: longest block {} cycles, {:.1} % at 80 kHz; most of it at {most:?}",
+        longest.cycles,
+        share * 100.0,
+    );
+    assert!(changes >= 20, "{f_sw_hz:?}");
+    assert!(share <= 0.80, "{share}");
+    assert_no_violations(&bench);
+}
+
+fn hex((address, cycles): &(u32, u32)) -> String {
+    format!("{address:#x}: {cycles}")
 }

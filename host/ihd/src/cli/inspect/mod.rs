@@ -54,6 +54,7 @@ impl InspectArgs {
     /// # Errors
     /// What the capture's reader or the survey reports; [`UnfitCapture`] after the report.
     pub fn run(&self) -> Result<()> {
+        self.capture.check()?;
         if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options())? {
             return self.single(&lone);
         }

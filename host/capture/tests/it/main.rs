@@ -1,0 +1,5 @@
+//! Captures that were damaged or made to harm.
+
+mod damage;
+mod flush;
+mod memory;

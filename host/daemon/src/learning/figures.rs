@@ -1,0 +1,93 @@
+//! How busy learning is.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Fits that the percentiles are taken of: the last ones.
+const REMEMBERED: usize = 512;
+
+/// How busy learning is, since it began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LearnerFigures {
+    /// Threads that train.
+    pub threads: usize,
+    /// Windows that wait.
+    pub waiting: usize,
+    /// Windows that were looked at.
+    pub learned: u64,
+    /// Windows that were dropped before anybody could look at them.
+    pub unlearned: u64,
+    /// Windows whose training panicked.
+    pub panics: u64,
+    /// Time that the threads trained, all together, in seconds.
+    pub busy_s: f64,
+    /// Half of the last fits took no longer, in seconds; none before the first.
+    pub fit_p50_s: Option<f64>,
+    /// All but one in a hundred took no longer, in seconds.
+    pub fit_p99_s: Option<f64>,
+}
+
+/// What is counted.
+#[derive(Debug, Default)]
+pub struct Meter {
+    pub learned: u64,
+    pub unlearned: u64,
+    pub panics: u64,
+    busy: Duration,
+    last: VecDeque<Duration>,
+}
+
+impl Meter {
+    /// A window was looked at.
+    pub fn count(&mut self, took: Duration) {
+        self.learned += 1;
+        self.busy += took;
+        if self.last.len() == REMEMBERED {
+            self.last.pop_front();
+        }
+        self.last.push_back(took);
+    }
+
+    /// The figures.
+    pub fn figures(&self, threads: usize, waiting: usize) -> LearnerFigures {
+        let mut sorted: Vec<_> = self.last.iter().collect();
+        sorted.sort();
+        // The smallest that so many percent do not exceed.
+        let percentile = |percent: usize| {
+            let rank = (sorted.len() * percent).div_ceil(100);
+            sorted.get(rank.saturating_sub(1)).map(|t| t.as_secs_f64())
+        };
+        LearnerFigures {
+            threads,
+            waiting,
+            learned: self.learned,
+            unlearned: self.unlearned,
+            panics: self.panics,
+            busy_s: self.busy.as_secs_f64(),
+            fit_p50_s: percentile(50),
+            fit_p99_s: percentile(99),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_of_the_last_fits() {
+        let mut meter = Meter::default();
+        assert_eq!(meter.figures(1, 0).fit_p50_s, None);
+        for ms in 1..=100 {
+            meter.count(Duration::from_millis(ms));
+        }
+        let f = meter.figures(1, 3);
+        assert_eq!((f.fit_p50_s, f.fit_p99_s), (Some(0.05), Some(0.099)));
+        assert_eq!((f.learned, f.waiting), (100, 3));
+        assert!((f.busy_s - 5.05).abs() < 1e-9);
+        for _ in 0..REMEMBERED {
+            meter.count(Duration::from_millis(7));
+        }
+        assert_eq!(meter.figures(1, 0).fit_p99_s, Some(7e-3));
+    }
+}

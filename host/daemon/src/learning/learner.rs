@@ -1,0 +1,352 @@
+//! The threads that train.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use ihd_link::Window;
+use ihd_store::NewResult;
+use ihd_train::learning::{DamagedState, Outcome, Taught};
+use ihd_train::{Learning, NetworkConfig};
+use tokio::sync::mpsc::Sender;
+use tokio::sync::mpsc::error::TrySendError;
+
+use super::figures::{LearnerFigures, Meter};
+use super::outcome::{Learned, Numbers, Task};
+use super::queue::{Dropped, Known, Note, Queue};
+
+/// How often what was learned goes to the store where nothing new was.
+const SAVE_EVERY: Duration = Duration::from_secs(10);
+
+/// How long a thread that is to end waits for somebody to take its last outcome.
+const LAST_WORD: Duration = Duration::from_secs(2);
+
+/// Between two tries to hand over an outcome.
+const TRY_AGAIN: Duration = Duration::from_millis(5);
+
+/// What learning may use.
+#[derive(Clone, Debug)]
+pub struct LearnerSettings {
+    /// Threads that train, at least one.
+    pub threads: usize,
+    /// Windows that may wait for them.
+    pub queue: usize,
+    /// The network's settings.
+    pub network: NetworkConfig,
+}
+
+/// Why learning cannot begin.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnerError {
+    /// No thread.
+    #[error("cannot begin a thread that learns: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// What a thread does with a window; another one in tests.
+pub(super) type Study = dyn Fn(&mut Learning, &Window) -> Outcome + Send + Sync;
+
+/// Learns from windows on threads of its own. Dropping it ends them without waiting for them.
+pub struct Learner {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+    network: NetworkConfig,
+    limit: usize,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+    study: Box<Study>,
+    outcomes: Sender<Learned>,
+}
+
+#[derive(Default)]
+struct State {
+    queue: Queue,
+    meter: Meter,
+    closing: bool,
+}
+
+impl Shared {
+    /// A panic elsewhere leaves it usable: nothing that can panic happens while it is held.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Learner {
+    /// Begins the threads; outcomes go to `outcomes`, those of one device in the order of its windows. While that
+    /// channel is full, nothing is learned.
+    ///
+    /// # Errors
+    /// [`LearnerError`] when the system has no thread left.
+    pub fn start(
+        settings: LearnerSettings,
+        outcomes: Sender<Learned>,
+    ) -> Result<Self, LearnerError> {
+        let study =
+            |learning: &mut Learning, window: &Window| learning.observe(window, false, &mut |_| ());
+        Self::start_with(settings, outcomes, Box::new(study))
+    }
+
+    pub(super) fn start_with(
+        settings: LearnerSettings,
+        outcomes: Sender<Learned>,
+        study: Box<Study>,
+    ) -> Result<Self, LearnerError> {
+        let shared = Arc::new(Shared {
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            study,
+            outcomes,
+        });
+        let mut learner = Self {
+            shared,
+            threads: Vec::new(),
+            network: settings.network,
+            limit: settings.queue.max(1),
+        };
+        for n in 0..settings.threads.max(1) {
+            let shared = Arc::clone(&learner.shared);
+            let thread = thread::Builder::new()
+                .name(format!("learner {n}"))
+                .spawn(move || work(&shared))?;
+            learner.threads.push(thread);
+        }
+        Ok(learner)
+    }
+
+    /// A device begins, or begins anew, with what was learned of it before. Damaged bytes are an error, and the
+    /// device begins with nothing; a device that is known already keeps what it has where `learned` is none.
+    ///
+    /// # Errors
+    /// [`DamagedState`].
+    pub fn add(&self, device: &str, learned: Option<&[u8]>) -> Result<(), DamagedState> {
+        let (learning, damage) = match learned {
+            None if self.shared.lock().queue.knows(device) => return Ok(()),
+            None => (Learning::new(self.network.clone()), Ok(())),
+            Some(bytes) => match Learning::from_bytes(bytes, self.network.clone()) {
+                Ok(learning) => (learning, Ok(())),
+                Err(why) => (Learning::new(self.network.clone()), Err(why)),
+            },
+        };
+        self.shared.lock().queue.put(device, learning);
+        damage
+    }
+
+    /// The device uses the lookup of this version: after every handshake, and after its lookup was reset or
+    /// pushed by somebody else.
+    pub fn device_has(&self, device: &str, version: u32) {
+        self.note(device, Note::DeviceHas(version));
+    }
+
+    /// The device has made a lookup of ours its own.
+    pub fn accepted(&self, device: &str, version: u32) {
+        self.note(device, Note::Accepted(version));
+    }
+
+    /// The device has refused a lookup of ours.
+    pub fn refused(&self, device: &str, version: u32) {
+        self.note(device, Note::Refused(version));
+    }
+
+    /// What was learned of a device is forgotten.
+    pub fn forget(&self, device: &str) {
+        self.note(device, Note::Forget);
+    }
+
+    fn note(&self, device: &str, note: Note) {
+        self.shared.lock().queue.note(device, note);
+    }
+
+    /// Offers a window; never waits. A window that has to make room is returned: the oldest of the device
+    /// that has most waiting. A device that was not added is.
+    pub fn offer(&self, task: Task) -> Option<Dropped> {
+        let mut state = self.shared.lock();
+        if !state.queue.knows(&task.device) {
+            let learning = Learning::new(self.network.clone());
+            state.queue.put(&task.device, learning);
+        }
+        let dropped = state.queue.push(task, self.limit);
+        state.meter.unlearned += u64::from(dropped.is_some());
+        drop(state);
+        self.shared.changed.notify_one();
+        dropped
+    }
+
+    /// Windows of a device that were dropped before anybody could learn from them.
+    pub fn unlearned(&self, device: &str) -> u64 {
+        self.shared.lock().queue.unlearned(device)
+    }
+
+    /// All that was learned of a device; `None` for one that is not known, or whose window is being learned.
+    pub fn state_of(&self, device: &str) -> Option<Vec<u8>> {
+        let state = self.shared.lock();
+        Some(state.queue.learning(device)?.to_bytes())
+    }
+
+    /// How busy it is.
+    pub fn figures(&self) -> LearnerFigures {
+        let state = self.shared.lock();
+        let waiting = state.queue.waiting();
+        state.meter.figures(self.threads.len(), waiting)
+    }
+
+    /// Ends the threads after the window that each is at; what waits is dropped. Waits for them: not to be
+    /// called from a task that others wait for.
+    pub fn stop(mut self) -> LearnerFigures {
+        self.close();
+        for thread in self.threads.drain(..) {
+            // Panics of the training are caught; another one has been reported.
+            let _ = thread.join();
+        }
+        self.figures()
+    }
+
+    fn close(&self) {
+        let mut state = self.shared.lock();
+        state.closing = true;
+        let dropped = state.queue.clear();
+        state.meter.unlearned += dropped as u64;
+        drop(state);
+        self.shared.changed.notify_all();
+    }
+}
+
+impl Drop for Learner {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+fn work(shared: &Shared) {
+    while let Some((task, known)) = next(shared) {
+        let device = task.device.clone();
+        let began = Instant::now();
+        let (mut known, outcome) = study(shared, known, &task.window);
+        let took = began.elapsed();
+        let learned = settle(shared, &mut known, task, outcome, took);
+        hand_over(shared, learned);
+        let mut state = shared.lock();
+        state.queue.back(&device, known);
+        drop(state);
+        shared.changed.notify_one();
+    }
+}
+
+fn next(shared: &Shared) -> Option<(Task, Box<Known>)> {
+    let mut state = shared.lock();
+    loop {
+        if state.closing {
+            return None;
+        }
+        if let Some(next) = state.queue.next() {
+            return Some(next);
+        }
+        state = shared
+            .changed
+            .wait(state)
+            .unwrap_or_else(PoisonError::into_inner);
+    }
+}
+
+/// Learns from a window. A panic costs that window alone: the device goes on from where it was.
+fn study(shared: &Shared, mut known: Box<Known>, window: &Window) -> (Box<Known>, Outcome) {
+    let mut before = known.clone();
+    let studied = catch_unwind(AssertUnwindSafe(|| {
+        let outcome = (shared.study)(&mut known.learning, window);
+        (known, outcome)
+    }));
+    studied.unwrap_or_else(|panic| {
+        shared.lock().meter.panics += 1;
+        let text = panic.downcast_ref::<&str>().copied();
+        let text = text.or(panic.downcast_ref::<String>().map(String::as_str));
+        let why = format!("training panicked: {}", text.unwrap_or("no message"));
+        // Whatever it was, it may have come from there.
+        before.learning.start_cold();
+        let identified = None;
+        (before, Outcome::Unfit { why, identified })
+    })
+}
+
+/// What was told meanwhile counts, and what is to be stored is put together.
+fn settle(
+    shared: &Shared,
+    known: &mut Known,
+    task: Task,
+    outcome: Outcome,
+    took: Duration,
+) -> Learned {
+    let (numbers, pass, why, taught) = match outcome {
+        Outcome::Fit(fit) => {
+            let numbers = Numbers::of(&fit.identified);
+            (numbers, true, String::new(), fit.taught)
+        }
+        Outcome::Unfit { why, identified } => {
+            let numbers = identified.map_or(Numbers::NONE, |i| Numbers::of(&i));
+            (numbers, false, why, Taught::Known)
+        }
+    };
+    let (mut news, no_lookup) = match taught {
+        Taught::Known => (None, None),
+        Taught::News(built) => (Some(built), None),
+        Taught::Refused(why) => (None, Some(why)),
+    };
+    let notes = {
+        let mut state = shared.lock();
+        state.meter.count(took);
+        state.queue.take_notes(&task.device)
+    };
+    for note in notes {
+        note.tell(&mut known.learning);
+        if note == Note::Forget {
+            news = None;
+        }
+    }
+    let state = known.to_save(news.is_some(), SAVE_EVERY);
+    Learned {
+        device: task.device,
+        device_id: task.device_id,
+        boot: task.boot,
+        result: NewResult {
+            session: task.session,
+            seq: task.window.seq,
+            half_cycle: task.window.half_cycle,
+            f_sw_hz: task.window.f_sw_hz,
+            i_crest_a: numbers.i_crest_a,
+            power_w: task.power_w,
+            r_ohm: numbers.r_ohm,
+            l_h: numbers.l_h,
+            sigma_r_pct: numbers.sigma_r_pct,
+            sigma_l_pct: numbers.sigma_l_pct,
+            pass,
+            why,
+            changed_lookup: news.is_some(),
+            iterations: numbers.iterations,
+        },
+        news,
+        no_lookup,
+        state,
+        busy: took,
+    }
+}
+
+/// Waits until somebody takes it, unless nobody is left.
+fn hand_over(shared: &Shared, mut learned: Learned) {
+    let mut closing_since = None;
+    loop {
+        match shared.outcomes.try_send(learned) {
+            Ok(()) | Err(TrySendError::Closed(_)) => return,
+            Err(TrySendError::Full(back)) => learned = back,
+        }
+        if shared.lock().closing {
+            let since: Instant = *closing_since.get_or_insert_with(Instant::now);
+            if since.elapsed() >= LAST_WORD {
+                return;
+            }
+        }
+        thread::sleep(TRY_AGAIN);
+    }
+}

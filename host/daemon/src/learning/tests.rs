@@ -1,0 +1,312 @@
+//! The queue's promises with a study that is told what to do, and learning itself on windows of the
+//! simulated hob.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use ihd_link::{Client, Event, Window};
+use ihd_shared::sampling::Scales;
+use ihd_shared::wire::messages::Telemetry;
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
+use ihd_train::NetworkConfig;
+use ihd_train::learning::{Learning, Outcome};
+use tokio::sync::mpsc;
+
+use super::*;
+
+fn settings(threads: usize, queue: usize) -> LearnerSettings {
+    LearnerSettings {
+        threads,
+        queue,
+        network: NetworkConfig {
+            deterministic: true,
+            ..NetworkConfig::default()
+        },
+    }
+}
+
+fn window(seq: u32) -> Box<Window> {
+    Box::new(Window {
+        seq,
+        half_cycle: 20 * seq,
+        f_sw_hz: 45_000,
+        half_cycle_ns: 10_000_000,
+        first_pair_ns: 0,
+        pairs: Vec::new(),
+        first_trajectory_ns: 0,
+        trajectory: Vec::new(),
+        saturated: 0,
+        lookup_version: 0,
+        scales: Scales::default(),
+    })
+}
+
+fn task(device: &str, window: Box<Window>) -> Task {
+    Task {
+        device: device.to_owned(),
+        device_id: 1,
+        session: 2,
+        boot: 3,
+        window,
+        power_w: Some(1_000.0),
+    }
+}
+
+fn unfit() -> Outcome {
+    Outcome::Unfit {
+        why: "a test".into(),
+        identified: None,
+    }
+}
+
+/// A study that waits for a gate, and notes who is studied with whom at once.
+#[derive(Default)]
+struct Bench {
+    open: AtomicBool,
+    running: AtomicUsize,
+    most: AtomicUsize,
+    seen: Mutex<Vec<u32>>,
+}
+
+impl Bench {
+    fn study(self: &Arc<Self>) -> Box<super::learner::Study> {
+        let bench = Arc::clone(self);
+        Box::new(move |_: &mut Learning, window: &Window| {
+            let running = bench.running.fetch_add(1, Ordering::SeqCst) + 1;
+            bench.most.fetch_max(running, Ordering::SeqCst);
+            while !bench.open.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            bench.seen.lock().unwrap().push(window.seq);
+            bench.running.fetch_sub(1, Ordering::SeqCst);
+            assert!(window.seq != 666, "the number of the beast");
+            unfit()
+        })
+    }
+}
+
+fn take(outcomes: &mut mpsc::Receiver<Learned>, n: usize) -> Vec<Learned> {
+    (0..n)
+        .map(|_| outcomes.blocking_recv().expect("an outcome"))
+        .collect()
+}
+
+/// The first window is at a thread, where it waits.
+fn occupied(bench: &Arc<Bench>) {
+    let until = Instant::now() + Duration::from_secs(10);
+    while bench.running.load(Ordering::SeqCst) == 0 {
+        assert!(Instant::now() < until, "no thread took the window");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() {
+    let bench = Arc::new(Bench::default());
+    let (to, mut outcomes) = mpsc::channel(256);
+    let learner = Learner::start_with(settings(1, 16), to, bench.study()).unwrap();
+    assert_eq!(learner.offer(task("fast", window(0))), None);
+    occupied(&bench);
+    let mut dropped = Vec::new();
+    for seq in 1..=100 {
+        dropped.extend(learner.offer(task("fast", window(seq))));
+        if seq % 50 == 0 {
+            dropped.extend(learner.offer(task("slow", window(1_000 + seq))));
+        }
+    }
+    // Its own oldest ones, in order.
+    assert!(dropped.iter().all(|d| d.device == "fast"), "{dropped:?}");
+    let seqs: Vec<u32> = dropped.iter().map(|d| d.seq).collect();
+    assert_eq!(seqs, (1..=86).collect::<Vec<_>>());
+    assert_eq!(
+        (learner.unlearned("fast"), learner.unlearned("slow")),
+        (86, 0)
+    );
+    assert_eq!(learner.figures().waiting, 16);
+    bench.open.store(true, Ordering::SeqCst);
+    let learned = take(&mut outcomes, 17);
+    let of = |name: &str| -> Vec<u32> {
+        let of = learned.iter().filter(|l| l.device == name);
+        of.map(|l| l.result.seq).collect()
+    };
+    assert_eq!(of("slow"), [1_050, 1_100]);
+    let fast: Vec<u32> = std::iter::once(0).chain(87..=100).collect();
+    assert_eq!(of("fast"), fast);
+    // In turn: both slow ones among the first that came after the one under way.
+    let last_slow = learned.iter().rposition(|l| l.device == "slow");
+    assert!(last_slow <= Some(4), "{last_slow:?}");
+    let figures = learner.stop();
+    assert_eq!((figures.learned, figures.unlearned), (17, 86));
+}
+
+#[test]
+fn windows_of_a_device_are_learned_one_at_a_time_and_in_order_on_many_threads() {
+    let bench = Arc::new(Bench::default());
+    let (to, mut outcomes) = mpsc::channel(8);
+    let learner = Learner::start_with(settings(4, 64), to, bench.study()).unwrap();
+    for seq in 0..10 {
+        learner.offer(task("a", window(seq)));
+    }
+    occupied(&bench);
+    bench.open.store(true, Ordering::SeqCst);
+    let learned = take(&mut outcomes, 10);
+    assert!(learned.iter().map(|l| l.result.seq).eq(0..10));
+    assert_eq!(bench.most.load(Ordering::SeqCst), 1);
+    for seq in 0..4 {
+        for name in ["a", "b", "c"] {
+            learner.offer(task(name, window(seq)));
+        }
+    }
+    let mut by_device: HashMap<String, Vec<u32>> = HashMap::new();
+    for l in take(&mut outcomes, 12) {
+        by_device.entry(l.device).or_default().push(l.result.seq);
+    }
+    assert!(
+        by_device.values().all(|seqs| *seqs == [0, 1, 2, 3]),
+        "{by_device:?}"
+    );
+    learner.stop();
+}
+
+#[test]
+fn a_panic_costs_its_window_alone() {
+    let bench = Arc::new(Bench::default());
+    bench.open.store(true, Ordering::SeqCst);
+    let (to, mut outcomes) = mpsc::channel(8);
+    let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
+    for seq in [665, 666, 667] {
+        learner.offer(task("a", window(seq)));
+    }
+    let learned = take(&mut outcomes, 3);
+    assert!(learned.iter().map(|l| l.result.seq).eq(665..668));
+    assert!(
+        learned[1].result.why.contains("number of the beast"),
+        "{learned:?}"
+    );
+    assert!(learned[1].result.r_ohm.is_nan() && !learned[1].result.pass);
+    assert_eq!(learner.stop().panics, 1);
+}
+
+#[test]
+fn a_daemon_that_is_slow_or_gone_blocks_nobody_who_offers() {
+    let bench = Arc::new(Bench::default());
+    bench.open.store(true, Ordering::SeqCst);
+    let (to, mut outcomes) = mpsc::channel(1);
+    let learner = Learner::start_with(settings(2, 4), to, bench.study()).unwrap();
+    let began = Instant::now();
+    let mut dropped = 0;
+    for seq in 0..1_000 {
+        dropped += usize::from(learner.offer(task("a", window(seq))).is_some());
+    }
+    assert!(began.elapsed() < Duration::from_secs(1));
+    assert!((990..=996).contains(&dropped), "{dropped}");
+    let left = 1_000 - dropped;
+    let first = take(&mut outcomes, left);
+    assert_eq!(first.len() + dropped, 1_000);
+    for seq in 0..4 {
+        learner.offer(task("b", window(seq)));
+    }
+    // Nobody takes what is left, and the end comes all the same.
+    let began = Instant::now();
+    learner.stop();
+    assert!(began.elapsed() < Duration::from_secs(5));
+    drop(outcomes);
+}
+
+/// Windows of a simulated hob heating at some powers, each settled or not.
+fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> {
+    let hob = SharedHob::new(SimHob::new(&HobConfig {
+        warming,
+        ..HobConfig::default()
+    }));
+    let mut client = Client::connect(Box::new(hob)).unwrap();
+    client.stream(1, 20).unwrap();
+    let mut windows = Vec::new();
+    let mut telemetry: Option<Telemetry> = None;
+    for power_w in powers_w {
+        client.set_power(*power_w).unwrap();
+        let mut found = 0;
+        while found < of_each {
+            match client.next_event(Duration::from_secs(1)).unwrap() {
+                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(teaches) => {
+                    windows.push(w);
+                    found += 1;
+                }
+                Some(Event::Telemetry(t)) => telemetry = Some(t),
+                Some(_) => {}
+                None => panic!("the hob is silent"),
+            }
+        }
+    }
+    windows
+}
+
+#[test]
+fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between() {
+    let windows = windows(false, &[1_500, 2_000, 1_000], 4);
+    let run = |restart_every: usize| {
+        let mut saved: Option<Vec<u8>> = None;
+        let mut lookups = Vec::new();
+        let mut passed = 0;
+        for some in windows.chunks(restart_every) {
+            let (to, mut outcomes) = mpsc::channel(64);
+            let learner = Learner::start(settings(1, 64), to).unwrap();
+            learner.add("hob", saved.as_deref()).unwrap();
+            for window in some {
+                learner.offer(task("hob", window.clone()));
+                let learned = outcomes.blocking_recv().expect("an outcome");
+                passed += usize::from(learned.result.pass);
+                assert_eq!(learned.result.changed_lookup, learned.news.is_some());
+                if learned.result.pass {
+                    let r = &learned.result;
+                    println!(
+                        "window {}: {} Hz, {:.3} ohm ± {:.2} %, {:.2} µH ± {:.2} %, {} steps, {:.0} ms",
+                        r.seq,
+                        r.f_sw_hz,
+                        r.r_ohm,
+                        r.sigma_r_pct,
+                        r.l_h * 1e6,
+                        r.sigma_l_pct,
+                        r.iterations,
+                        learned.busy.as_secs_f64() * 1e3
+                    );
+                }
+                if let Some(built) = learned.news {
+                    assert!(learned.state.is_some(), "a lookup without its state");
+                    learner.accepted("hob", built.lookup.version);
+                    lookups.push(built.lookup);
+                }
+                // The thread gives the learning back after the outcome.
+                let until = Instant::now() + Duration::from_secs(5);
+                saved = loop {
+                    let state = learner.state_of("hob");
+                    if state.is_some() || Instant::now() > until {
+                        break state;
+                    }
+                };
+            }
+            learner.stop();
+        }
+        (lookups, passed)
+    };
+    let (whole, passed) = run(usize::MAX);
+    assert!(passed >= windows.len() - 2, "{passed} of {}", windows.len());
+    assert!(whole.len() >= 2, "{} lookups", whole.len());
+    assert!(whole.windows(2).all(|w| w[1].version > w[0].version));
+    let (restarted, _) = run(1);
+    assert_eq!(restarted, whole);
+}
+
+#[test]
+fn damaged_bytes_begin_anew_and_say_so() {
+    let (to, mut outcomes) = mpsc::channel(8);
+    let learner = Learner::start(settings(1, 4), to).unwrap();
+    assert!(learner.add("hob", Some(b"{\"format\":1")).is_err());
+    let mut one = windows(false, &[1_500], 1);
+    learner.offer(task("hob", one.remove(0)));
+    assert!(outcomes.blocking_recv().is_some_and(|l| l.result.pass));
+    learner.stop();
+}

@@ -1,0 +1,18 @@
+//! The daemon and the commands on bad links, with hostile devices, killed at random, and for long. What takes more
+//! than some seconds is run by `cargo xtask daemon`; docs/robustness.md has the results of the long forms.
+#![cfg(all(feature = "daemon", target_os = "linux"))]
+
+mod chance;
+mod daemon;
+mod device;
+mod hob_port;
+mod hostile;
+mod hostile_to_commands;
+mod hostile_to_daemon;
+mod http;
+mod kills;
+mod many;
+mod player;
+mod process;
+mod proxy;
+mod soak;

@@ -1,0 +1,10 @@
+//! The store as the daemon uses it, and what is done to it.
+
+mod damage;
+mod fixture;
+mod fixture_process;
+mod kill;
+mod lookups;
+mod retention;
+mod room;
+mod windows;

@@ -1,0 +1,314 @@
+//! What is stored is read back, once, bit for bit.
+
+use ihd_link::Window;
+use ihd_shared::sampling::{Pair, Scales};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::window::TrajectoryEntry;
+use ihd_store::{Keep, Kept, Reader, ResultFilter, Settings, Store, StoreError, WindowFilter};
+use proptest::prelude::*;
+
+use super::fixture::*;
+
+fn any_window() -> impl Strategy<Value = Window> {
+    let pairs = prop::collection::vec((any::<i16>(), any::<i16>()), 0..700);
+    let trajectory = prop::collection::vec((any::<i32>(), any::<i32>()), 0..272);
+    let numbers = (
+        any::<[u32; 5]>(),
+        any::<[i32; 2]>(),
+        any::<u16>(),
+        any::<[u32; 2]>(),
+    );
+    (pairs, trajectory, numbers).prop_map(|(pairs, trajectory, (u, i, saturated, scales))| Window {
+        seq: u[0],
+        half_cycle: u[1],
+        f_sw_hz: u[2],
+        half_cycle_ns: u[3],
+        first_pair_ns: i[0],
+        pairs: pairs.into_iter().map(|(v, i)| Pair { v, i }).collect(),
+        first_trajectory_ns: i[1],
+        trajectory: trajectory
+            .into_iter()
+            .map(|(r, l)| TrajectoryEntry {
+                r: MicroOhm(r),
+                l: PicoHenry(l),
+            })
+            .collect(),
+        saturated,
+        lookup_version: u[4],
+        scales: Scales {
+            v_full_scale_mv: scales[0],
+            i_full_scale_ma: scales[1],
+        },
+    })
+}
+
+#[test]
+fn any_window_comes_back_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &Settings::default());
+    let session = session(&mut store);
+    let reader = Reader::open(folder.path()).unwrap();
+    let mut runner = proptest::test_runner::TestRunner::new(ProptestConfig::with_cases(60));
+    let store = std::cell::RefCell::new(store);
+    let stored = runner.run(&any_window(), |window| {
+        let kept = store.borrow_mut().keep_window(session, &window).unwrap();
+        if kept == Kept::New {
+            let back = reader.window("bench", 7, window.seq).unwrap();
+            prop_assert_eq!(back, Some(window));
+        }
+        Ok(())
+    });
+    stored.unwrap();
+}
+
+#[test]
+fn a_window_that_comes_twice_is_stored_once_across_sessions_restarts_and_midnight() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let open = || {
+        let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+        opened.unwrap().store
+    };
+    let mut store = open();
+    let first = session(&mut store);
+    assert_eq!(store.keep_window(first, &window(5)).unwrap(), Kept::New);
+    assert_eq!(store.keep_window(first, &window(5)).unwrap(), Kept::Known);
+    let second = session(&mut store);
+    assert_eq!(store.keep_window(second, &window(5)).unwrap(), Kept::Known);
+    clock.forward(DAY_MS);
+    assert_eq!(store.keep_window(second, &window(5)).unwrap(), Kept::Known);
+    assert_eq!(store.figures().windows_known, 3);
+    drop(store);
+    let mut store = open();
+    let third = session(&mut store);
+    assert_eq!(store.keep_window(third, &window(5)).unwrap(), Kept::Known);
+    // Another boot counts anew, and another device does.
+    let device = store.device("bench", "usb:1").unwrap();
+    let boot = store.begin_session(device, &hello(8), &FRONT_END).unwrap();
+    assert_eq!(store.keep_window(boot, &window(5)).unwrap(), Kept::New);
+    let device = store.device("kitchen", "usb:2").unwrap();
+    let other = store.begin_session(device, &hello(7), &FRONT_END).unwrap();
+    assert_eq!(store.keep_window(other, &window(5)).unwrap(), Kept::New);
+    let rows = Reader::open(folder.path())
+        .unwrap()
+        .windows(&WindowFilter::default())
+        .unwrap();
+    let keys: Vec<_> = rows
+        .iter()
+        .map(|r| (r.device.as_str(), r.boot, r.seq))
+        .collect();
+    assert_eq!(keys, [("bench", 7, 5), ("bench", 8, 5), ("kitchen", 7, 5)]);
+}
+
+#[test]
+fn of_windows_that_are_not_kept_there_is_a_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &keeping(Keep::OneIn(3), 1 << 30, None));
+    let session = session(&mut store);
+    for seq in 0..9 {
+        // Every second one comes twice: a repetition is none of the three.
+        store.keep_window(session, &window(seq)).unwrap();
+        if seq % 2 == 0 {
+            assert_eq!(
+                store.keep_window(session, &window(seq)).unwrap(),
+                Kept::Known
+            );
+        }
+    }
+    let reader = Reader::open(folder.path()).unwrap();
+    let rows = reader.windows(&WindowFilter::default()).unwrap();
+    let kept: Vec<u32> = rows
+        .iter()
+        .filter(|r| r.not_kept.is_none())
+        .map(|r| r.seq)
+        .collect();
+    assert_eq!((rows.len(), kept), (9, vec![0, 3, 6]));
+    assert_eq!(rows[1].not_kept.as_deref(), Some("policy"));
+    assert_eq!(
+        (rows[1].half_cycle, rows[1].pairs, rows[1].packed_bytes),
+        (27, 9_150, 0)
+    );
+    assert_eq!(reader.window("bench", 7, 1).unwrap(), None);
+    assert_eq!(reader.window("bench", 7, 3).unwrap(), Some(window(3)));
+    let figures = store.figures();
+    assert_eq!((figures.windows, figures.not_kept_by_policy), (9, 6));
+}
+
+#[test]
+fn samples_that_tell_nothing_go_when_the_verdict_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let settings = keeping(Keep::Telling, 1 << 30, None);
+    let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())
+        .unwrap()
+        .store;
+    let session = session(&mut store);
+    for seq in 0..5 {
+        store.keep_window(session, &window(seq)).unwrap();
+    }
+    let verdict = |seq: u32, pass: bool, changed_lookup: bool| ihd_store::NewResult {
+        pass,
+        changed_lookup,
+        ..result(session, seq)
+    };
+    store.record_result(&verdict(0, true, false), None).unwrap();
+    store
+        .record_result(&verdict(1, false, false), None)
+        .unwrap();
+    store.record_result(&verdict(2, true, true), None).unwrap();
+    // A verdict after midnight is of a window of yesterday.
+    clock.forward(DAY_MS / 2 + 1);
+    store.keep_window(session, &window(5)).unwrap();
+    store.record_result(&verdict(3, true, false), None).unwrap();
+    let reader = Reader::open(folder.path()).unwrap();
+    let there = |seq| reader.window("bench", 7, seq).unwrap().is_some();
+    let have: Vec<u32> = (0..6).filter(|seq| there(*seq)).collect();
+    assert_eq!(have, [1, 2, 4, 5]);
+    assert_eq!(reader.windows(&WindowFilter::default()).unwrap().len(), 6);
+    drop(store);
+    // A process that ends between verdict and dropping leaves it to the next collection.
+    let mut store = open(folder.path(), &keeping(Keep::All, 1 << 30, None));
+    store.record_result(&verdict(5, true, false), None).unwrap();
+    assert!(there(5));
+    drop(store);
+    let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())
+        .unwrap()
+        .store;
+    store.keep_window(session, &window(6)).unwrap();
+    assert_eq!(store.collect_garbage().unwrap().samples_dropped, 1);
+    assert!(!there(5) && there(6));
+}
+
+#[test]
+fn results_are_as_they_were_given_newest_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let mut store = opened.unwrap().store;
+    let session = session(&mut store);
+    for seq in 0..120 {
+        clock.forward(1_000);
+        store.record_result(&result(session, seq), None).unwrap();
+    }
+    let odd = ihd_store::NewResult {
+        power_w: None,
+        r_ohm: f64::NAN,
+        sigma_l_pct: f64::INFINITY,
+        pass: false,
+        why: "a\u{1b}[31mb".to_owned(),
+        ..result(session, u32::MAX)
+    };
+    clock.forward(1_000);
+    let id = store.record_result(&odd, None).unwrap();
+    let all = |filter: &ResultFilter| store.results(filter).unwrap();
+    let first = all(&ResultFilter::default());
+    assert_eq!(first.len(), 100);
+    let row = &first[0];
+    assert_eq!(
+        (row.id, row.device.as_str(), row.boot, row.seq),
+        (id, "bench", 7, u32::MAX)
+    );
+    assert_eq!(
+        (row.session, row.at_ms, row.half_cycle),
+        (session, NOON_MS + 121_000, odd.half_cycle)
+    );
+    assert!(row.r_ohm.is_nan() && row.sigma_l_pct.is_nan() && row.power_w.is_none());
+    assert_eq!((row.pass, row.why.as_str()), (false, "a\\u{1b}[31mb"));
+    assert_eq!(
+        (first[1].seq, first[1].r_ohm, first[1].l_h),
+        (119, 2.345, 8.125e-5)
+    );
+    assert_eq!(
+        (first[1].power_w, first[1].i_crest_a, first[1].iterations),
+        (Some(1_204.5), 31.25, 321)
+    );
+    let since = ResultFilter {
+        since_ms: Some(NOON_MS + 119_000),
+        device: Some("bench".into()),
+        limit: None,
+    };
+    assert_eq!(
+        all(&since).iter().map(|r| r.seq).collect::<Vec<_>>(),
+        [u32::MAX, 119, 118]
+    );
+    let nobody = ResultFilter {
+        device: Some("nobody".into()),
+        ..ResultFilter::default()
+    };
+    assert_eq!(all(&nobody), []);
+}
+
+#[test]
+fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &Settings::default());
+    let session = session(&mut store);
+    let device = store.device("bench", "elsewhere").unwrap();
+    assert_eq!(store.learned(device).unwrap(), None);
+    let first = store
+        .record_result(&result(session, 1), Some(b"state 1"))
+        .unwrap();
+    assert_eq!(store.learned(device).unwrap().unwrap(), b"state 1");
+    let again = ihd_store::NewResult {
+        r_ohm: 3.0,
+        ..result(session, 1)
+    };
+    assert_eq!(store.record_result(&again, None).unwrap(), first);
+    assert_eq!(store.learned(device).unwrap().unwrap(), b"state 1");
+    let rows = store.results(&ResultFilter::default()).unwrap();
+    assert_eq!((rows.len(), rows[0].r_ohm), (1, 3.0));
+    store.forget_learned(device).unwrap();
+    assert_eq!(store.learned(device).unwrap(), None);
+    assert_eq!(store.results(&ResultFilter::default()).unwrap().len(), 1);
+    // Of a session that there is not, nothing is stored.
+    let nobodys = store.record_result(&result(99, 2), Some(b"state 2"));
+    assert!(matches!(
+        nobodys,
+        Err(StoreError::NoSession { session: 99 })
+    ));
+    assert!(matches!(
+        store.keep_window(99, &window(1)),
+        Err(StoreError::NoSession { .. })
+    ));
+    assert!(matches!(
+        store.end_session(99, ""),
+        Err(StoreError::NoSession { .. })
+    ));
+    assert_eq!(store.learned(device).unwrap(), None);
+}
+
+#[test]
+fn a_session_that_was_cut_off_ends_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &Settings::default());
+    let (cut, ended) = (session(&mut store), session(&mut store));
+    store.end_session(ended, "unplugged").unwrap();
+    drop(store);
+    let _store = open(folder.path(), &Settings::default());
+    let reader = Reader::open(folder.path()).unwrap();
+    let of = |id| reader.session(id).unwrap().unwrap();
+    assert_eq!(of(ended).why.as_deref(), Some("unplugged"));
+    let cut = of(cut);
+    assert!(cut.ended_ms >= Some(cut.began_ms) && cut.why.unwrap().contains("cut off"));
+    assert_eq!(
+        (cut.device.as_str(), cut.boot, cut.build.as_str()),
+        ("bench", 7, "ihd-firmware 0.1.0")
+    );
+}
+
+#[test]
+fn a_second_process_is_told_who_has_the_store() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path(), &Settings::default());
+    let second = Store::open(folder.path(), &Settings::default())
+        .err()
+        .unwrap();
+    let words = second.to_string();
+    assert!(matches!(second, StoreError::InUse { .. }), "{words}");
+    assert!(
+        words.contains(&format!("(process {})", std::process::id())),
+        "{words}"
+    );
+    drop(store);
+    open(folder.path(), &Settings::default());
+}

@@ -1,0 +1,165 @@
+//! What was learned, as bytes: JSON, every number exact.
+
+use ihd_pinn::{Config, Parameters};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::blob::BlobError;
+use serde::{Deserialize, Serialize};
+
+use super::Learning;
+use super::observations::{MAX_CURVES, Observations};
+use super::version::Versions;
+use crate::lookup::LoadCurve;
+use crate::lookup::curve::MAX_POINTS;
+
+/// The layout of [`Saved`]; another one is not read.
+const FORMAT: u32 = 1;
+
+/// Why bytes are no state of [`Learning`].
+#[derive(Debug, thiserror::Error)]
+pub enum DamagedState {
+    /// No JSON of this layout.
+    #[error("what was learned cannot be read: {0}")]
+    Json(#[from] serde_json::Error),
+    /// Of a later build.
+    #[error("what was learned is of format {0}, this build reads format {FORMAT}")]
+    Format(u32),
+    /// The lookup that was built last does not pass the checks.
+    #[error("the lookup that was learned is damaged: {0}")]
+    Lookup(#[from] BlobError),
+    /// Numbers that nothing could have taught.
+    #[error("what was learned holds {0}")]
+    Curves(&'static str),
+}
+
+#[derive(Serialize, Deserialize)]
+struct Saved {
+    format: u32,
+    versions: Versions,
+    refusals: u32,
+    silence: u32,
+    offered: Option<Vec<u8>>,
+    warm: Option<Parameters>,
+    curves: Vec<LoadCurve>,
+}
+
+impl Learning {
+    /// All that was learned; the network's settings are not part of it.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let saved = Saved {
+            format: FORMAT,
+            versions: self.versions,
+            refusals: self.refusals,
+            silence: self.silence,
+            offered: self.offered.as_ref().map(|l| l.to_bytes().to_vec()),
+            warm: self.warm.clone(),
+            curves: self.observations.curves().to_vec(),
+        };
+        // Maps with text as keys and numbers: nothing of it can fail to be JSON.
+        serde_json::to_vec(&saved).unwrap_or_default()
+    }
+
+    /// Goes on where [`Learning::to_bytes`] was called. A start for the network that does not fit its
+    /// settings any more is left out.
+    ///
+    /// # Errors
+    /// [`DamagedState`]; nothing of such bytes is used.
+    pub fn from_bytes(bytes: &[u8], network: Config) -> Result<Self, DamagedState> {
+        #[derive(Deserialize)]
+        struct Format {
+            format: u32,
+        }
+        let Format { format } = serde_json::from_slice(bytes)?;
+        if format != FORMAT {
+            return Err(DamagedState::Format(format));
+        }
+        let saved: Saved = serde_json::from_slice(bytes)?;
+        let offered = saved
+            .offered
+            .map(|b| RlLookup::from_bytes(&b))
+            .transpose()?;
+        Ok(Self {
+            warm: saved.warm.filter(|start| fits(start, &network)),
+            observations: Observations::from_curves(checked(saved.curves)?),
+            offered,
+            versions: saved.versions,
+            refusals: saved.refusals,
+            silence: saved.silence,
+            ..Self::new(network)
+        })
+    }
+}
+
+fn fits(start: &Parameters, network: &Config) -> bool {
+    let config = Config {
+        start: Some(start.clone()),
+        ..network.clone()
+    };
+    config.validate().is_ok()
+}
+
+fn checked(curves: Vec<LoadCurve>) -> Result<Vec<LoadCurve>, DamagedState> {
+    if curves.len() > MAX_CURVES || curves.iter().any(|c| c.points.len() > MAX_POINTS) {
+        return Err(DamagedState::Curves("more curves than are kept"));
+    }
+    let positive = |x: f64| x.is_finite() && x > 0.0;
+    let sound = |c: &LoadCurve| {
+        let mut points = c.points.iter();
+        positive(c.f_sw_hz)
+            && points
+                .all(|p| p.i_a >= 0.0 && p.i_a.is_finite() && positive(p.r_ohm) && positive(p.l_h))
+    };
+    if !curves.iter().all(sound) {
+        return Err(DamagedState::Curves("a curve that is no load's"));
+    }
+    Ok(curves)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lies_are_refused_and_named() {
+        let config = Config::default;
+        let good = Learning::new(config()).to_bytes();
+        assert!(Learning::from_bytes(&good, config()).is_ok());
+        let text = String::from_utf8(good).unwrap();
+        for (from, to, says) in [
+            ("{", "", "cannot be read"),
+            ("\"format\":1", "\"format\":2", "format 2"),
+            (
+                "\"curves\":[]",
+                "\"curves\":[{\"f_sw_hz\":0,\"points\":[]}]",
+                "no load",
+            ),
+            ("\"offered\":null", "\"offered\":[1,2,3]", "damaged"),
+            ("\"silence\":0", "\"silence\":-1", "cannot be read"),
+        ] {
+            let lie = text.replacen(from, to, 1);
+            assert_ne!(lie, text);
+            let why = Learning::from_bytes(lie.as_bytes(), config()).unwrap_err();
+            assert!(why.to_string().contains(says), "{why}");
+        }
+        let many = format!(
+            "\"curves\":[{}]",
+            ["{\"f_sw_hz\":1,\"points\":[]}"; MAX_CURVES + 1].join(",")
+        );
+        let lie = text.replacen("\"curves\":[]", &many, 1);
+        assert!(Learning::from_bytes(lie.as_bytes(), config()).is_err());
+    }
+
+    #[test]
+    fn a_start_that_does_not_fit_the_network_is_left_out() {
+        let mut learning = Learning::new(Config::default());
+        learning.warm = Some(Parameters {
+            embedding: Config::default().embedding,
+            f_mains_hz: 50.0,
+            r_scale_ohm: 4.0,
+            l_scale_h: 3e-5,
+            layers: Vec::new(),
+            vi_layers: Vec::new(),
+        });
+        let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
+        assert!(restored.warm.is_none());
+    }
+}

@@ -1,0 +1,193 @@
+//! Following a load: every window is learned from until somebody ends it. What keeps the hob from heating is
+//! told and ends nothing; a link that is cut is made again.
+
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use ihd_link::{Event, LinkError, Window};
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Outcome, State, Telemetry};
+
+use super::run::Run;
+use super::{OperatingPoint, Progress, TrainerError};
+
+/// How long a cut link is tried again.
+const RECONNECT_WITHIN: Duration = Duration::from_secs(60);
+
+/// Between two tries.
+const RECONNECT_EVERY: Duration = Duration::from_secs(1);
+
+impl Run<'_, '_> {
+    /// Learns from every window until told to stop.
+    pub(super) fn follow(&mut self, asked_w: u16) -> Result<(), TrainerError> {
+        let last = self.report.last.as_ref();
+        let mut since = last.map_or(0, |(window, _, _)| window.half_cycle);
+        loop {
+            let learned = match self.next_followed(since, asked_w) {
+                Ok(Some(window)) => {
+                    since = window.half_cycle;
+                    self.learn_followed(window, asked_w)
+                }
+                Ok(None) => Ok(()),
+                Err(why) => Err(why),
+            };
+            match learned {
+                Ok(()) => {}
+                Err(TrainerError::Interrupted) => return Ok(()),
+                Err(why) if self.settings.reopen.is_some() && is_cut(&why) => {
+                    if self.reconnect(&why, asked_w)? == Boot::Another {
+                        since = 0;
+                    }
+                }
+                Err(why) => return Err(why),
+            }
+        }
+    }
+
+    fn next_followed(
+        &mut self,
+        since: u32,
+        asked_w: u16,
+    ) -> Result<Option<Box<Window>>, TrainerError> {
+        match self.device.next_event("telemetry")? {
+            Some(Event::Window(window)) if window.half_cycle > since => return Ok(Some(window)),
+            Some(Event::Telemetry(t)) => self.tell(t, asked_w),
+            Some(Event::WindowRejected { seq, reason }) => {
+                let why = &reason.to_string();
+                self.device.report(Progress::Rejected { seq, why });
+            }
+            // The half-cycles' state says what a fault means.
+            Some(Event::Window(_) | Event::Fault(_)) | None => {}
+        }
+        Ok(None)
+    }
+
+    /// A refused window or lookup is told where it happens, and ends nothing.
+    fn learn_followed(&mut self, window: Box<Window>, asked_w: u16) -> Result<(), TrainerError> {
+        let at = OperatingPoint::Heating { asked_w };
+        match self.learn(window, at, None, false) {
+            Ok(_) => Ok(()),
+            Err(TrainerError::Lookup(text)) => {
+                self.device.report(Progress::Note { text: &text });
+                Ok(())
+            }
+            Err(why) => Err(why),
+        }
+    }
+
+    /// What has changed since the half-cycle before, in a line.
+    fn tell(&mut self, t: Telemetry, asked_w: u16) {
+        let before = self.device.last.replace(t.clone());
+        let same = |b: &Telemetry| b.state == t.state && b.fault == t.fault;
+        if before.as_ref().is_some_and(same) {
+            return;
+        }
+        let text = match t.state {
+            State::WaitingForPot | State::Pausing => {
+                let telemetry = &t;
+                return self.device.report(Progress::Waiting { asked_w, telemetry });
+            }
+            State::LockedOut => format!("{}: off until a person switches it off and on", t.fault),
+            State::Idle if t.fault != Fault::NONE => format!("off: {}", t.fault),
+            State::Idle => "off: at its panel, by another host, or no pot came; it is not switched on again, and \
+                 learned from when somebody heats with it"
+                .into(),
+            State::Heating if before.is_some_and(|b| b.state != State::Probing) => {
+                format!("heats with {} W", t.asked_w)
+            }
+            State::Heating | State::Probing => return,
+        };
+        self.device.report(Progress::Note { text: &text });
+    }
+
+    /// Makes the link again, for a minute at most.
+    fn reconnect(&mut self, why: &TrainerError, asked_w: u16) -> Result<Boot, TrainerError> {
+        let boot_id = self.boot_id;
+        let until = Instant::now() + RECONNECT_WITHIN;
+        let seconds = RECONNECT_WITHIN.as_secs();
+        self.device.report(Progress::Note {
+            text: &format!("{why}; trying again for {seconds} s"),
+        });
+        loop {
+            self.device.let_go();
+            self.open_again(until)?;
+            match self.resume(boot_id, asked_w) {
+                Err(why) if is_cut(&why) && Instant::now() < until => {}
+                resumed => return resumed,
+            }
+        }
+    }
+
+    fn resume(&mut self, boot_id: u32, asked_w: u16) -> Result<Boot, TrainerError> {
+        let status = self.device.command(|client| client.status())?;
+        self.learning.device_has(status.lookup_version);
+        self.device.stream()?;
+        let mut boot = Boot::Same;
+        let text = if self.boot_id != boot_id {
+            boot = Boot::Another;
+            // A person has had a hand in it, or it has reset itself for a reason.
+            "connected again; it has started anew and is not switched on again".into()
+        } else if status.state == State::LockedOut || status.asked_w == asked_w {
+            "connected again".into()
+        } else {
+            match self.device.ask(asked_w) {
+                Ok(()) => format!("connected again, {asked_w} W asked for again"),
+                Err(TrainerError::Link(why @ LinkError::Refused { .. })) => {
+                    format!("connected again; {why}")
+                }
+                Err(why) => return Err(why),
+            }
+        };
+        self.device.report(Progress::Note { text: &text });
+        Ok(boot)
+    }
+
+    fn open_again(&mut self, until: Instant) -> Result<(), TrainerError> {
+        loop {
+            let Some(reopen) = self.settings.reopen else {
+                return Ok(());
+            };
+            match reopen() {
+                Ok(client) => {
+                    self.connected(client);
+                    return Ok(());
+                }
+                Err(why) if Instant::now() >= until => return Err(why.into()),
+                Err(_) => {}
+            }
+            let next = Instant::now() + RECONNECT_EVERY;
+            while Instant::now() < next {
+                if self.device.is_stopped() {
+                    return Err(TrainerError::Interrupted);
+                }
+                sleep(Duration::from_millis(50));
+            }
+        }
+    }
+}
+
+/// Whether the device has started anew meanwhile.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Boot {
+    Same,
+    Another,
+}
+
+/// Whether another link may help.
+fn is_cut(why: &TrainerError) -> bool {
+    match why {
+        TrainerError::Silent { .. } => true,
+        TrainerError::Link(why) => matches!(
+            why,
+            LinkError::Connect { .. }
+                | LinkError::Closed { .. }
+                | LinkError::Io { .. }
+                | LinkError::NoAnswer { .. }
+                | LinkError::Refused {
+                    outcome: Outcome::NotPaired,
+                    ..
+                }
+        ),
+        _ => false,
+    }
+}
