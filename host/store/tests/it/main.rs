@@ -1,6 +1,8 @@
 //! The store as the daemon uses it, and what is done to it.
 
+mod care;
 mod damage;
+mod export;
 mod fixture;
 mod fixture_process;
 mod kill;
