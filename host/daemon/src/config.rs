@@ -8,6 +8,7 @@ use std::str::FromStr;
 
 use ihd_link::DeviceSpec;
 use ihd_store::Retention;
+use ihd_train::NetworkConfig;
 use serde::{Deserialize, Deserializer};
 
 /// Where the daemon listens unless told otherwise.
@@ -276,6 +277,7 @@ impl Config {
     }
 
     fn check_values(&self) -> Result<(), String> {
+        self.network()?;
         if self.store.as_os_str().is_empty() {
             return Err("store = \"\" names no folder".to_owned());
         }
@@ -307,6 +309,23 @@ impl Config {
             ),
             _ => Ok(()),
         }
+    }
+
+    /// The settings of the network.
+    ///
+    /// # Errors
+    /// Key and value of what is wrong in `[network]`.
+    pub fn network(&self) -> Result<NetworkConfig, String> {
+        let Some(table) = &self.network else {
+            return Ok(NetworkConfig::default());
+        };
+        let wrong = |why: String| format!("[network]: {why}");
+        let text = toml::to_string(table).map_err(|error| wrong(error.to_string()))?;
+        let network = NetworkConfig::from_toml(&text).map_err(|error| wrong(error.to_string()))?;
+        network
+            .validate()
+            .map_err(|error| wrong(error.to_string()))?;
+        Ok(network)
     }
 
     /// How the store keeps.

@@ -1,11 +1,12 @@
 //! The daemon as its users see it: devices, commands, leases, what happens.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store};
-use tokio::sync::{broadcast, oneshot, watch};
+use tokio::sync::{broadcast, mpsc, oneshot, watch};
+use tokio::task::JoinHandle;
 
 use crate::OpenDevice;
 use crate::board::Board;
@@ -13,9 +14,11 @@ use crate::config::Config;
 use crate::device::{Context, Order};
 use crate::face::Face;
 use crate::figures::{Figures, rss_bytes};
+use crate::learning::{Learner, LearnerError, LearnerSettings};
 use crate::lease::Taken;
 use crate::model::{Command, CommandError, DeviceReport, Done, Lease, Notice, What};
 use crate::printable::printable;
+use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreTrouble};
 use crate::supervisor::{Devices, Handle, follow_usb};
 
@@ -24,6 +27,9 @@ const COMMAND_WITHIN: Duration = Duration::from_secs(15);
 
 /// Between two looks at what the store may delete.
 const GARBAGE_EVERY: Duration = Duration::from_secs(600);
+
+/// Outcomes of learning that may wait for the store.
+const LEARNED: usize = 64;
 
 /// Longest name of a holder.
 const LONGEST_HOLDER: usize = 128;
@@ -40,6 +46,12 @@ pub enum DaemonError {
     /// No thread for the store.
     #[error("no thread could be started for the store: {0}")]
     NoThread(std::io::Error),
+    /// No thread for learning.
+    #[error(transparent)]
+    Learner(#[from] LearnerError),
+    /// A value of the configuration.
+    #[error("the configuration: {0}")]
+    Config(String),
     /// No such device.
     #[error("there is no device {0:?}")]
     NoDevice(String),
@@ -55,6 +67,8 @@ struct Inner {
     board: Board,
     store: StoreThread,
     devices: Arc<Devices>,
+    learner: Mutex<Option<Arc<Learner>>>,
+    routing: Mutex<Option<JoinHandle<()>>>,
     stop: watch::Sender<bool>,
     began: Instant,
     /// Set aside at the start, told to whoever asks.
@@ -68,6 +82,7 @@ impl Daemon {
     /// [`DaemonError`] where there is no store, or another process has it.
     pub async fn start(config: Config, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
         let board = Board::default();
+        let network = config.network().map_err(DaemonError::Config)?;
         let (folder, settings) = (config.store.clone(), config.store_settings());
         let opening = tokio::task::spawn_blocking(move || Store::open(&folder, &settings)).await;
         let opened = opening.map_err(|_| StoreTrouble::Gone("opening it panicked"))??;
@@ -85,8 +100,16 @@ impl Daemon {
         let store =
             StoreThread::start(opened.store, board.clone()).map_err(DaemonError::NoThread)?;
         let (stop, stopped) = watch::channel(false);
+        let (outcomes, learned) = mpsc::channel(LEARNED);
+        let settings = LearnerSettings {
+            threads: config.learning.threads,
+            queue: config.learning.queue,
+            network,
+        };
+        let learner = Arc::new(Learner::start(settings, outcomes)?);
         let context = Context {
             store: store.clone(),
+            learner: Arc::clone(&learner),
             open,
             recordings: config.store.join("recordings"),
             stop: stopped,
@@ -101,11 +124,19 @@ impl Daemon {
             devices.beside(following);
         }
         devices.beside(keep_tidy(context));
+        let routing = tokio::spawn(route(
+            learned,
+            Arc::clone(&devices),
+            store.clone(),
+            Arc::downgrade(&learner),
+        ));
         Ok(Self {
             inner: Arc::new(Inner {
                 board,
                 store,
                 devices,
+                learner: Mutex::new(Some(learner)),
+                routing: Mutex::new(Some(routing)),
                 stop,
                 began: Instant::now(),
                 damage: Mutex::new(damage),
@@ -327,7 +358,9 @@ impl Daemon {
 
     /// The daemon in numbers.
     pub fn figures(&self) -> Figures {
+        let learner = lock(&self.inner.learner).clone();
         Figures {
+            learner: learner.map(|l| l.figures()).unwrap_or_default(),
             devices: self.inner.devices.all().len(),
             up_s: self.inner.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
@@ -337,8 +370,7 @@ impl Daemon {
 
     /// Files of the store that were found damaged at the start and set aside, in words.
     pub fn damage(&self) -> Vec<String> {
-        let damage = self.inner.damage.lock();
-        damage.unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.inner.damage).clone()
     }
 
     /// Results, newest first.
@@ -378,8 +410,21 @@ impl Daemon {
     pub async fn stop(self) {
         self.inner.stop.send_replace(true);
         self.inner.devices.ended().await;
+        // Behind the windows under way, which hold the learner.
+        let _ = self.inner.store.run(|_| Ok(())).await;
+        drop(lock(&self.inner.learner).take());
+        let routing = lock(&self.inner.routing).take();
+        if let Some(routing) = routing {
+            // It ends when the threads that learn have, with the window that each is at.
+            let _ = routing.await;
+        }
         self.inner.store.close().await;
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Every change is complete in itself.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Deletes what the store need not keep any more.

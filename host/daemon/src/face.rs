@@ -47,6 +47,8 @@ pub struct Inner {
     pub recording: Option<String>,
     /// Connections so far.
     pub connections: u32,
+    /// What the store holds of its learning was given to the learner.
+    pub is_resumed: bool,
     /// The connection, for whoever has to switch off when the device's task cannot.
     pub client: Option<Arc<AsyncClient>>,
 }
@@ -71,6 +73,7 @@ impl Face {
                 sweep_left_w: Vec::new(),
                 recording: None,
                 connections: 0,
+                is_resumed: false,
                 client: None,
             }),
         }

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
+use crate::learning::LearnerFigures;
 use crate::store_thread::StoreThread;
 
 /// How the daemon does, since it began.
@@ -23,6 +24,8 @@ pub struct Figures {
     pub store_busy_s: f64,
     /// Seconds of its longest job.
     pub store_longest_s: f64,
+    /// Learning.
+    pub learner: LearnerFigures,
     /// Memory in use, in bytes; none where the system does not say.
     pub rss_bytes: Option<u64>,
 }

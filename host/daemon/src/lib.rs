@@ -23,6 +23,7 @@ pub mod lease;
 mod ledger;
 pub mod model;
 mod printable;
+mod routing;
 mod states;
 mod store_thread;
 mod supervisor;

@@ -23,6 +23,10 @@ impl Session<'_> {
                 let _ = done.send(());
                 off
             }
+            Order::News(lookup) => {
+                self.on_news(lookup).await;
+                Ok(())
+            }
             Order::Command { command, answer } => self.on_command(command, answer).await,
         }
     }

@@ -19,12 +19,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, LinkError};
+use ihd_shared::lookup::RlLookup;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use crate::OpenDevice;
 use crate::clocks::Backoff;
 use crate::config::Address;
 use crate::face::{Face, identity};
+use crate::learning::Learner;
 use crate::model::{Command, CommandError, DeviceState, Done, What};
 use crate::store_thread::StoreThread;
 
@@ -49,6 +51,8 @@ pub enum Order {
         /// What became of it.
         answer: Answer,
     },
+    /// Push a lookup that was learned.
+    News(Box<RlLookup>),
     /// The lease is over: what was asked for under it is to end.
     LeaseOver {
         /// Why.
@@ -66,6 +70,8 @@ pub type Answer = oneshot::Sender<Result<Done, CommandError>>;
 pub struct Context {
     /// The store.
     pub store: StoreThread,
+    /// Learns from windows.
+    pub learner: Arc<Learner>,
     /// Opens an address.
     pub open: Arc<OpenDevice>,
     /// Folder of recordings.
@@ -172,6 +178,8 @@ impl DeviceTask {
                     Some(Order::Command { answer, .. }) => {
                         let _ = answer.send(Err(self.absent()));
                     }
+                    // It is offered again when the device is there.
+                    Some(Order::News(lookup)) => self.learner_refused(lookup.version),
                     Some(Order::LeaseOver { done, .. }) => {
                         let _ = done.send(());
                     }
@@ -183,6 +191,10 @@ impl DeviceTask {
                 }
             }
         }
+    }
+
+    fn learner_refused(&self, version: u32) {
+        self.context.learner.refused(&self.face.name, version);
     }
 
     fn absent(&self) -> CommandError {

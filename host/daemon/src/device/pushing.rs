@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use ihd_link::{Client, LinkError};
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::LookupRow;
 
 use super::Answer;
@@ -20,6 +20,7 @@ const ACTIVE_WITHIN: Duration = Duration::from_secs(3);
 pub struct Push {
     lookup: RlLookup,
     until: Instant,
+    is_learned: bool,
     answer: Option<Answer>,
 }
 
@@ -38,6 +39,7 @@ impl Session<'_> {
         let Some(rows) = self.rows().await else {
             return Ok(());
         };
+        self.context.learner.device_has(&self.face.name, on_device);
         for step in mend(&lookup, &rows) {
             match step {
                 Mend::Nothing => {}
@@ -86,7 +88,7 @@ impl Session<'_> {
         self.show_lookups().await;
     }
 
-    /// Pushes a lookup under the next version: pending in the store before the device sees it. `answer` is
+    /// Pushes a lookup, under the next version where the device would not take its own: pending in the store before the device sees it. `answer` is
     /// told when it is active, or why not.
     ///
     /// # Errors
@@ -105,6 +107,7 @@ impl Session<'_> {
                 self.push = Some(Push {
                     lookup,
                     until: Instant::now() + ACTIVE_WITHIN,
+                    is_learned: false,
                     answer,
                 });
                 Ok(())
@@ -132,12 +135,8 @@ impl Session<'_> {
             .await
             .ok_or("the store does not answer: nothing is pushed that it could not keep")?;
         let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
-        let is_pending = |row: &LookupRow| {
-            row.state == ihd_store::LookupState::Pending
-                && row.version > on_device
-                && row.blob == lookup.to_bytes()
-        };
-        if !rows.iter().any(is_pending) {
+        let highest = on_device.saturating_add(LOOKUP_VERSION_STEP);
+        if lookup.version <= on_device || lookup.version > highest {
             lookup.version = next_version(on_device, &rows)?;
         }
         let (pending, said) = (lookup.clone(), printable(why));
@@ -166,6 +165,32 @@ impl Session<'_> {
         }
     }
 
+    /// A lookup that was learned: pushed when nothing else is on its way. A newer one takes its place.
+    pub(super) async fn on_news(&mut self, lookup: Box<RlLookup>) {
+        self.news = Some(lookup);
+        self.push_news().await;
+    }
+
+    /// Pushes what was learned, where it may be pushed now.
+    pub(super) async fn push_news(&mut self) {
+        if self.push.is_some() || self.is_quiet() {
+            return;
+        }
+        let Some(lookup) = self.news.take() else {
+            return;
+        };
+        let version = lookup.version;
+        let pushed = self.push(*lookup, "learned", None).await;
+        match &mut self.push {
+            // Under another version, where the device was given one meanwhile.
+            Some(push) => push.is_learned = push.lookup.version == version,
+            None => {
+                debug_assert!(pushed.is_err());
+                self.context.learner.refused(&self.face.name, version);
+            }
+        }
+    }
+
     /// The device uses this version now: what was pushed may be active.
     pub(super) async fn is_pushed(&mut self, version: u32) {
         let Some(push) = self.push.take_if(|push| push.lookup.version == version) else {
@@ -173,6 +198,11 @@ impl Session<'_> {
         };
         // Activates what is pending, bit for bit.
         self.adopt(&push.lookup).await;
+        let (learner, name) = (&self.context.learner, &self.face.name);
+        match push.is_learned {
+            true => learner.accepted(name, version),
+            false => learner.device_has(name, version),
+        }
         if let Some(answer) = push.answer {
             let _ = answer.send(Ok(Done {
                 text: format!("version {version} is active"),
@@ -187,6 +217,9 @@ impl Session<'_> {
             return;
         };
         let version = push.lookup.version;
+        if push.is_learned {
+            self.context.learner.refused(&self.face.name, version);
+        }
         let why = "the device took it and does not use it";
         tracing::warn!(device = self.face.name, version, why, "lookup");
         self.face.tell(What::LookupRefused {
@@ -210,6 +243,9 @@ impl Session<'_> {
     pub(super) async fn reset_lookup(&mut self) -> Result<(), LinkError> {
         self.ask(Client::reset_lookup).await?;
         self.forget_push();
+        self.news = None;
+        self.context.learner.forget(&self.face.name);
+        self.context.learner.device_has(&self.face.name, 0);
         if let Some(device) = self.device {
             let forgotten = self.context.store.run(move |store| {
                 store.forget_learned(device)?;

@@ -1,12 +1,13 @@
 //! One connection to a device, from its hello to its end. It heats nothing by itself.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, Client, Event, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{Status, Telemetry};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::messages::{State, Status, Telemetry};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_store::{DeviceId, SessionId};
 use tokio::sync::mpsc;
@@ -16,6 +17,7 @@ use super::sweep::{Step, Sweep};
 use super::{Context, Order, lease_ended};
 use crate::clocks::Clocks;
 use crate::face::Face;
+use crate::learning::Task;
 use crate::ledger::Arrival;
 use crate::model::{DeviceState, What};
 use crate::printable::printable;
@@ -43,6 +45,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Half-cycles that a device's count may go back without it having begun anew: frames in another order.
 const OUT_OF_ORDER: u32 = 1_000;
 
+/// Half-cycles that are remembered until their window has come: two seconds.
+const POWERS: usize = 256;
+
 /// Why a session ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ended {
@@ -66,6 +71,8 @@ pub struct Session<'a> {
     pub(super) push: Option<Push>,
     /// Until then nothing is sent that need not be: what a host before us asked for has to lapse.
     pub(super) quiet_until: Option<Instant>,
+    /// A lookup that was learned, and waits for the one before it.
+    pub(super) news: Option<Box<RlLookup>>,
     clocks: Clocks,
     /// When the device was heard last, and heard from us.
     heard: Instant,
@@ -73,7 +80,8 @@ pub struct Session<'a> {
     looked: Instant,
     unanswered: u32,
     shown_half_cycle: Option<u32>,
-    began_session: Arc<AtomicBool>,
+    /// The last half-cycles, and in which it heated with which power in milliwatt.
+    powers: VecDeque<(u32, bool, u32)>,
 }
 
 impl<'a> Session<'a> {
@@ -95,7 +103,8 @@ impl<'a> Session<'a> {
             looked: now,
             unanswered: 0,
             shown_half_cycle: None,
-            began_session: Arc::default(),
+            powers: VecDeque::new(),
+            news: None,
         }
     }
 
@@ -191,16 +200,29 @@ impl<'a> Session<'a> {
         let (name, address) = (self.face.name.clone(), self.face.address.clone());
         let hello = self.client.hello().clone();
         let front_end = self.client.front_end().clone();
+        let is_resumed = self.face.lock().is_resumed;
         let began = self.context.store.run(move |store| {
             let device = store.device(&name, &address)?;
             let session = store.begin_session(device, &hello, &front_end)?;
-            Ok((device, session))
+            let learned = match is_resumed {
+                true => None,
+                false => store.learned(device)?,
+            };
+            Ok((device, session, learned))
         });
         // The store's trouble is told by its thread.
-        if let Ok((device, session)) = began.await {
+        if let Ok((device, session, learned)) = began.await {
             self.device = Some(device);
             self.session = Some(session);
-            self.began_session.store(true, Ordering::Relaxed);
+            self.face.lock().is_resumed = true;
+            let added = self
+                .context
+                .learner
+                .add(&self.face.name, learned.as_deref());
+            if let Err(error) = added {
+                tracing::warn!(device = self.face.name, %error, "what was learned is lost");
+                self.note("learned", &error.to_string());
+            }
         }
     }
 
@@ -254,6 +276,11 @@ impl<'a> Session<'a> {
             inner.lookup.on_device = Some(t.lookup_version);
             inner.last.replace(t.clone())
         };
+        if self.powers.len() == POWERS {
+            self.powers.pop_front();
+        }
+        let heats = t.state == State::Heating;
+        self.powers.push_back((t.half_cycle, heats, t.power_mw));
         if before.is_some_and(|b| {
             b.half_cycle
                 .wrapping_sub(t.half_cycle)
@@ -282,8 +309,14 @@ impl<'a> Session<'a> {
             return;
         }
         let boot = self.client.hello().boot_id;
-        let stored = self.session.is_some_and(|session| {
+        let half_cycle = window.half_cycle;
+        let told = self.powers.iter().find(|(at, ..)| *at == half_cycle);
+        let teaches = told.is_none_or(|(_, heats, _)| *heats);
+        let power_w = told.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3);
+        let ids = self.device.zip(self.session);
+        let stored = ids.is_some_and(|(device_id, session)| {
             let face = Arc::clone(self.face);
+            let learner = Arc::clone(&self.context.learner);
             self.context.store.offer(move |store| {
                 let kept = store.keep_window(session, &window);
                 let mut inner = face.lock();
@@ -294,6 +327,19 @@ impl<'a> Session<'a> {
                 drop(inner);
                 kept?;
                 face.tell(What::WindowStored { boot, seq });
+                if teaches {
+                    // What it makes room for, the learner counts.
+                    learner.offer(Task {
+                        device: face.name.clone(),
+                        device_id,
+                        session,
+                        boot,
+                        window,
+                        power_w,
+                    });
+                } else {
+                    face.lock().ledger.fates.unfit += 1;
+                }
                 Ok(())
             })
         });
@@ -318,6 +364,7 @@ impl<'a> Session<'a> {
         self.stay_in_touch().await?;
         self.show();
         self.is_overdue().await;
+        self.push_news().await;
         if let Some(sweep) = &mut self.sweep {
             let step = sweep.tick(Instant::now());
             self.sweep_step(step).await?;
@@ -394,6 +441,8 @@ impl<'a> Session<'a> {
             Ok(_) => {}
             Err(_) => return Err(self.why_ended()),
         }
+        let unlearned = self.context.learner.unlearned(&self.face.name);
+        self.face.lock().ledger.fates.unlearned = unlearned;
         self.look_at_recording();
         if self.session.is_none() && self.context.store.gauge().is_well() {
             self.begin_in_store().await;

@@ -1,0 +1,141 @@
+//! The lookup on the device and the one in the store come together whatever happened.
+
+use ihd_daemon::Daemon;
+use ihd_daemon::model::{Command, DeviceState, What};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_sim::hob::HobConfig;
+use ihd_store::{LookupState, Store};
+
+use super::rig::{Rig, hear, until, until_state};
+
+/// A lookup that a device takes, unlike others of its version.
+fn lookup(version: u32, mark: usize) -> RlLookup {
+    let mut lookup = RlLookup { version, ..prior() };
+    lookup.mark_observed(mark, mark);
+    lookup
+}
+
+async fn push(daemon: &Daemon, lookup: &RlLookup) -> String {
+    let blob = lookup.to_bytes().to_vec();
+    let pushed = daemon.command("bench", "a", Command::LookupPush { blob });
+    pushed.await.unwrap().text
+}
+
+async fn states(daemon: &Daemon) -> Vec<(u32, LookupState)> {
+    let rows = daemon.lookups("bench").await.unwrap();
+    rows.iter().map(|row| (row.version, row.state)).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pushed_rolled_back_and_reset() {
+    use LookupState::{Active, Superseded};
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    let report = until_state(&daemon, DeviceState::Idle).await;
+    assert_eq!(report.lookup.on_device, Some(0));
+    let mut notices = daemon.watch();
+    assert!(push(&daemon, &lookup(1, 1)).await.contains("version 1"));
+    let heard = hear(&mut notices, |what| match what {
+        What::LookupActive { version, .. } => Some(*version),
+        _ => None,
+    });
+    assert_eq!(heard.await, 1);
+    push(&daemon, &lookup(2, 2)).await;
+    let report = until(&daemon, |r| r.lookup.on_device == Some(2)).await;
+    assert_eq!(report.lookup.active, Some(2));
+    let rows = states(&daemon).await;
+    assert_eq!(rows, [(0, Superseded), (1, Superseded), (2, Active)]);
+    let back = daemon.command("bench", "a", Command::LookupRollback).await;
+    assert!(back.unwrap().text.contains("version 3"));
+    let active = daemon.lookups("bench").await.unwrap().pop().unwrap();
+    assert_eq!(
+        active.blob,
+        lookup(3, 1).to_bytes(),
+        "the cells of version 1"
+    );
+    daemon
+        .command("bench", "a", Command::LookupReset)
+        .await
+        .unwrap();
+    let report = until(&daemon, |r| r.lookup.on_device == Some(0)).await;
+    assert_eq!(report.lookup.active, Some(0));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_refused_lookup_is_a_state() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    // Not even a lookup: said so, and nothing stored.
+    let blob = vec![1, 2, 3];
+    let refused = daemon
+        .command("bench", "a", Command::LookupPush { blob })
+        .await;
+    assert!(refused.unwrap_err().to_string().contains("bytes"));
+    assert_eq!(states(&daemon).await, [(0, LookupState::Active)]);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_lost_its_lookup_gets_it_again() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    push(&daemon, &lookup(7, 3)).await;
+    // Another boot, with an empty flash.
+    rig.bench().replace(&HobConfig {
+        seed: 99,
+        ..HobConfig::default()
+    });
+    let report = until(&daemon, |r| {
+        r.identity.as_ref().is_some_and(|i| i.boot_id == 99) && r.lookup.on_device == Some(7)
+    })
+    .await;
+    assert_eq!(report.lookup.active, Some(7));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_pending_when_the_daemon_died_is_pushed_by_the_next() {
+    let rig = Rig::new(&["bench"]);
+    let config = rig.config();
+    {
+        let mut store = Store::open(&config.store, &config.store_settings())
+            .unwrap()
+            .store;
+        let device = store.device("bench", "serial:bench").unwrap();
+        store.pend_lookup(device, &lookup(4, 4), "a test").unwrap();
+    }
+    let daemon = rig.daemon().await;
+    let report = until(&daemon, |r| {
+        r.lookup.on_device == Some(4) && r.lookup.active == Some(4)
+    })
+    .await;
+    assert_eq!(report.lookup.pending, None);
+    assert_eq!(report.lookup.observed_cells, 1);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_somebody_else_pushed_is_adopted() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    push(&daemon, &lookup(1, 1)).await;
+    daemon.stop().await;
+    let other = Rig {
+        benches: rig.benches.clone(),
+        folder: tempfile::tempdir().unwrap(),
+    };
+    let daemon = other.daemon().await;
+    until(&daemon, |r| r.lookup.active == Some(1)).await;
+    push(&daemon, &lookup(2, 5)).await;
+    daemon.stop().await;
+    let daemon = rig.daemon().await;
+    until(&daemon, |r| r.lookup.active == Some(2)).await;
+    let last = daemon.lookups("bench").await.unwrap().pop().unwrap();
+    assert_eq!((last.version, last.origin.as_str()), (2, "device"));
+    daemon.stop().await;
+}

@@ -1,0 +1,6 @@
+//! The daemon with simulated hobs.
+
+mod leases;
+mod lookups;
+mod rig;
+mod sessions;

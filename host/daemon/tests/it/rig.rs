@@ -1,0 +1,281 @@
+//! A hob on a bench that runs in real time whether anybody listens or not, and a daemon in a folder of its own.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use ihd_daemon::model::{Command, CommandError, DeviceReport, DeviceState, Done, Notice, What};
+use ihd_daemon::{Config, Daemon, OpenDevice};
+use ihd_firmware::request::PanelEvent;
+use ihd_link::{DeviceSpec, LinkError, Transport};
+use ihd_sim::hob::{HobConfig, SimHob};
+use tokio::sync::broadcast;
+
+/// Longer than anything here takes on a machine that does much else.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Lag behind real time that is given up rather than caught up with.
+const LARGEST_LAG_S: f64 = 0.05;
+
+/// A hob, its plug, and what may be done to them.
+pub struct Bench {
+    hob: Mutex<SimHob>,
+    /// Counts connections: one that is not the last is closed.
+    connection: AtomicU64,
+    /// Nobody can connect, and who is connected is cut off.
+    pub unplugged: AtomicBool,
+    /// Nothing passes either way.
+    pub mute: AtomicBool,
+    stop: AtomicBool,
+}
+
+impl Bench {
+    pub fn new(config: &HobConfig) -> Arc<Self> {
+        let bench = Arc::new(Self {
+            hob: Mutex::new(SimHob::new(config)),
+            connection: AtomicU64::new(0),
+            unplugged: AtomicBool::new(false),
+            mute: AtomicBool::new(false),
+            stop: AtomicBool::new(false),
+        });
+        let running = Arc::clone(&bench);
+        thread::spawn(move || running.run());
+        bench
+    }
+
+    pub fn hob(&self) -> MutexGuard<'_, SimHob> {
+        self.hob.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Another hob in its place, as after a reset.
+    pub fn replace(&self, config: &HobConfig) {
+        *self.hob() = SimHob::new(config);
+    }
+
+    fn run(&self) {
+        let mut due_s = self.hob().t_s();
+        let mut last = Instant::now();
+        while !self.stop.load(Ordering::Relaxed) {
+            due_s += last.elapsed().as_secs_f64();
+            last = Instant::now();
+            {
+                let mut hob = self.hob();
+                due_s = due_s.min(hob.t_s() + LARGEST_LAG_S);
+                if due_s < hob.t_s() - 1.0 {
+                    due_s = hob.t_s();
+                }
+                while hob.t_s() < due_s {
+                    hob.step();
+                }
+            }
+            thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    pub fn panel(&self, level: u8) {
+        self.hob().panel(PanelEvent::Level(level));
+    }
+
+    /// Power that the hob is asked for by whomever, in watt.
+    pub fn asked_w(&self) -> u16 {
+        self.hob().housekeeping().control().asked_w()
+    }
+
+    fn plug(self: &Arc<Self>, name: &str) -> Result<Box<dyn Transport>, LinkError> {
+        if self.unplugged.load(Ordering::Relaxed) {
+            return Err(LinkError::Connect {
+                device: name.to_owned(),
+                hint: "; it is unplugged".to_owned(),
+                source: std::io::ErrorKind::NotFound.into(),
+            });
+        }
+        let connection = 1 + self.connection.fetch_add(1, Ordering::Relaxed);
+        Ok(Box::new(Plug {
+            bench: Arc::clone(self),
+            connection,
+            name: name.to_owned(),
+        }))
+    }
+}
+
+struct Plug {
+    bench: Arc<Bench>,
+    connection: u64,
+    name: String,
+}
+
+impl Plug {
+    fn check(&self) -> Result<(), LinkError> {
+        let cut = self.bench.unplugged.load(Ordering::Relaxed)
+            || self.bench.connection.load(Ordering::Relaxed) != self.connection;
+        match cut {
+            true => Err(LinkError::Closed {
+                device: self.name.clone(),
+            }),
+            false => Ok(()),
+        }
+    }
+}
+
+impl Transport for Plug {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.check()?;
+        if !self.bench.mute.load(Ordering::Relaxed) {
+            self.bench.hob().send(bytes);
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            self.check()?;
+            let mute = self.bench.mute.load(Ordering::Relaxed);
+            let n = self.bench.hob().receive(buf);
+            if n > 0 && !mute {
+                return Ok(n);
+            }
+            if Instant::now() >= deadline {
+                return Ok(0);
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn describe(&self) -> String {
+        self.name.clone()
+    }
+}
+
+/// Devices by name, and a store that outlives the daemons on it.
+pub struct Rig {
+    pub benches: HashMap<String, Arc<Bench>>,
+    pub folder: tempfile::TempDir,
+}
+
+impl Rig {
+    /// With a hob of each name.
+    pub fn new(names: &[&str]) -> Self {
+        let bench = |(k, name): (usize, &&str)| {
+            let config = HobConfig {
+                seed: 1 + k as u64,
+                ..HobConfig::default()
+            };
+            ((*name).to_owned(), Bench::new(&config))
+        };
+        Self {
+            benches: names.iter().enumerate().map(bench).collect(),
+            folder: tempfile::tempdir().unwrap(),
+        }
+    }
+
+    pub fn bench(&self) -> &Arc<Bench> {
+        &self.benches["bench"]
+    }
+
+    pub fn config(&self) -> Config {
+        let mut text = String::from("discover_usb = false\n");
+        for name in self.benches.keys() {
+            text += &format!("[[device]]\nname = \"{name}\"\naddress = \"serial:{name}\"\n");
+        }
+        let mut config = Config::parse(&text, "test").unwrap();
+        config.store = self.folder.path().join("store");
+        config
+    }
+
+    /// A daemon on the rig's store.
+    pub async fn daemon(&self) -> Daemon {
+        let benches = self.benches.clone();
+        let open: Arc<OpenDevice> = Arc::new(move |address| match &address.spec {
+            DeviceSpec::Serial(name) => benches[name].plug(name),
+            other => panic!("{other} is on no bench"),
+        });
+        Daemon::start(self.config(), open).await.unwrap()
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        for bench in self.benches.values() {
+            bench.stop.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Waits until the device `bench` is as wanted; its report then.
+pub async fn until(daemon: &Daemon, wanted: impl Fn(&DeviceReport) -> bool) -> DeviceReport {
+    let began = Instant::now();
+    loop {
+        let report = daemon.device("bench").expect("it is configured");
+        if wanted(&report) {
+            return report;
+        }
+        assert!(began.elapsed() < PATIENCE, "still {report:#?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+pub async fn until_state(daemon: &Daemon, state: DeviceState) -> DeviceReport {
+    until(daemon, |report| report.state == state).await
+}
+
+/// Waits for a notice of the device `bench`.
+pub async fn hear<T>(
+    notices: &mut broadcast::Receiver<Arc<Notice>>,
+    wanted: impl Fn(&What) -> Option<T>,
+) -> T {
+    let heard = async {
+        loop {
+            let notice = notices.recv().await.expect("few enough to keep up with");
+            if let Some(found) = wanted(&notice.what) {
+                return found;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, heard)
+        .await
+        .expect("in time")
+}
+
+pub async fn power(daemon: &Daemon, holder: &str, power_w: u16) -> Result<Done, CommandError> {
+    daemon
+        .command("bench", holder, Command::Power { power_w })
+        .await
+}
+
+/// A server of a hob behind TCP, until it is dropped.
+pub struct Tcp {
+    pub port: u16,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Tcp {
+    pub fn start(address: &str, seed: u64) -> Self {
+        let config = HobConfig {
+            seed,
+            ..HobConfig::default()
+        };
+        let mut server = ihd_sim::server::Server::bind(address, SimHob::new(&config)).unwrap();
+        let port = server.address().port();
+        let stop = Arc::new(AtomicBool::new(false));
+        let told = Arc::clone(&stop);
+        let thread = thread::spawn(move || server.run(1.0, &told, |_| ()).unwrap());
+        Self {
+            port,
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Tcp {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
