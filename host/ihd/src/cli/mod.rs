@@ -7,18 +7,28 @@ pub mod usage;
 
 pub mod calibrate;
 pub mod capture_args;
+#[cfg(feature = "daemon")]
+pub mod configured;
 pub mod convert;
+#[cfg(feature = "daemon")]
+pub mod device;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
 pub mod inspect;
 pub mod interrupt;
+#[cfg(feature = "daemon")]
+pub mod opener;
 pub mod record;
 pub mod replay;
 pub mod scenario;
+#[cfg(feature = "daemon")]
+pub mod serve;
 pub mod simulate;
 pub mod simulated;
 pub mod study;
+#[cfg(feature = "daemon")]
+pub mod supervised;
 #[cfg(feature = "pinn")]
 pub mod trainer;
 
@@ -46,6 +56,8 @@ enum Command {
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
     Convert(Box<convert::ConvertArgs>),
+    #[cfg(feature = "daemon")]
+    Device(Box<device::DeviceArgs>),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
@@ -67,6 +79,8 @@ impl Cli {
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(),
             Command::Convert(args) => args.run(),
+            #[cfg(feature = "daemon")]
+            Command::Device(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
@@ -100,6 +114,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
             E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
             E::Store(_) | E::Write { .. } => 1,
         };
+    }
+    #[cfg(feature = "daemon")]
+    if let Some(code) = device::exit_code(error) {
+        return code;
     }
     if error.is::<replay::Differs>() {
         return 6;

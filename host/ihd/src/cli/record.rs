@@ -1,11 +1,12 @@
 //! `ihd record`: everything that a device streams, in a capture file.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{Args, FromArgMatches};
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
 use ihd_link::{Client, DeviceSpec, Event, Transport};
@@ -98,12 +99,38 @@ impl RecordArgs {
     /// When the device or the file fails; what was recorded until then is in the file.
     pub fn run(&self) -> Result<()> {
         self.check()?;
-        let stop = interrupt::flag().context("cannot catch ^C")?;
         let config = self.simulated.config()?;
         let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
-        let mut client = Client::connect(self.device.open(sim)?)?;
+        let client = Client::connect(self.device.open(sim)?)?;
+        self.record_from(client, !matches!(self.device, DeviceSpec::Sim))
+    }
+
+    /// The recording of a device that somebody else opens.
+    ///
+    /// # Errors
+    /// Never, unless the options of this command change.
+    pub fn of_device(out: PathBuf, duration_s: Option<f64>, json: bool) -> Result<Self> {
+        let mut words = vec![OsString::from("record"), "--out".into(), out.into()];
+        if let Some(s) = duration_s {
+            words.push(format!("--duration={s}").into());
+        }
+        if json {
+            words.push("--json".into());
+        }
+        let options = Self::augment_args(clap::Command::new("record"));
+        Ok(Self::from_arg_matches(
+            &options.try_get_matches_from(words)?,
+        )?)
+    }
+
+    /// Records and reports; by the wall's clock where the device has it, not simulated time.
+    ///
+    /// # Errors
+    /// As [`RecordArgs::run`].
+    pub fn record_from(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
+        let stop = interrupt::flag().context("cannot catch ^C")?;
         let mut recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
-        if !matches!(self.device, DeviceSpec::Sim) {
+        if has_wall_clock {
             recorder = recorder.flushed_by_the_wall_clock();
         }
         let size = recorder.size();

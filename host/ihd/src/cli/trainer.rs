@@ -77,11 +77,18 @@ pub struct TrainerArgs {
     json: bool,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
+    #[cfg(feature = "daemon")]
+    #[command(flatten)]
+    serve: super::serve::ServeArgs,
 }
 
 impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
+        #[cfg(feature = "daemon")]
+        if self.serve.asked()? {
+            return self.serve.run();
+        }
         for &power_w in &self.power {
             ensure_usage!(
                 (1..=RATED_POWER_W).contains(&power_w),

@@ -3,6 +3,8 @@
 #[cfg(feature = "pinn")]
 mod command_line;
 mod convert;
+#[cfg(all(feature = "daemon", unix))]
+mod daemon;
 mod exit_codes;
 mod identify;
 mod identify_accuracy;

@@ -1,0 +1,111 @@
+//! Names by which this machine may be called: without the list, any page could rename itself to 127.0.0.1 (DNS rebinding).
+
+use std::net::IpAddr;
+
+use axum::http::header::HOST;
+use axum::http::request::Parts;
+
+/// The names and addresses that a request may be addressed to, in lower case, without port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AllowedHosts(Vec<String>);
+
+impl AllowedHosts {
+    /// Loopback's names, the address that is listened on, and `others`.
+    pub fn new(listen: IpAddr, others: &[String]) -> Self {
+        let mut names: Vec<String> = ["localhost", "127.0.0.1", "[::1]"].map(Into::into).into();
+        if !listen.is_unspecified() {
+            names.push(match listen {
+                IpAddr::V4(ip) => ip.to_string(),
+                IpAddr::V6(ip) => format!("[{ip}]"),
+            });
+        }
+        names.extend(others.iter().map(|name| name.to_ascii_lowercase()));
+        Self(names)
+    }
+
+    /// Whether the request calls this machine, and it alone, by a name of the list.
+    pub fn allows(&self, request: &Parts) -> bool {
+        let mut hosts = request.headers.get_all(HOST).iter();
+        let (Some(host), None) = (hosts.next(), hosts.next()) else {
+            return false;
+        };
+        // A request line may name a host of its own, which outranks the header.
+        let target = request.uri.authority().map(|a| a.as_str());
+        host.to_str().is_ok_and(|host| self.names(host)) && target.is_none_or(|t| self.names(t))
+    }
+
+    fn names(&self, host: &str) -> bool {
+        let name = without_port(host).to_ascii_lowercase();
+        self.0.contains(&name)
+    }
+}
+
+/// `[::1]:80` is `[::1]`, `localhost:80` is `localhost`.
+fn without_port(host: &str) -> &str {
+    match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') && port.bytes().all(|b| b.is_ascii_digit()) => {
+            name
+        }
+        _ => host,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::Request;
+
+    use super::*;
+
+    fn parts(hosts: &[&str], uri: &str) -> Parts {
+        let mut request = Request::builder().uri(uri);
+        for host in hosts {
+            request = request.header("host", *host);
+        }
+        request.body(()).unwrap().into_parts().0
+    }
+
+    #[test]
+    fn only_names_of_the_list_pass() {
+        let allowed = AllowedHosts::new([192, 168, 1, 5].into(), &["Hob.Kitchen.lan".into()]);
+        for good in [
+            "localhost",
+            "LOCALHOST:8731",
+            "127.0.0.1:8731",
+            "[::1]:8731",
+            "[::1]",
+            "192.168.1.5",
+            "hob.kitchen.lan:8731",
+        ] {
+            assert!(allowed.allows(&parts(&[good], "/")), "{good}");
+        }
+        for bad in [
+            "",
+            "evil.example",
+            "localhost.evil.example",
+            "evil.example:8731",
+            "127.0.0.1.nip.io",
+            "user@localhost",
+            "localhost:80:80",
+            "192.168.1.50",
+            "0.0.0.0",
+            "::1",
+        ] {
+            assert!(!allowed.allows(&parts(&[bad], "/")), "{bad}");
+        }
+    }
+
+    #[test]
+    fn no_host_two_hosts_and_a_foreign_request_line_do_not_pass() {
+        let allowed = AllowedHosts::new([127, 0, 0, 1].into(), &[]);
+        assert!(!allowed.allows(&parts(&[], "/")));
+        assert!(!allowed.allows(&parts(&["localhost", "localhost"], "/")));
+        assert!(!allowed.allows(&parts(&["localhost"], "http://evil.example/")));
+        assert!(allowed.allows(&parts(&["localhost"], "http://localhost/")));
+    }
+
+    #[test]
+    fn listening_everywhere_is_no_name() {
+        let allowed = AllowedHosts::new([0, 0, 0, 0].into(), &[]);
+        assert!(!allowed.allows(&parts(&["0.0.0.0"], "/")));
+    }
+}

@@ -1,0 +1,288 @@
+//! The token file: a line `role token` for each token, readable by its owner alone.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use rustls::crypto::ring;
+use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
+use thiserror::Error;
+
+use super::Role;
+
+/// Random bytes of a token that is made here; it is written in hexadecimal.
+const TOKEN_BYTES: usize = 32;
+
+/// Fewest characters of a token that somebody wrote himself.
+const MIN_CHARACTERS: usize = 32;
+
+/// Largest token file that is read.
+const MAX_FILE_BYTES: u64 = 65_536;
+
+/// Why a token file cannot be used.
+#[derive(Debug, Error)]
+pub enum TokenError {
+    /// It cannot be made, read or judged.
+    #[error("token file {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Others may read it.
+    #[error(
+        "token file {} can be read by others than its owner (mode {mode:03o}): \
+         run `chmod 600` on it, and replace its tokens if they may have been seen",
+        path.display()
+    )]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// A line is not `role token`.
+    #[error("token file {}, line {line}: {why}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong with it.
+        why: &'static str,
+    },
+    /// It holds no token.
+    #[error("token file {} holds no token: delete it, and a new one is made", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system gives no random numbers.
+    #[error("no random numbers for a token")]
+    Random,
+}
+
+/// The tokens that are good for something. They appear in no message.
+pub struct Tokens(Vec<(Role, String)>);
+
+impl Tokens {
+    /// Reads the token file; makes it, with a token of each role, where there is none. Says whether it was made.
+    ///
+    /// # Errors
+    /// [`TokenError`]; nothing of a file that is refused is used.
+    pub fn read_or_make(path: &Path) -> Result<(Self, bool), TokenError> {
+        match Self::make(path) {
+            Ok(tokens) => Ok((tokens, true)),
+            Err(TokenError::Io { source, .. }) if source.kind() == io::ErrorKind::AlreadyExists => {
+                Ok((Self::read(path)?, false))
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Reads the token file.
+    ///
+    /// # Errors
+    /// As [`Tokens::read_or_make`].
+    pub fn read(path: &Path) -> Result<Self, TokenError> {
+        let io = |source| TokenError::Io {
+            path: path.into(),
+            source,
+        };
+        let mut file = fs::File::open(path).map_err(io)?;
+        // Of the file that is open, not of what the path may name by now.
+        refuse_if_open_to_others(&file, path)?;
+        let mut text = String::new();
+        io::Read::read_to_string(&mut io::Read::take(&mut file, MAX_FILE_BYTES), &mut text)
+            .map_err(io)?;
+        Self::parse(&text, path)
+    }
+
+    fn make(path: &Path) -> Result<Self, TokenError> {
+        let io = |source| TokenError::Io {
+            path: path.into(),
+            source,
+        };
+        let mut options = fs::OpenOptions::new();
+        options.write(true).create_new(true);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let mut file = options.open(path).map_err(io)?;
+        let mut tokens = Vec::new();
+        let mut text =
+            String::from("# Tokens of ihd's API: `role token`. Whoever has one has its role.\n");
+        for role in Role::ALL {
+            let token = random_token()?;
+            text += &format!("{} {token}\n", role.name());
+            tokens.push((role, token));
+        }
+        file.write_all(text.as_bytes()).map_err(io)?;
+        file.sync_all().map_err(io)?;
+        Ok(Self(tokens))
+    }
+
+    fn parse(text: &str, path: &Path) -> Result<Self, TokenError> {
+        let mut tokens = Vec::new();
+        for (k, line) in text.lines().enumerate() {
+            let wrong = |why| TokenError::Line {
+                path: path.into(),
+                line: k + 1,
+                why,
+            };
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let (role, token) = line
+                .split_once(char::is_whitespace)
+                .ok_or_else(|| wrong("it is not `role token`"))?;
+            let role = Role::from_name(role)
+                .ok_or_else(|| wrong("the role is none of read, operate and flash"))?;
+            let token = token.trim();
+            if token.len() < MIN_CHARACTERS {
+                return Err(wrong("the token is shorter than 32 characters"));
+            }
+            if !token.bytes().all(|b| b.is_ascii_graphic()) {
+                return Err(wrong("the token holds other than printable ASCII"));
+            }
+            tokens.push((role, token.to_owned()));
+        }
+        if tokens.is_empty() {
+            return Err(TokenError::Empty { path: path.into() });
+        }
+        Ok(Self(tokens))
+    }
+
+    /// The highest role of a token. Takes as long for a wrong one as for a right one of the same length.
+    pub fn role(&self, given: &str) -> Option<Role> {
+        // 0 is no role; what is found is kept without a branch.
+        let mut found = 0u8;
+        for (role, token) in &self.0 {
+            let same: Choice = token.as_bytes().ct_eq(given.as_bytes());
+            let higher = found.max(*role as u8 + 1);
+            found = u8::conditional_select(&found, &higher, same);
+        }
+        Role::ALL.get(usize::from(found).wrapping_sub(1)).copied()
+    }
+
+    /// The lowest token that reaches a role, for a client that owns the file.
+    pub fn at_least(&self, role: Role) -> Option<&str> {
+        self.0
+            .iter()
+            .filter(|(has, _)| *has >= role)
+            .min_by_key(|(has, _)| *has)
+            .map(|(_, token)| token.as_str())
+    }
+}
+
+fn random_token() -> Result<String, TokenError> {
+    let mut bytes = [0; TOKEN_BYTES];
+    ring::default_provider()
+        .secure_random
+        .fill(&mut bytes)
+        .map_err(|_| TokenError::Random)?;
+    Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
+}
+
+#[cfg(unix)]
+fn refuse_if_open_to_others(file: &fs::File, path: &Path) -> Result<(), TokenError> {
+    use std::os::unix::fs::PermissionsExt;
+    let mode = file
+        .metadata()
+        .map_err(|source| TokenError::Io {
+            path: path.into(),
+            source,
+        })?
+        .permissions()
+        .mode()
+        & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(TokenError::Open {
+            path: path.into(),
+            mode,
+        });
+    }
+    Ok(())
+}
+
+/// Elsewhere the folder's access list has to do it (docs/daemon.md).
+#[cfg(not(unix))]
+fn refuse_if_open_to_others(_: &fs::File, _: &Path) -> Result<(), TokenError> {
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(text: &str) -> Result<Tokens, TokenError> {
+        Tokens::parse(text, Path::new("tokens"))
+    }
+
+    #[test]
+    fn a_file_that_is_made_holds_a_different_token_of_each_role_for_its_owner_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("tokens");
+        let (made, new) = Tokens::read_or_make(&path).unwrap();
+        assert!(new);
+        for (role, token) in &made.0 {
+            assert_eq!(token.len(), 64);
+            assert_eq!(made.role(token), Some(*role));
+        }
+        assert_ne!(made.0[0].1, made.0[1].1);
+        let (read, new) = Tokens::read_or_make(&path).unwrap();
+        assert!(!new);
+        assert_eq!(read.0, made.0);
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = |mode| fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            assert_eq!(
+                fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+                0o600
+            );
+            for open in [0o640, 0o604, 0o620] {
+                mode(open);
+                let refused = Tokens::read_or_make(&path).err().unwrap().to_string();
+                assert!(refused.contains("chmod 600"), "{refused}");
+            }
+        }
+    }
+
+    #[test]
+    fn wrong_tokens_have_no_role() {
+        let right = "a".repeat(64);
+        let tokens = parsed(&format!("operate {right}\n")).unwrap();
+        assert_eq!(tokens.role(&right), Some(Role::Operate));
+        for wrong in ["", "a", &right[1..], &format!("{right}a"), &"b".repeat(64)] {
+            assert_eq!(tokens.role(wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn lines_that_are_wrong_are_named() {
+        let long = "x".repeat(40);
+        for (text, word) in [
+            ("# only a comment\n".to_owned(), "no token"),
+            ("read short\n".to_owned(), "line 1"),
+            (format!("\nroot {long}\n"), "line 2"),
+            (format!("{long}\n"), "role token"),
+            (format!("read {long} {long}\n"), "printable"),
+        ] {
+            let error = parsed(&text).err().unwrap().to_string();
+            assert!(error.contains(word), "{text:?}: {error}");
+            assert!(!error.contains(&long), "a token in a message: {error}");
+        }
+    }
+
+    #[test]
+    fn the_owner_gets_the_lowest_token_that_does() {
+        let (low, high) = ("l".repeat(32), "h".repeat(32));
+        let tokens = parsed(&format!("flash {high}\nread {low}\n")).unwrap();
+        assert_eq!(tokens.at_least(Role::Read), Some(low.as_str()));
+        assert_eq!(tokens.at_least(Role::Operate), Some(high.as_str()));
+        let reader = parsed(&format!("read {low}\n")).unwrap();
+        assert_eq!(reader.at_least(Role::Operate), None);
+    }
+}

@@ -1,0 +1,250 @@
+//! The daemon itself behind the routes.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease, Notice};
+use ihd_daemon::{Daemon, DaemonError};
+use ihd_store::{LookupRow, ResultFilter, ResultRow};
+use tokio::sync::{Mutex, broadcast};
+use tokio::time::timeout;
+
+use crate::backend::{Alive, Answer, Backend, Figure};
+use crate::model::{StoredLookup, StoredResult};
+
+/// A store that does not answer a question within this is not alive.
+const STORE_ANSWERS: Duration = Duration::from_secs(5);
+
+/// How long an answer about health holds: whoever asks often does not load the store.
+const HEALTH_HOLDS: Duration = Duration::from_secs(1);
+
+/// A [`Daemon`] as a [`Backend`].
+pub struct DaemonBackend {
+    daemon: Daemon,
+    health: Mutex<Option<(Instant, Alive)>>,
+}
+
+impl DaemonBackend {
+    /// The daemon, for the server.
+    pub fn new(daemon: Daemon) -> Self {
+        Self {
+            daemon,
+            health: Mutex::new(None),
+        }
+    }
+
+    fn known(&self, device: &str) -> Result<(), CommandError> {
+        match self.daemon.device(device) {
+            Some(_) => Ok(()),
+            None => Err(CommandError::NoDevice {
+                name: device.into(),
+            }),
+        }
+    }
+}
+
+/// Whether the daemon's store answers at all, well or not.
+pub async fn store_answers(daemon: &Daemon) -> bool {
+    let nothing = ResultFilter {
+        limit: Some(1),
+        ..ResultFilter::default()
+    };
+    timeout(STORE_ANSWERS, daemon.results(nothing))
+        .await
+        .is_ok()
+}
+
+/// Messages of the store name files, which are nobody's business but the log's.
+fn failed(error: &DaemonError) -> CommandError {
+    tracing::warn!(%error, "a request failed");
+    CommandError::Failed {
+        why: "the store could not do that; the daemon's log says why".into(),
+    }
+}
+
+impl Backend for DaemonBackend {
+    fn devices(&self) -> Vec<DeviceReport> {
+        self.daemon.devices()
+    }
+
+    fn device(&self, name: &str) -> Option<DeviceReport> {
+        self.daemon.device(name)
+    }
+
+    fn command<'a>(
+        &'a self,
+        device: &'a str,
+        holder: &'a str,
+        command: Command,
+    ) -> Answer<'a, Done> {
+        Box::pin(self.daemon.command(device, holder, command))
+    }
+
+    fn take_lease<'a>(
+        &'a self,
+        device: &'a str,
+        holder: &'a str,
+        force: bool,
+    ) -> Answer<'a, Lease> {
+        Box::pin(self.daemon.take_lease(device, holder, force))
+    }
+
+    fn release_lease<'a>(&'a self, device: &'a str, holder: &'a str) -> Answer<'a, ()> {
+        Box::pin(self.daemon.release_lease(device, holder))
+    }
+
+    fn watch(&self) -> broadcast::Receiver<Arc<Notice>> {
+        self.daemon.watch()
+    }
+
+    fn results<'a>(
+        &'a self,
+        device: &'a str,
+        limit: u32,
+        since_ms: Option<i64>,
+    ) -> Answer<'a, Vec<StoredResult>> {
+        Box::pin(async move {
+            self.known(device)?;
+            let filter = ResultFilter {
+                device: Some(device.into()),
+                since_ms,
+                limit: Some(limit),
+            };
+            let rows = self.daemon.results(filter).await;
+            let rows = rows.map_err(|error| failed(&error))?;
+            Ok(rows.into_iter().map(StoredResult::from).collect())
+        })
+    }
+
+    fn lookups<'a>(&'a self, device: &'a str) -> Answer<'a, Vec<StoredLookup>> {
+        Box::pin(async move {
+            self.known(device)?;
+            let rows = self.daemon.lookups(device).await;
+            let rows = rows.map_err(|error| failed(&error))?;
+            Ok(rows.into_iter().rev().map(StoredLookup::from).collect())
+        })
+    }
+
+    fn backup(&self, to: PathBuf) -> Answer<'_, ()> {
+        Box::pin(async move {
+            let done = match to.parent() {
+                Some(folder) => std::fs::create_dir_all(folder),
+                None => Ok(()),
+            };
+            if let Err(error) = done {
+                tracing::warn!(%error, "the folder for backups cannot be made");
+            }
+            self.daemon.backup(to).await.map_err(|error| failed(&error))
+        })
+    }
+
+    fn figures(&self) -> Vec<Figure> {
+        let f = self.daemon.figures();
+        let gauge = |name, help, value| Figure {
+            name,
+            help,
+            counter: false,
+            value,
+        };
+        let counter = |name, help, value| Figure {
+            counter: true,
+            ..gauge(name, help, value)
+        };
+        let mut all = vec![
+            gauge("up_seconds", "Seconds since the daemon began", f.up_s),
+            gauge("devices", "Devices", f.devices as f64),
+            gauge(
+                "store_well",
+                "1 where the store's last job went well",
+                f64::from(u8::from(f.store_is_well)),
+            ),
+            gauge(
+                "store_queue",
+                "Jobs that wait for the store",
+                f.store_waiting as f64,
+            ),
+            gauge(
+                "store_longest_seconds",
+                "Longest job of the store",
+                f.store_longest_s,
+            ),
+            counter("store_jobs_total", "Jobs of the store", f.store_jobs as f64),
+            counter(
+                "store_failures_total",
+                "Jobs of the store that failed",
+                f.store_failures as f64,
+            ),
+            counter(
+                "store_busy_seconds_total",
+                "Seconds that the store was busy",
+                f.store_busy_s,
+            ),
+        ];
+        if let Some(bytes) = f.rss_bytes {
+            let help = "Memory of the daemon that is resident";
+            all.push(gauge("resident_memory_bytes", help, bytes as f64));
+        }
+        all
+    }
+
+    fn alive(&self) -> Answer<'_, Alive> {
+        Box::pin(async move {
+            // Held while the store is asked: who asks meanwhile waits for the same answer.
+            let mut health = self.health.lock().await;
+            if let Some((at, alive)) = *health
+                && at.elapsed() < HEALTH_HOLDS
+            {
+                return Ok(alive);
+            }
+            let answers = store_answers(&self.daemon).await;
+            let alive = Alive {
+                store: answers && self.daemon.figures().store_is_well,
+                // Its tasks run on the threads that answer this.
+                supervisor: true,
+            };
+            *health = Some((Instant::now(), alive));
+            Ok(alive)
+        })
+    }
+}
+
+/// JSON has no NaN.
+fn finite(x: f64) -> Option<f64> {
+    x.is_finite().then_some(x)
+}
+
+impl From<ResultRow> for StoredResult {
+    fn from(row: ResultRow) -> Self {
+        Self {
+            device: row.device,
+            boot: row.boot,
+            seq: row.seq,
+            at_ms: row.at_ms,
+            half_cycle: row.half_cycle,
+            f_sw_hz: row.f_sw_hz,
+            i_crest_a: finite(row.i_crest_a),
+            power_w: row.power_w.and_then(finite),
+            r_ohm: finite(row.r_ohm),
+            l_h: finite(row.l_h),
+            sigma_r_pct: finite(row.sigma_r_pct),
+            sigma_l_pct: finite(row.sigma_l_pct),
+            pass: row.pass,
+            why: row.why,
+            changed_lookup: row.changed_lookup,
+        }
+    }
+}
+
+impl From<LookupRow> for StoredLookup {
+    fn from(row: LookupRow) -> Self {
+        Self {
+            version: row.version,
+            state: row.state.to_string(),
+            origin: row.origin,
+            at_ms: row.at_ms,
+            why: row.why,
+            blob: row.blob,
+        }
+    }
+}

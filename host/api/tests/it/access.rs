@@ -1,0 +1,217 @@
+//! Who is refused, with which status and words.
+
+use ihd_api::access::{Role, tokens::Tokens};
+
+use crate::backend::Running;
+use crate::http::{ask, raw};
+
+const OFF: &str = r#"{"command":"off"}"#;
+const JSON: &str = "Content-Type: application/json";
+const ME: &str = "ihd-holder: test";
+const COMMANDS: &str = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
+
+/// Every route, with a method that it has.
+const ROUTES: [&str; 13] = [
+    "GET /",
+    "GET /healthz",
+    "GET /metrics",
+    "GET /api/v1/openapi.json",
+    "GET /api/v1/devices",
+    "GET /api/v1/devices/x",
+    "GET /api/v1/devices/x/lookups",
+    "GET /api/v1/devices/x/results",
+    "GET /api/v1/events",
+    "POST /api/v1/devices/x/commands",
+    "PUT /api/v1/devices/x/lease",
+    "DELETE /api/v1/devices/x/lease",
+    "POST /api/v1/store/backup",
+];
+
+#[test]
+fn a_foreign_name_is_refused_on_every_route() {
+    let server = Running::start();
+    for route in ROUTES.into_iter().chain(["GET /nowhere"]) {
+        for host in ["Host: evil.example", "Host: localhost.evil.example", "X: y"] {
+            let (status, body) = raw(server.address, route, &[host], "");
+            let expected = if host == "X: y" {
+                [400, 421]
+            } else {
+                [421, 421]
+            };
+            assert!(
+                expected.contains(&status),
+                "{route} {host}: {status} {body}"
+            );
+            assert!(!body.contains("bench"), "{body}");
+        }
+    }
+    let with_port = format!("Host: 127.0.0.1:{}", server.address.port());
+    assert_eq!(
+        raw(server.address, "GET /healthz", &[&with_port], "").0,
+        200
+    );
+}
+
+#[test]
+fn another_sites_page_commands_nothing() {
+    let server = Running::start();
+    for foreign in [
+        "Origin: https://evil.example",
+        "Origin: null",
+        "Sec-Fetch-Site: cross-site",
+        "Sec-Fetch-Site: same-site",
+        // Another port of this machine is another origin.
+        "Origin: http://localhost:1",
+    ] {
+        let (status, body) = ask(server.address, COMMANDS, &[JSON, ME, foreign], OFF);
+        assert_eq!(status, 403, "{foreign}: {body}");
+        assert!(body.contains("cross-site"), "{body}");
+    }
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    // The same from its own page, and from a program.
+    for own in [
+        "Origin: http://localhost",
+        "Sec-Fetch-Site: same-origin",
+        "X: y",
+    ] {
+        let (status, body) = ask(server.address, COMMANDS, &[JSON, ME, own], OFF);
+        assert_eq!(status, 200, "{own}: {body}");
+    }
+    assert_eq!(server.fake.asked.lock().unwrap().commands.len(), 3);
+}
+
+#[test]
+fn another_sites_script_reads_nothing_and_its_link_opens() {
+    let server = Running::start();
+    let cross = "Sec-Fetch-Site: cross-site";
+    assert_eq!(
+        ask(server.address, "GET /api/v1/devices", &[cross], "").0,
+        403
+    );
+    let followed = [cross, "Sec-Fetch-Mode: navigate"];
+    assert_eq!(ask(server.address, "GET /", &followed, "").0, 200);
+}
+
+#[test]
+fn a_form_cannot_command() {
+    // What a page may send without asking first: no header of its own, no JSON.
+    let server = Running::start();
+    for kind in ["text/plain", "application/x-www-form-urlencoded"] {
+        let kind = format!("Content-Type: {kind}");
+        assert_eq!(ask(server.address, COMMANDS, &[&kind, ME], OFF).0, 415);
+    }
+    assert_eq!(ask(server.address, COMMANDS, &[ME], OFF).0, 415);
+    let (status, body) = ask(server.address, COMMANDS, &[JSON], OFF);
+    assert_eq!(status, 400, "{body}");
+    assert!(body.contains("ihd-holder"), "{body}");
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+}
+
+#[test]
+fn without_the_right_token_nothing_but_health() {
+    let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
+    let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+    let bearer = |role| format!("Authorization: Bearer {}", tokens.at_least(role).unwrap());
+    let wrong = format!("Authorization: Bearer {}", "0".repeat(64));
+    for route in ROUTES.into_iter().chain(["GET /nowhere"]) {
+        for header in ["X: y", wrong.as_str(), "Authorization: Basic eA=="] {
+            let (status, body) = ask(server.address, route, &[header], "");
+            let expected = if route == "GET /healthz" { 200 } else { 401 };
+            assert_eq!(status, expected, "{route} {header}: {body}");
+        }
+    }
+    let read = bearer(Role::Read);
+    assert_eq!(ask(server.address, "GET /metrics", &[&read], "").0, 200);
+    // Looking is not commanding.
+    for route in ROUTES.iter().filter(|r| !r.starts_with("GET")) {
+        let (status, body) = ask(server.address, route, &[&read, JSON, ME], OFF);
+        assert_eq!(status, 403, "{route}: {body}");
+        assert!(body.contains("operate"), "{body}");
+    }
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    for role in [Role::Operate, Role::Flash] {
+        let (status, body) = ask(server.address, COMMANDS, &[&bearer(role), JSON, ME], OFF);
+        assert_eq!(status, 200, "{body}");
+    }
+}
+
+#[test]
+fn get_changes_nothing() {
+    let server = Running::start();
+    for route in ROUTES.iter().filter(|r| !r.starts_with("GET")) {
+        let (_, path) = route.split_once(' ').unwrap();
+        let (status, body) = ask(server.address, &format!("GET {path}"), &[ME], "");
+        assert_eq!(status, 405, "{path}: {body}");
+        assert!(body.contains("\"method\""), "{body}");
+    }
+    let asked = server.fake.asked.lock().unwrap();
+    assert!(asked.commands.is_empty() && asked.lease.is_none() && asked.backups.is_empty());
+}
+
+#[test]
+fn bodies_with_keys_or_values_that_are_none_are_refused() {
+    let server = Running::start();
+    for body in [
+        "{}",
+        "null",
+        r#"{"command":"explode"}"#,
+        r#"{"command":"power","power_w":-5}"#,
+        r#"{"command":"power","power_w":70000}"#,
+        r#"{"command":"power","power_w":500,"for_s":5}"#,
+        r#"{"command":"power","power_w":500"#,
+    ] {
+        let (status, answer) = ask(server.address, COMMANDS, &[JSON, ME], body);
+        assert!((400..=422).contains(&status), "{body}: {status} {answer}");
+    }
+    for query in ["limit=0", "limit=10001", "limit=x", "since=x", "lmit=3"] {
+        let line = format!("GET /api/v1/devices/x/results?{query}");
+        assert_eq!(ask(server.address, &line, &[], "").0, 400, "{query}");
+    }
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+}
+
+#[test]
+fn answers_tell_no_version_and_no_path() {
+    let server = Running::start();
+    let dir = server.dir.path().display().to_string();
+    for line in [
+        "GET /nowhere",
+        "GET /api/v1/devices/x",
+        "GET /..%2f..%2fetc/passwd",
+    ] {
+        let (status, body) = ask(server.address, line, &[], "");
+        assert_eq!(status, 404, "{line}");
+        for word in [env!("CARGO_PKG_VERSION"), "axum", "hyper", &dir, ".rs"] {
+            assert!(!body.contains(word), "{line}: {body}");
+        }
+    }
+}
+
+#[test]
+fn a_backup_stays_in_its_folder_and_overwrites_nothing() {
+    let server = Running::start();
+    let backup = |to: &str| {
+        let body = format!("{{\"to\":{to:?}}}");
+        ask(server.address, "POST /api/v1/store/backup", &[JSON], &body).0
+    };
+    for bad in ["../x", "/tmp/x", "", "."] {
+        assert_eq!(backup(bad), 400, "{bad}");
+    }
+    assert_eq!(backup("monday"), 200);
+    let folder = server.dir.path().join("backups");
+    std::fs::create_dir_all(folder.join("tuesday")).unwrap();
+    assert_eq!(backup("tuesday"), 409);
+    assert_eq!(
+        server.fake.asked.lock().unwrap().backups,
+        [folder.join("monday")]
+    );
+}
+
+#[test]
+fn health_says_what_is_dead() {
+    let server = Running::start();
+    server.fake.asked.lock().unwrap().store_dead = true;
+    let (status, body) = ask(server.address, "GET /healthz", &[], "");
+    assert_eq!(status, 503);
+    assert!(body.contains("\"store\":false"), "{body}");
+}

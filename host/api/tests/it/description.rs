@@ -1,0 +1,176 @@
+//! The OpenAPI document: every route is in it, every reference leads somewhere, and a change is seen.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use crate::backend::Running;
+use crate::http::ask;
+
+fn document() -> Value {
+    let server = Running::start();
+    let (status, body) = ask(server.address, "GET /api/v1/openapi.json", &[], "");
+    assert_eq!(status, 200);
+    serde_json::from_str(&body).unwrap()
+}
+
+/// What the API promises. A line that vanishes or changes breaks those who use it: /api/v2 is for that.
+const ROUTES: &str = "\
+GET /api/v1/devices -> 200
+GET /api/v1/devices/{name} -> 200 404
+DELETE /api/v1/devices/{name}/lease -> 204 404 423
+PUT /api/v1/devices/{name}/lease -> 200 404 423
+POST /api/v1/devices/{name}/commands -> 200 404 409 423 503
+GET /api/v1/devices/{name}/lookups -> 200 404
+GET /api/v1/devices/{name}/results -> 200 400 404
+GET /api/v1/events -> 200 503
+GET /api/v1/openapi.json -> 200
+POST /api/v1/store/backup -> 200 400 409 500
+GET /healthz -> 200 503
+GET /metrics -> 200 401
+";
+
+#[test]
+fn the_routes_are_those_that_were_promised() {
+    let document = document();
+    let mut lines = BTreeSet::new();
+    for (path, operations) in document["paths"].as_object().unwrap() {
+        for (method, operation) in operations.as_object().unwrap() {
+            if !operation.is_object() {
+                continue;
+            }
+            let mut statuses: Vec<&str> = operation["responses"]
+                .as_object()
+                .unwrap()
+                .keys()
+                .map(String::as_str)
+                .collect();
+            statuses.sort_unstable();
+            let method = method.to_uppercase();
+            lines.insert(format!("{method} {path} -> {}", statuses.join(" ")));
+        }
+    }
+    let expected: BTreeSet<String> = ROUTES.lines().map(str::to_owned).collect();
+    assert_eq!(lines, expected);
+}
+
+/// Calls `see` with every object of a document.
+fn walk<'a>(value: &'a Value, see: &mut impl FnMut(&'a serde_json::Map<String, Value>)) {
+    match value {
+        Value::Object(map) => {
+            see(map);
+            map.values().for_each(|v| walk(v, see));
+        }
+        Value::Array(all) => all.iter().for_each(|v| walk(v, see)),
+        _ => {}
+    }
+}
+
+#[test]
+fn every_reference_leads_somewhere_and_no_schema_is_idle() {
+    let document = document();
+    assert_eq!(
+        document["openapi"].as_str().map(|v| v.starts_with("3.1")),
+        Some(true)
+    );
+    let mut referred = BTreeSet::new();
+    walk(&document, &mut |map| {
+        if let Some(Value::String(to)) = map.get("$ref") {
+            let pointer = to.strip_prefix('#').expect("within the document");
+            assert!(document.pointer(pointer).is_some(), "{to} leads nowhere");
+            referred.insert(to.clone());
+        }
+    });
+    for name in [
+        "DeviceReport",
+        "Command",
+        "Notice",
+        "Problem",
+        "Lease",
+        "Done",
+    ] {
+        let to = format!("#/components/schemas/{name}");
+        assert!(referred.contains(&to), "{name} is referred to by nobody");
+    }
+    for name in document["components"]["schemas"]
+        .as_object()
+        .unwrap()
+        .keys()
+    {
+        let to = format!("#/components/schemas/{name}");
+        assert!(referred.contains(&to), "{name} is idle");
+    }
+}
+
+#[test]
+fn every_parameter_of_a_path_and_every_operation_is_described() {
+    let document = document();
+    let mut names = BTreeSet::new();
+    for (path, operations) in document["paths"].as_object().unwrap() {
+        for operation in operations.as_object().unwrap().values() {
+            let words = |key: &str| operation[key].as_str().is_some_and(|w| !w.is_empty());
+            assert!(words("summary"), "{path}: {operation:#}");
+            let id = operation["operationId"].as_str().unwrap();
+            assert!(names.insert(id.to_owned()), "{id} twice");
+            let given: Vec<&str> = operation["parameters"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter(|p| p["in"] == "path")
+                .filter_map(|p| p["name"].as_str())
+                .collect();
+            let wanted: Vec<&str> = path
+                .split('/')
+                .filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
+                .collect();
+            assert_eq!(given, wanted, "{path}");
+        }
+    }
+}
+
+#[test]
+fn every_route_of_the_document_is_there() {
+    let server = Running::start();
+    for line in ROUTES.lines() {
+        let (request, _) = line.split_once(" -> ").unwrap();
+        if request.ends_with("/events") {
+            continue; // It streams until it is cut; the module `events` has it.
+        }
+        let (status, body) = ask(server.address, &request.replace("{name}", "x"), &[], "");
+        assert!(
+            status != 405 && !body.contains("no-route"),
+            "{request}: {status} {body}"
+        );
+    }
+}
+
+#[test]
+fn metrics_are_in_prometheus_text_format() {
+    let server = Running::start();
+    let (status, text) = ask(server.address, "GET /metrics", &[], "");
+    assert_eq!(status, 200);
+    let mut family = String::new();
+    let mut samples = 0;
+    for line in text.lines() {
+        if let Some(rest) = line.strip_prefix("# TYPE ") {
+            let (name, kind) = rest.split_once(' ').unwrap();
+            assert!(["counter", "gauge"].contains(&kind), "{line}");
+            assert_eq!(kind == "counter", name.ends_with("_total"), "{line}");
+            family = name.into();
+        } else if !line.starts_with("# HELP ") {
+            assert!(line.starts_with(&family), "{line} is not of {family}");
+            let (_, value) = line.rsplit_once(' ').unwrap();
+            assert!(value == "NaN" || value.parse::<f64>().is_ok(), "{line}");
+            samples += 1;
+        }
+    }
+    assert!(samples > 20, "{text}");
+    for line in [
+        "ihd_store_queue 2",
+        "ihd_windows_total{device=\"serial:/dev/tty ä\",fate=\"stored\"} 11",
+        "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"faulted\"} 1",
+        "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"idle\"} 0",
+    ] {
+        assert!(text.lines().any(|l| l == line), "{line} not in {text}");
+    }
+}

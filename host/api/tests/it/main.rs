@@ -1,0 +1,9 @@
+//! The API as it is met over a socket: by its client, by strangers, by browsers of other sites.
+
+mod access;
+mod backend;
+mod client;
+mod description;
+mod events;
+mod greedy;
+mod http;

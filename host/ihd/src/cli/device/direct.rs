@@ -1,0 +1,225 @@
+//! A device with no daemon between: the link, and what the daemon would say.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow};
+use ihd_daemon::config::Config;
+use ihd_daemon::model::{
+    Command, DeviceReport, DeviceState, Done, Identity, Live, LookupReport, WindowCounts,
+};
+use ihd_link::{Client, Event};
+use ihd_shared::fault::Fault;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::wire::messages::{State, Status, Telemetry};
+use ihd_signal::printable;
+
+use super::hob::address_of;
+use crate::cli::opener::opener;
+
+/// A lookup that the device took is active at the next half-cycle; a link takes longer.
+const ACTIVE_WITHIN: Duration = Duration::from_secs(2);
+
+/// A link and its device.
+pub(super) struct Direct {
+    client: Client,
+    config: Config,
+    name: String,
+    address: String,
+    last: Option<Telemetry>,
+    streams: bool,
+}
+
+impl Direct {
+    /// Connects.
+    pub(super) fn open(mut config: Config, address: String, name: &str) -> Result<Self> {
+        let open = opener(&mut config)?;
+        let place = address_of(&config, &address)?;
+        let client = Client::connect(open(&place)?)?;
+        Ok(Self {
+            client,
+            config,
+            name: name.to_owned(),
+            address: place.to_string(),
+            last: None,
+            streams: false,
+        })
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn client(&mut self) -> &mut Client {
+        &mut self.client
+    }
+
+    /// The link, for who goes on with it alone.
+    pub(super) fn into_client(self) -> Client {
+        self.client
+    }
+
+    /// The device hears from us, and goes on heating.
+    pub(super) fn keep_alive(&mut self) -> Result<()> {
+        self.client.status()?;
+        Ok(())
+    }
+
+    /// What the device says of itself, in the daemon's words.
+    pub(super) fn report(&mut self) -> Result<DeviceReport> {
+        let status = self.client.status()?;
+        self.take_events()?;
+        let lookup = self.client.read_lookup().ok();
+        let hello = self.client.hello();
+        Ok(DeviceReport {
+            name: self.name.clone(),
+            address: self.address.clone(),
+            state: state(&status),
+            since_s: 0,
+            detail: "without a daemon".into(),
+            identity: Some(Identity {
+                build: printable(&hello.build),
+                board: printable(&hello.board),
+                protocol: (hello.major, hello.minor),
+                boot_id: hello.boot_id,
+                reset_reason: hello.reset_reason,
+            }),
+            live: Some(live(&status, self.last.as_ref())),
+            lookup: LookupReport {
+                on_device: Some(status.lookup_version),
+                active: None,
+                pending: None,
+                observed_cells: lookup.map_or(0, |lookup| lookup.observed_cells()),
+            },
+            windows: WindowCounts::default(),
+            asked_by_daemon_w: 0,
+            lease: None,
+            sweep_left_w: Vec::new(),
+            recording: None,
+            connections: 1,
+        })
+    }
+
+    /// Half-cycles from now on, for R and L in the reports.
+    pub(super) fn stream(&mut self, on: bool) -> Result<()> {
+        self.client.stream(u8::from(on), 0)?;
+        self.streams = on;
+        Ok(())
+    }
+
+    fn take_events(&mut self) -> Result<()> {
+        while self.streams
+            && let Some(event) = self.client.next_event(Duration::ZERO)?
+        {
+            if let Event::Telemetry(telemetry) = event {
+                self.last = Some(telemetry);
+            }
+        }
+        Ok(())
+    }
+
+    /// Carries out what needs no daemon.
+    pub(super) fn command(&mut self, command: &Command) -> Result<Done> {
+        let text = match command {
+            Command::Power { power_w } => {
+                self.client.set_power(*power_w)?;
+                format!("{power_w} W asked for")
+            }
+            Command::Off => {
+                self.client.set_power(0)?;
+                "off".into()
+            }
+            Command::ClearFault => {
+                self.client.clear_fault()?;
+                "fault cleared".into()
+            }
+            Command::LookupPush { blob } => self.push(blob)?,
+            Command::LookupRollback => {
+                let lookup = self.before()?;
+                self.push(&lookup.to_bytes())?
+            }
+            Command::LookupReset => {
+                self.client.reset_lookup()?;
+                "back to the built-in lookup".into()
+            }
+            Command::Sweep { .. } | Command::RecordStart | Command::RecordStop => {
+                return Err(anyhow!("this needs the daemon: `ihd trainer --daemon`"));
+            }
+        };
+        Ok(Done { text, file: None })
+    }
+
+    fn push(&mut self, blob: &[u8]) -> Result<String> {
+        self.client.push_lookup_bytes(blob)?;
+        let version = RlLookup::from_bytes(blob).map(|lookup| lookup.version);
+        let until = Instant::now() + ACTIVE_WITHIN;
+        while Instant::now() < until {
+            let now = self.client.status()?.lookup_version;
+            if version.as_ref().is_ok_and(|version| *version == now) {
+                return Ok(format!("lookup {now} active"));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Err(anyhow!(
+            "{}: it took the lookup, but does not use it within {} s; `lookup show` tells",
+            self.name,
+            ACTIVE_WITHIN.as_secs()
+        ))
+    }
+
+    /// The lookup that the store holds as active before the one that the device uses, under a new version.
+    fn before(&mut self) -> Result<RlLookup> {
+        let on_device = self.client.status()?.lookup_version;
+        let folder = &self.config.store;
+        let store = ihd_store::Reader::open(folder).context(
+            "what was active before stands in the store: give its configuration with --config",
+        )?;
+        let rows = store.lookups(Some(&self.name))?;
+        let before = rows.iter().rev().find(|row| {
+            row.state == ihd_store::LookupState::Superseded && row.version != on_device
+        });
+        let row = before.with_context(|| {
+            format!(
+                "the store {} holds no lookup of {} that was active before",
+                folder.display(),
+                self.name
+            )
+        })?;
+        let mut lookup = RlLookup::from_bytes(&row.blob).context("a lookup of the store")?;
+        let newest = rows.iter().map(|row| row.version).max().unwrap_or(0);
+        lookup.version = newest.max(on_device).saturating_add(1);
+        Ok(lookup)
+    }
+}
+
+/// What the daemon would call it, but for learning: nobody does.
+fn state(status: &Status) -> DeviceState {
+    match status.state {
+        _ if status.fault != Fault::NONE => DeviceState::Faulted,
+        State::LockedOut => DeviceState::Faulted,
+        State::WaitingForPot => DeviceState::WaitingForPot,
+        State::Heating => DeviceState::Connected,
+        State::Idle | State::Probing | State::Pausing => DeviceState::Idle,
+    }
+}
+
+/// R, L and the crest come with half-cycles alone.
+fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
+    let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
+    Live {
+        half_cycle: status.half_cycles,
+        state: format!("{:?}", status.state),
+        pot: format!("{:?}", status.pot),
+        fault: status.fault.number(),
+        fault_text: match status.fault {
+            Fault::NONE => String::new(),
+            fault => fault.text().to_owned(),
+        },
+        limit: format!("{:?}", status.limit),
+        asked_w: status.asked_w,
+        power_w: f64::from(status.delivered_mw) * 1e-3,
+        f_sw_hz: status.f_sw_hz,
+        i_crest_a: of(|t| f64::from(t.i_crest_ma) * 1e-3),
+        r_ohm: of(|t| t.r.ohm()),
+        l_h: of(|t| t.l.henry()),
+    }
+}

@@ -1,0 +1,92 @@
+//! `ihd device list`.
+
+use anyhow::Result;
+use ihd_daemon::config::Config;
+use ihd_daemon::model::DeviceReport;
+use ihd_link::usb;
+use serde::Serialize;
+
+use super::text::{one_line, state};
+use crate::cli::{configured, output};
+
+#[derive(Serialize)]
+struct Listed {
+    name: String,
+    address: String,
+    /// What it is to the daemon; none without one.
+    state: Option<&'static str>,
+    detail: String,
+}
+
+impl From<&DeviceReport> for Listed {
+    fn from(report: &DeviceReport) -> Self {
+        Self {
+            name: report.name.clone(),
+            address: report.address.clone(),
+            state: Some(state(report.state)),
+            detail: report.detail.clone(),
+        }
+    }
+}
+
+/// Prints the devices of the daemon, else those that there may be.
+pub(super) fn print(config: &Config, json: bool) -> Result<()> {
+    let daemon = configured::daemon(config)?;
+    let listed: Vec<Listed> = match &daemon {
+        Some(client) => client.devices()?.iter().map(Listed::from).collect(),
+        None => without_daemon(config),
+    };
+    if json {
+        return output::json(&listed);
+    }
+    match &daemon {
+        Some(client) => say!("daemon at {}", client.url())?,
+        None => say!("no daemon at {}; without one there are:", config.listen)?,
+    }
+    if listed.is_empty() {
+        return say!("no device: plug a board in, or name one in the configuration");
+    }
+    for device in &listed {
+        let (name, address) = (one_line(&device.name), one_line(&device.address));
+        let state = device.state.unwrap_or("-");
+        say!(
+            "{name:<16} {address:<28} {state:<15} {}",
+            one_line(&device.detail)
+        )?;
+    }
+    Ok(())
+}
+
+/// Devices of the configuration, and boards on USB that it does not name.
+fn without_daemon(config: &Config) -> Vec<Listed> {
+    let mut listed: Vec<Listed> = config
+        .devices
+        .iter()
+        .map(|device| Listed {
+            name: device.name.clone(),
+            address: device.address.to_string(),
+            state: None,
+            detail: "of the configuration".into(),
+        })
+        .collect();
+    match usb::boards() {
+        Ok(boards) => {
+            for board in boards {
+                let address = format!("usb:{}", board.serial_number);
+                if let Some(known) = listed.iter_mut().find(|l| l.address == address) {
+                    known.detail = format!("plugged in: {}", board.product);
+                    continue;
+                }
+                listed.push(Listed {
+                    name: address.clone(),
+                    address,
+                    state: None,
+                    detail: format!("plugged in: {}", board.product),
+                });
+            }
+        }
+        // A machine without USB has no boards there.
+        Err(error) => output::complain(format_args!("ihd: {error}")),
+    }
+    listed
+}

@@ -1,0 +1,117 @@
+//! `ihd device DEV lookup show`, and files of lookups.
+
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
+use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
+use serde_json::{Value, json};
+
+use super::hob::Hob;
+use super::text::one_line;
+use crate::cli::output;
+
+/// More than any lookup has, in bytes.
+const MAX_FILE: u64 = 4_096;
+
+/// The bytes of a file, for the device to judge.
+pub(super) fn read(file: &Path) -> Result<Vec<u8>> {
+    let cannot = || format!("cannot read {}", file.display());
+    let opened = std::fs::File::open(file).with_context(cannot)?;
+    let mut blob = Vec::new();
+    opened
+        .take(MAX_FILE)
+        .read_to_end(&mut blob)
+        .with_context(cannot)?;
+    RlLookup::from_bytes(&blob).with_context(|| {
+        format!(
+            "{} is no lookup (lookup-vN.bin of `ihd trainer`)",
+            file.display()
+        )
+    })?;
+    Ok(blob)
+}
+
+/// Prints the lookup that the device uses, and what the store knows of others.
+pub(super) fn show(hob: &mut Hob, json: bool) -> Result<()> {
+    let (lookup, stored) = match hob {
+        Hob::Direct(direct) => (Some(direct.client().read_lookup()?), Vec::new()),
+        Hob::Daemon { client, name } => {
+            let stored = client.lookups(name)?;
+            let active = stored.iter().find(|row| row.state == "active");
+            let lookup = active
+                .map(|row| RlLookup::from_bytes(&row.blob))
+                .transpose()
+                .context("the active lookup of the store")?;
+            (lookup, stored)
+        }
+    };
+    if json {
+        let rows: Vec<Value> = stored
+            .iter()
+            .map(|row| json!({"version": row.version, "state": row.state, "at_ms": row.at_ms, "why": row.why}))
+            .collect();
+        return output::json(&json!({"active": lookup.as_ref().map(cells), "stored": rows}));
+    }
+    match &lookup {
+        Some(lookup) => output::text(&table(lookup))?,
+        None => say!("{}: the built-in lookup", hob.name())?,
+    }
+    for row in &stored {
+        say!(
+            "version {:<6} {:<11} {}",
+            row.version,
+            one_line(&row.state),
+            one_line(&row.why)
+        )?;
+    }
+    Ok(())
+}
+
+fn cells(lookup: &RlLookup) -> Value {
+    let row = |codes: &[u16; CURRENTS], unit: f64| -> Vec<f64> {
+        codes.iter().map(|code| f64::from(*code) * unit).collect()
+    };
+    let observed =
+        |f: usize| -> Vec<bool> { (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect() };
+    json!({
+        "version": lookup.version,
+        "observed_cells": lookup.observed_cells(),
+        "frequency_hz": (0..FREQUENCIES).map(frequency_hz).collect::<Vec<_>>(),
+        "current_a": (0..CURRENTS).map(current_a).collect::<Vec<_>>(),
+        "r_ohm": lookup.r.iter().map(|r| row(r, OHM_PER_CODE)).collect::<Vec<_>>(),
+        "l_h": lookup.l.iter().map(|l| row(l, HENRY_PER_CODE)).collect::<Vec<_>>(),
+        "observed": (0..FREQUENCIES).map(observed).collect::<Vec<_>>(),
+    })
+}
+
+/// R and L over frequency (down) and current (across, every fourth); what was observed has a star.
+fn table(lookup: &RlLookup) -> String {
+    let shown: Vec<usize> = (0..CURRENTS).step_by(4).collect();
+    let mut text = format!(
+        "version {}, {} of {} cells observed (*)\n",
+        lookup.version,
+        lookup.observed_cells(),
+        FREQUENCIES * CURRENTS
+    );
+    for (name, codes, unit) in [
+        ("R in ohm", &lookup.r, OHM_PER_CODE),
+        ("L in µH", &lookup.l, HENRY_PER_CODE * 1e6),
+    ] {
+        text += &format!("{name:<10}");
+        for &i in &shown {
+            text += &format!("{:>8.1} A", current_a(i));
+        }
+        text.push('\n');
+        for (f, row) in codes.iter().enumerate() {
+            text += &format!("{:>6.1} kHz", frequency_hz(f) * 1e-3);
+            for &i in &shown {
+                let star = if lookup.is_observed(f, i) { '*' } else { ' ' };
+                text += &format!("{:>9.3}{star}", f64::from(row[i]) * unit);
+            }
+            text.push('\n');
+        }
+    }
+    text
+}

@@ -1,0 +1,131 @@
+//! `ihd device DEV watch`: what happens, as it happens.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use ihd_api::client::ClientError;
+use ihd_api::client::events::Watched;
+use ihd_daemon::model::{Notice, What};
+use ihd_link::Event;
+
+use super::direct::Direct;
+use super::hob::Hob;
+use super::text::{of_live, one_line, state};
+use crate::cli::{interrupt, output};
+
+/// Of so many half-cycles one is shown.
+const ONE_IN: u32 = 100;
+
+/// Prints a line for each event: JSON or words.
+pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
+    match hob {
+        Hob::Direct(direct) => watch_directly(direct, json),
+        Hob::Daemon { client, name } => {
+            // Nothing is to be switched off: ^C ends the process.
+            let mut shown_ms = i64::MIN;
+            for event in client.events(Some(name))? {
+                let cut = |e: std::io::Error| ClientError::Unreachable {
+                    url: client.url().to_owned(),
+                    why: format!("the events were cut off: {e}"),
+                };
+                match event.map_err(cut)? {
+                    Watched::Heartbeat => {}
+                    Watched::Unknown(text) if json => say!("{text}")?,
+                    Watched::Unknown(_) => {}
+                    Watched::Missed(n) if json => {
+                        output::json_line(&serde_json::json!({"event": "missed", "missed": n}))?
+                    }
+                    Watched::Missed(n) => say!("{n} events missed: this reader was too slow")?,
+                    Watched::Notice(notice) if json => output::json_line(&notice)?,
+                    Watched::Notice(notice) => show(&notice, &mut shown_ms)?,
+                }
+            }
+            say!("the daemon has ended")
+        }
+    }
+}
+
+/// Half-cycles once a second, everything else at once.
+fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
+    let text = match &notice.what {
+        What::State { state: now, detail } if detail.is_empty() => state(*now).to_owned(),
+        What::State { state: now, detail } => format!("{}: {detail}", state(*now)),
+        What::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => return Ok(()),
+        What::Telemetry { live } => {
+            *shown_ms = notice.at_ms;
+            of_live(live)
+        }
+        What::WindowStored { seq, .. } => format!("window {seq} stored"),
+        What::WindowRefused { seq, why } => format!("window {seq} refused: {why}"),
+        What::ResultStored {
+            seq,
+            f_sw_hz,
+            r_ohm,
+            l_h,
+            pass,
+            why,
+            ..
+        } => {
+            let verdict = if *pass {
+                String::new()
+            } else {
+                format!(", unfit: {why}")
+            };
+            format!(
+                "window {seq}: R {r_ohm:.4} ohm, L {:.3} µH at {:.2} kHz{verdict}",
+                l_h * 1e6,
+                f64::from(*f_sw_hz) * 1e-3
+            )
+        }
+        What::LookupActive {
+            version,
+            observed_cells,
+        } => {
+            format!("lookup {version} active, {observed_cells} cells observed")
+        }
+        What::LookupRefused { version, why } => format!("lookup {version} refused: {why}"),
+        What::Fault { fault: 0, .. } => "fault cleared".to_owned(),
+        What::Fault { fault, text } => format!("fault {fault}: {text}"),
+        What::Lease { holder, .. } if holder.is_empty() => "nobody commands it now".to_owned(),
+        What::Lease { holder, taken_from } if taken_from.is_empty() => {
+            format!("{holder} commands it")
+        }
+        What::Lease { holder, taken_from } => {
+            format!("{holder} has taken command from {taken_from}")
+        }
+        What::Command { holder, text, ok } => {
+            format!(
+                "{holder}: {text}{}",
+                if *ok { "" } else { ", not carried out" }
+            )
+        }
+        What::Store { text, .. } => format!("store: {text}"),
+    };
+    say!("{}", one_line(&text))
+}
+
+fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
+    let stop = interrupt::flag().context("cannot catch ^C")?;
+    direct.stream(true)?;
+    while !stop.load(Ordering::Relaxed) {
+        let event = direct.client().next_event(Duration::from_millis(200))?;
+        let Some(event) = event else { continue };
+        let due = match &event {
+            Event::Telemetry(t) => t.half_cycle % ONE_IN == 0,
+            Event::Fault(_) => true,
+            Event::Window(_) | Event::WindowRejected { .. } => false,
+        };
+        if due && let Event::Fault(fault) = &event {
+            say!("{}", one_line(&format!("fault: {fault:?}")))?;
+        } else if due {
+            let report = direct.report()?;
+            match (&report.live, json) {
+                (Some(live), true) => output::json_line(live)?,
+                (Some(live), false) => say!("{}", one_line(&of_live(live)))?,
+                (None, _) => {}
+            }
+        }
+    }
+    direct.stream(false)
+}

@@ -1,0 +1,146 @@
+//! Opens what a configuration names: links to boards, and simulated hobs, which live on between connections.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Args, Command, FromArgMatches};
+use ihd_daemon::OpenDevice;
+use ihd_daemon::config::{Address, Config};
+use ihd_link::{DeviceSpec, Transport};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::{PacedHob, SharedHob};
+
+use super::simulated::SimulatedHobArgs;
+
+/// A simulated hob of a configuration: its options are those of `ihd hob`, and `speed`.
+#[derive(Clone, Debug)]
+struct Simulated {
+    hob: HobConfig,
+    /// Times real time.
+    speed: f64,
+}
+
+impl Default for Simulated {
+    fn default() -> Self {
+        Self {
+            hob: HobConfig::default(),
+            speed: 1.0,
+        }
+    }
+}
+
+impl Simulated {
+    fn of(table: &toml::Table) -> Result<Self> {
+        let mut words = vec!["sim".to_owned()];
+        let mut speed = 1.0;
+        for (key, value) in table {
+            match (key.as_str(), value) {
+                ("speed", toml::Value::Float(x)) => speed = *x,
+                ("speed", toml::Value::Integer(n)) => speed = *n as f64,
+                (_, toml::Value::Boolean(false)) => {}
+                (_, toml::Value::Boolean(true)) => words.push(format!("--{key}")),
+                (_, toml::Value::String(text)) => words.push(format!("--{key}={text}")),
+                (_, toml::Value::Integer(n)) => words.push(format!("--{key}={n}")),
+                (_, toml::Value::Float(x)) => words.push(format!("--{key}={x}")),
+                _ => bail!("sim: {key} = {value} is no option"),
+            }
+        }
+        ensure!(
+            speed.is_finite() && speed > 0.0 && speed <= 100.0,
+            "sim: speed = {speed}, but must lie between 0 and 100"
+        );
+        // The options' names, values and messages are those of the command line.
+        let command = SimulatedHobArgs::augment_args(Command::new("sim").disable_help_flag(true));
+        let options = command
+            .try_get_matches_from(words)
+            .and_then(|matches| SimulatedHobArgs::from_arg_matches(&matches))
+            .map_err(|e| anyhow::anyhow!("sim: {}", first_line(&e.to_string())))?;
+        Ok(Self {
+            hob: options.config()?,
+            speed,
+        })
+    }
+}
+
+fn first_line(message: &str) -> &str {
+    let line = message.lines().next().unwrap_or_default();
+    line.trim_start_matches("error: ")
+}
+
+/// Marks a simulated hob in its options with the device's name: no two devices share one.
+const NAME: &str = "name";
+
+/// Opens what a configuration names. The simulated hobs are checked here, before anything runs, and marked in `config`.
+///
+/// # Errors
+/// Naming the device and the option that is none.
+pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
+    let mut hobs: BTreeMap<String, Simulated> = BTreeMap::new();
+    for device in &mut config.devices {
+        if device.address.spec == DeviceSpec::Sim {
+            let simulated = Simulated::of(&device.address.sim)
+                .with_context(|| format!("device {:?}", device.name))?;
+            let name = device.name.clone();
+            let options = &mut device.address.sim;
+            options.insert(NAME.to_owned(), toml::Value::String(name.clone()));
+            hobs.insert(name, simulated);
+        }
+    }
+    let running: Mutex<BTreeMap<String, SharedHob>> = Mutex::default();
+    Ok(Arc::new(move |address: &Address| {
+        address.spec.open(|| {
+            let name = match address.sim.get(NAME) {
+                Some(toml::Value::String(name)) => name.clone(),
+                _ => String::new(),
+            };
+            let simulated = hobs.get(&name).cloned().unwrap_or_default();
+            let mut running = running.lock().unwrap_or_else(PoisonError::into_inner);
+            let hob = running
+                .entry(name)
+                .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob)));
+            Box::new(PacedHob::new(hob.clone(), simulated.speed)) as Box<dyn Transport>
+        })
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(sim: &str) -> Config {
+        let text = format!(
+            "[[device]]\nname = \"a\"\naddress = \"sim\"\n{sim}\n\
+             [[device]]\nname = \"b\"\naddress = \"sim\"\n"
+        );
+        Config::parse(&text, "ihd.toml").unwrap()
+    }
+
+    #[test]
+    fn options_are_those_of_the_command_line() {
+        let table =
+            "sim = { pot = \"aluminium\", warming = true, mains = 60, snr = 50.5, speed = 2 }";
+        let config = config(table);
+        let simulated = Simulated::of(&config.devices[0].address.sim).unwrap();
+        assert_eq!(simulated.hob.mains_hz, 60.0);
+        assert!(simulated.hob.warming);
+        assert_eq!(simulated.speed, 2.0);
+    }
+
+    #[test]
+    fn what_is_no_option_is_named() {
+        for (sim, words) in [
+            ("sim = { pots = \"none\" }", ["\"a\"", "pots"]),
+            ("sim = { pot = \"copper\" }", ["\"a\"", "copper"]),
+            ("sim = { mains = 16.7 }", ["\"a\"", "mains"]),
+            ("sim = { speed = 0 }", ["\"a\"", "speed"]),
+            ("sim = { pot = [1] }", ["\"a\"", "pot"]),
+        ] {
+            let error = opener(&mut config(sim)).err().unwrap();
+            let error = super::super::message(&error);
+            for word in words {
+                assert!(error.contains(word), "{sim}: {error}");
+            }
+        }
+    }
+}

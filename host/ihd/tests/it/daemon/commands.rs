@@ -1,0 +1,151 @@
+//! Commands through the daemon.
+
+use std::time::{Duration, Instant};
+
+use super::processes::Kitchen;
+
+fn asked_w(report: &serde_json::Value) -> u64 {
+    report["asked_by_daemon_w"].as_u64().unwrap()
+}
+
+#[test]
+fn a_daemon_heats_nothing_by_itself_and_is_seen() {
+    let kitchen = Kitchen::start();
+    let (code, stdout, _) = kitchen.device(&["list"]);
+    assert_eq!(code, 0);
+    assert!(stdout.contains("daemon at http://127.0.0.1:"), "{stdout}");
+    assert!(
+        stdout.contains("bench") && stdout.contains("idle"),
+        "{stdout}"
+    );
+    let (_, stdout, _) = kitchen.device(&["list", "--json"]);
+    let listed: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(listed[0]["name"], "bench");
+    // By its address, too.
+    let place = format!("tcp:{}", kitchen.hob_address);
+    let (code, stdout, _) = kitchen.device(&[&place, "status"]);
+    assert_eq!(code, 0);
+    assert!(stdout.contains("idle"), "{stdout}");
+    std::thread::sleep(Duration::from_secs(2));
+    let report = kitchen.report();
+    assert_eq!(report["live"]["asked_w"], 0, "{report:#}");
+    assert_eq!(report["live"]["f_sw_hz"], 0, "{report:#}");
+}
+
+#[test]
+fn power_heats_for_its_time_and_is_off_after() {
+    let kitchen = Kitchen::start();
+    let began = Instant::now();
+    let args = ["bench", "power", "1200", "--for", "5", "--json"];
+    let (code, stdout, stderr) = kitchen.device(&args);
+    assert_eq!(code, 0, "{stderr}");
+    assert!((5.0..15.0).contains(&began.elapsed().as_secs_f64()));
+    let heated: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(heated["ended_by"], "time");
+    let number = |name: &str| heated[name].as_f64().unwrap();
+    assert!(number("heating_seconds") > 1.0, "{heated:#}");
+    // 1200 W for at most five seconds and what starting takes off.
+    assert!((0.2..2.5).contains(&number("energy_wh")), "{heated:#}");
+    let report = kitchen.report();
+    assert_eq!(
+        (asked_w(&report), report["lease"].is_null()),
+        (0, true),
+        "{report:#}"
+    );
+    kitchen.until("the hob is off", |r| r["live"]["asked_w"] == 0);
+}
+
+#[test]
+fn an_interrupted_power_leaves_the_hob_off_and_a_killed_one_within_ten_seconds() {
+    let kitchen = Kitchen::start();
+    for (signal, code) in [("INT", 0), ("TERM", 0), ("KILL", -1)] {
+        let mut power = kitchen.in_the_background(&["bench", "power", "900"]);
+        kitchen.until("it heats", |r| asked_w(r) == 900);
+        power.signal(signal);
+        assert_eq!(power.code_within(Duration::from_secs(8)), code, "{signal}");
+        let ended = Instant::now();
+        kitchen.until("it is off", |r| asked_w(r) == 0 && r["lease"].is_null());
+        let took = ended.elapsed().as_secs_f64();
+        let limit = if signal == "KILL" { 12.0 } else { 2.0 };
+        assert!(took < limit, "{signal}: off after {took} s");
+    }
+}
+
+#[test]
+fn one_commands_and_force_takes_over_and_the_other_is_told() {
+    let kitchen = Kitchen::start();
+    let mut first = kitchen.in_the_background(&["bench", "power", "900"]);
+    kitchen.until("it heats", |r| asked_w(r) == 900);
+    let (code, _, stderr) = kitchen.device(&["bench", "power", "500", "--for", "1"]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("--force"), "{stderr}");
+    assert_eq!(
+        asked_w(&kitchen.report()),
+        900,
+        "the refused one changed nothing"
+    );
+    let mut second = kitchen.in_the_background(&["bench", "power", "700", "--force"]);
+    kitchen.until("the other heats", |r| asked_w(r) == 700);
+    // The first ends by itself, and does not switch the second off.
+    assert_eq!(first.code_within(Duration::from_secs(10)), 1);
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(asked_w(&kitchen.report()), 700);
+    // Off is anybody's.
+    let (code, _, stderr) = kitchen.device(&["bench", "off"]);
+    assert_eq!(code, 0, "{stderr}");
+    kitchen.until("it is off", |r| asked_w(r) == 0);
+    second.signal("INT");
+    second.code_within(Duration::from_secs(8));
+}
+
+#[test]
+fn what_happens_is_watched() {
+    let kitchen = Kitchen::start();
+    let mut watch = kitchen.in_the_background(&["bench", "watch", "--json"]);
+    let mut words = kitchen.in_the_background(&["bench", "watch"]);
+    watch.line_with("\"event\":\"telemetry\"");
+    let (code, ..) = kitchen.device(&["bench", "power", "800", "--for", "4"]);
+    assert_eq!(code, 0);
+    let line = watch.line_with("\"event\":\"window-stored\"");
+    let notice: serde_json::Value = serde_json::from_str(&line).unwrap();
+    assert_eq!(notice["device"], "bench");
+    words.line_with("commands it");
+    words.line_with("stored");
+}
+
+#[test]
+fn lookups_are_shown_and_a_reset_is_carried_out() {
+    let kitchen = Kitchen::start();
+    let (code, stdout, stderr) = kitchen.device(&["bench", "lookup", "show"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("built-in"), "{stdout}");
+    let (code, stdout, stderr) = kitchen.device(&["bench", "lookup", "reset"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("built-in"), "{stdout}");
+    let (code, _, stderr) = kitchen.device(&["bench", "lookup", "rollback"]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("active before"), "{stderr}");
+    let file = kitchen.dir.path().join("noise.bin");
+    std::fs::write(&file, [7; 600]).unwrap();
+    let (code, _, stderr) = kitchen.device(&["bench", "lookup", "push", file.to_str().unwrap()]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("is no lookup"), "{stderr}");
+}
+
+#[test]
+fn a_recording_through_the_daemon_can_be_inspected() {
+    let kitchen = Kitchen::start();
+    let out = kitchen.dir.path().join("a.mcap");
+    let (code, _, stderr) = kitchen.device(&[
+        "bench",
+        "record",
+        "--duration",
+        "2",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(std::fs::metadata(&out).unwrap().len() > 10_000);
+    let (code, _, stderr) = kitchen.device(&["bench", "record", "--out", out.to_str().unwrap()]);
+    assert_eq!(code, 2, "{stderr}");
+}

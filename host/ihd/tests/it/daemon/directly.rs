@@ -1,0 +1,158 @@
+//! Commands where no daemon runs.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::processes::{Process, asked_w_directly, device, free_port, hob, ihd};
+
+struct Bench {
+    _hob: Process,
+    address: String,
+    place: String,
+    config: PathBuf,
+    dir: tempfile::TempDir,
+}
+
+fn bench() -> Bench {
+    let (hob, address) = hob();
+    let dir = tempfile::tempdir().unwrap();
+    let config = dir.path().join("ihd.toml");
+    let text = format!(
+        "listen = \"127.0.0.1:{}\"\nstore = {:?}\n[[device]]\nname = \"bench\"\naddress = \"tcp:{address}\"\n",
+        free_port(),
+        dir.path().join("store"),
+    );
+    std::fs::write(&config, text).unwrap();
+    Bench {
+        _hob: hob,
+        place: format!("tcp:{address}"),
+        address,
+        config,
+        dir,
+    }
+}
+
+#[test]
+fn names_and_addresses_are_found() {
+    let bench = bench();
+    for name in ["bench", &bench.place] {
+        let (code, stdout, stderr) = device(&bench.config, &[name, "status"]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(
+            stdout.contains("Idle") && stdout.contains("without a daemon"),
+            "{stdout}"
+        );
+    }
+    let (code, stdout, _) = device(&bench.config, &["list"]);
+    assert_eq!(code, 0);
+    assert!(
+        stdout.contains("no daemon") && stdout.contains("bench"),
+        "{stdout}"
+    );
+}
+
+#[test]
+fn power_ends_off_however_it_ends() {
+    let bench = bench();
+    let args = ["bench", "power", "1000", "--for", "4", "--json"];
+    let (code, stdout, stderr) = device(&bench.config, &args);
+    assert_eq!(code, 0, "{stderr}");
+    let heated: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert!(
+        heated["heating_seconds"].as_f64().unwrap() > 1.0,
+        "{heated:#}"
+    );
+    let live = &heated["last"]["live"];
+    assert!(
+        (live["power_w"].as_f64().unwrap() / 1_000.0 - 1.0).abs() < 0.1,
+        "{live:#}"
+    );
+    assert!(live["r_ohm"].as_f64().is_some_and(|r| r > 0.5), "{live:#}");
+    assert_eq!(asked_w_directly(&bench.address), 0);
+    for signal in ["INT", "TERM"] {
+        let mut command = ihd();
+        command
+            .args(["device", "bench", "power", "900", "--config"])
+            .arg(&bench.config);
+        let mut power = Process::start(&mut command, false);
+        power.line_with("Heating");
+        power.signal(signal);
+        assert_eq!(power.code_within(Duration::from_secs(8)), 0);
+        assert_eq!(asked_w_directly(&bench.address), 0, "{signal}");
+    }
+}
+
+#[test]
+fn a_sweep_shows_what_the_device_finds() {
+    let bench = bench();
+    let (code, stdout, stderr) = device(&bench.config, &["bench", "sweep", "--power", "700,1500"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("nobody learns"), "{stdout}");
+    assert!(
+        stdout.contains("of 700 W") && stdout.contains("of 1500 W"),
+        "{stdout}"
+    );
+    assert_eq!(asked_w_directly(&bench.address), 0);
+}
+
+#[test]
+fn a_device_that_does_not_heat_exits_with_4() {
+    let mut command = ihd();
+    command.args(["hob", "--listen", "127.0.0.1:0", "--pot", "none"]);
+    let mut hob = Process::start(&mut command, false);
+    let line = hob.line_with("tcp:");
+    let place = format!(
+        "tcp:{}",
+        line.split_once("tcp:")
+            .unwrap()
+            .1
+            .split(';')
+            .next()
+            .unwrap()
+            .trim()
+    );
+    let bench = bench();
+    let (code, _, stderr) = device(&bench.config, &[&place, "power", "1000", "--for", "3"]);
+    assert_eq!(code, 4, "{stderr}");
+    assert!(stderr.contains("did not heat"), "{stderr}");
+}
+
+#[test]
+fn a_recording_and_the_one_that_is_not_overwritten() {
+    let bench = bench();
+    let out = bench.dir.path().join("a.mcap");
+    let args = [
+        "bench",
+        "record",
+        "--duration",
+        "1",
+        "--out",
+        out.to_str().unwrap(),
+    ];
+    let (code, _, stderr) = device(&bench.config, &args);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(std::fs::metadata(&out).unwrap().len() > 1_000);
+    assert_ne!(device(&bench.config, &args).0, 0);
+}
+
+#[test]
+fn wrong_usage_exits_with_2_and_nobody_with_3() {
+    let bench = bench();
+    for (args, word) in [
+        (&["bench", "power", "0"][..], "1..="),
+        (&["bench", "power", "9999"], "2500"),
+        (&["bench", "power", "500", "--for", "0"], "--for"),
+        (&["bench"], "Usage"),
+        (&["status"], "which device"),
+        (&["bench", "list"], "list"),
+        (&["bench", "sweep"], "--power"),
+        (&["kitchen", "status"], "bench"),
+        (&["sim", "status"], "ihd hob"),
+    ] {
+        let (code, _, stderr) = device(&bench.config, args);
+        assert_eq!(code, 2, "{args:?}: {stderr}");
+        assert!(stderr.contains(word), "{args:?}: {stderr}");
+    }
+    let nobody = format!("tcp:127.0.0.1:{}", free_port());
+    assert_eq!(device(&bench.config, &[&nobody, "status"]).0, 3);
+}

@@ -1,0 +1,8 @@
+//! The daemon and `ihd device` as a user has them: processes, signals, exit codes.
+
+mod commands;
+mod directly;
+mod document;
+mod ends;
+mod processes;
+mod refusals;
