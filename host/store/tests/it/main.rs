@@ -2,6 +2,7 @@
 
 mod care;
 mod damage;
+mod docs;
 mod export;
 mod fixture;
 mod fixture_process;

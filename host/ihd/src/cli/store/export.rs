@@ -71,6 +71,10 @@ impl From<FormatArg> for Format {
 
 impl ExportArgs {
     pub fn run(&self, place: &Place) -> Result<()> {
+        ensure_usage!(
+            !self.results || self.format == FormatArg::Csv,
+            "--results are written as CSV alone: --format csv"
+        );
         let reader = Reader::open(&place.folder)?;
         if self.results {
             return self.results(&reader);
@@ -104,10 +108,6 @@ impl ExportArgs {
     }
 
     fn results(&self, reader: &Reader) -> Result<()> {
-        ensure_usage!(
-            self.format == FormatArg::Csv,
-            "--results are written as CSV alone: --format csv"
-        );
         if self.out.exists() {
             let path = self.out.clone();
             return Err(StoreError::Exists { path }.into());
