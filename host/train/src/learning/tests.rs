@@ -165,3 +165,35 @@ fn a_warming_pot_is_followed_for_twenty_minutes() {
     assert!(r_pct < 2.0 && l_pct < 2.0, "R {r_pct:.2} %, L {l_pct:.2} %");
     assert!(pushed >= 5);
 }
+
+/// Processor time of this thread in seconds, where the system tells it.
+fn processor_s() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-9)
+}
+
+/// The figure of docs/daemon.md: `cargo test --release -p ihd-train --features pinn fits_of_a_core -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement, whatever it gives"]
+fn fits_of_a_core() {
+    let mut kitchen = Kitchen::new(false, 20);
+    kitchen.client.set_power(1_500).unwrap();
+    let windows: Vec<_> = (0..10).map(|_| kitchen.window().0).collect();
+    let mut learning = Learning::new(network());
+    let mut times = Vec::new();
+    for window in windows.iter().cycle().take(60) {
+        let before = processor_s().expect("Linux");
+        if let Some(lookup) = news(&mut learning, window) {
+            learning.accepted(lookup.version);
+        }
+        times.push(processor_s().expect("Linux") - before);
+    }
+    let cold = times.remove(0);
+    let mean = times.iter().sum::<f64>() / times.len() as f64;
+    println!(
+        "{:.0} ms cold, {:.1} ms warm, {:.1} windows a second of one core",
+        cold * 1e3,
+        mean * 1e3,
+        1.0 / mean
+    );
+}
