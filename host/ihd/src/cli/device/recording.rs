@@ -35,7 +35,7 @@ pub(super) fn record(
             Path::to_owned,
         );
         return record::RecordArgs::of_device(out, duration_s, json)?
-            .record_from(direct.into_client());
+            .record_from(direct.into_client(), true);
     }
     if let Some(out) = out {
         ensure_usage!(!out.exists(), "{} is there already", out.display());
