@@ -136,6 +136,27 @@ impl Reciprocal {
     }
 }
 
+/// `n / d`, truncated, where that is below 2^31 and `n` below 2^63: by a reciprocal, put right by the remainder, as a division
+/// of 64 bit is a library call of some 300 cycles. A quotient from 2^31 on is some number from there on, by 0 that by 1.
+pub fn quotient(n: u64, d: u64) -> i64 {
+    let n = n.min(i64::MAX as u64);
+    let d = d.clamp(1, i64::MAX as u64);
+    let shift = 33u32.saturating_sub(n.leading_zeros());
+    let mut quotient = i64::from(Reciprocal::of(d).scale((n >> shift) as i32, shift as i32));
+    // Good to 4e-9, so a few units off; each is found by the remainder, which a wrapping product shows.
+    let mut rest = (n as i64).wrapping_sub(quotient.wrapping_mul(d as i64));
+    for _ in 0..16 {
+        if rest < 0 {
+            (quotient, rest) = (quotient - 1, rest.wrapping_add(d as i64));
+        } else if rest >= d as i64 {
+            (quotient, rest) = (quotient + 1, rest.wrapping_sub(d as i64));
+        } else {
+            break;
+        }
+    }
+    quotient
+}
+
 /// A factor `mantissa / 2^shift`, from [`Reciprocal::factor`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Factor {
@@ -191,6 +212,16 @@ mod tests {
         #[test]
         fn a_short_quotient_is_exact(n in 0u64..1 << 46, d in 1u32..=1 << 17) {
             prop_assert_eq!(short_quotient(n, d), n / u64::from(d));
+        }
+
+        #[test]
+        fn a_quotient_is_exact(bits in 0u32..62, low in any::<u64>(), q in 0u64..1 << 31) {
+            let d = 1u64 << bits | low & ((1 << bits) - 1);
+            for n in [d.saturating_mul(q), d.saturating_mul(q).saturating_add(low % d)] {
+                if n < 1 << 63 && n / d < 1 << 31 {
+                    prop_assert_eq!(quotient(n, d), (n / d) as i64, "{} / {}", n, d);
+                }
+            }
         }
 
         #[test]

@@ -4,7 +4,7 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use micromath::F32Ext;
 
-use crate::fixed::Reciprocal;
+use crate::fixed::{quotient, saturate};
 
 /// Load and capacitor in series at one switching frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,12 +93,10 @@ impl Tank {
 pub fn resonant_inductance(f_sw_hz: u32) -> PicoHenry {
     /// 1e20 / (2π)²: henry per hertz² and farad, as picohenry and nanofarad, over ten.
     const SCALE: u64 = 2_533_029_591_058_444_300;
-    /// L·f², 55 bits of it as 30, good to 1e-9.
-    const L_F_SQUARED: i32 = (SCALE / RESONANCE_CAPACITANCE_NF as u64 * 10 >> SHIFT) as i32;
-    const SHIFT: u32 = 25;
+    const L_F_SQUARED: u64 = SCALE / RESONANCE_CAPACITANCE_NF as u64 * 10;
     let f = u64::from(f_sw_hz.max(1_000));
     // No division of 64 bit: the sampling path comes here at a frequency step.
-    PicoHenry(Reciprocal::of(f * f).scale(L_F_SQUARED, SHIFT as i32))
+    PicoHenry(saturate(quotient(L_F_SQUARED, f * f)))
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ mod update;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::demod::{Phasors, STATE_BITS};
-use crate::fixed::{Complex, Reciprocal, narrow, narrow_within, saturate, short_quotient, wide};
+use crate::fixed::{Complex, narrow, narrow_within, quotient, saturate, short_quotient, wide};
 
 /// Fractional bits of covariances.
 pub const COVARIANCE_BITS: u32 = 29;
@@ -181,9 +181,9 @@ impl Ekf {
     }
 
     fn x_of(&self, l: PicoHenry) -> i32 {
-        Reciprocal::of(self.henry_gain as u64)
-            .scale(l.0.max(0), 33)
-            .clamp(X_BOUNDS.0, X_BOUNDS.1)
+        // Beyond 2^30 pH, 1 mH, X is at its bound whatever the frequency.
+        let l_ph = l.0.clamp(0, (1 << 30) - 1) as u64;
+        saturate(quotient(l_ph << 33, self.henry_gain as u64)).clamp(X_BOUNDS.0, X_BOUNDS.1)
     }
 
     /// Takes the switching frequency to another value: L stays, X = ωL follows, and the current,

@@ -8,7 +8,7 @@ use super::channels::{ChannelOptions, ChannelRef, Chosen, choose, quantity_of_na
 use super::error::CaptureError;
 use super::format::{Opener, recognise, regular};
 use super::formats::unit::Unit;
-use super::formats::{Channel, Samples, Source};
+use super::formats::{Channel, Known, Samples, Source};
 use super::mcap::{Losses, Salvaged};
 use super::pair::overlap;
 
@@ -250,10 +250,10 @@ fn assembled(
     let of_first = files[0].source.channels().len();
     let chosen = choose(&channels, &options.channels).map_err(choice)?;
     let mut metadata = files[0].source.metadata();
-    // Of another clock the truth says nothing.
-    let truth = match options.rate_hz {
-        None => files[0].source.truth().map_err(|e| e.in_file(&path))?,
-        Some(_) => Vec::new(),
+    // Of another clock it says nothing.
+    let known = match options.rate_hz {
+        None => files[0].source.known().map_err(|e| e.in_file(&path))?,
+        Some(_) => Known::default(),
     };
     let mut read = |file: &mut Opened, wanted: &[usize]| {
         let samples = file.source.read(wanted, progress);
@@ -299,10 +299,10 @@ fn assembled(
         i_a: i.values,
         v_full_scale_v: v.full_scale,
         i_full_scale_a: i.full_scale,
-        f_sw: Vec::new(),
-        mains_hz: None,
-        zero_crossing_s: None,
-        truth,
+        f_sw: known.f_sw,
+        mains_hz: known.mains_hz,
+        zero_crossing_s: known.zero_crossing_s,
+        truth: known.truth,
         metadata,
     })
 }

@@ -33,10 +33,23 @@ pub fn is_day(word: &str) -> bool {
 
 /// The beginning of a day in milliseconds since 1970.
 pub fn of_day(word: &str) -> Option<i64> {
+    if !is_day(word) {
+        return None;
+    }
     let date: jiff::civil::Date = word.parse().ok()?;
     let midnight = date.at(0, 0, 0, 0);
     let at = Offset::UTC.to_timestamp(midnight).ok()?;
     Some(at.as_millisecond())
+}
+
+/// A day (UTC, its beginning) or a time as milliseconds since 1970: `2026-11-22`, `2026-11-22T08:30:00Z`.
+pub fn parse(word: &str) -> Option<i64> {
+    let at = || {
+        word.parse::<Timestamp>()
+            .ok()
+            .map(Timestamp::as_millisecond)
+    };
+    of_day(word).or_else(at)
 }
 
 #[cfg(test)]
@@ -52,6 +65,13 @@ mod tests {
         assert_eq!(of_day("2026-11-23"), Some(midnight));
         assert_eq!(rfc3339(midnight - 1), "2026-11-22T23:59:59.999Z");
         assert_eq!(day(i64::MAX), "1970-01-01");
+        assert_eq!(parse("2026-11-23"), Some(midnight));
+        assert_eq!(parse("2026-11-23T00:00:01.5Z"), Some(midnight + 1_500));
+        assert_eq!(parse("2026-11-23T01:00:00+01:00"), Some(midnight));
+        assert_eq!(
+            (parse("yesterday"), parse("2026-02-30"), parse("")),
+            (None, None, None)
+        );
         assert!(is_day("2024-02-29") && !is_day("2025-02-29") && !is_day("2025-2-9"));
     }
 }

@@ -109,6 +109,17 @@ pub enum StoreError {
         /// What is in the way.
         path: PathBuf,
     },
+    /// One file was asked for, and it would be none or several.
+    #[error(
+        "{}: the windows asked for make {files} files, not one: name a folder, or narrow --device, --boot, --seq and --since",
+        path.display()
+    )]
+    NotOneFile {
+        /// The file.
+        path: PathBuf,
+        /// How many there would be.
+        files: usize,
+    },
     /// A window could not be written as a capture.
     #[error(transparent)]
     Export(#[from] ihd_capture::exports::ExportError),

@@ -55,36 +55,54 @@ pub struct Exported {
     pub without_samples: u64,
 }
 
-/// Writes the windows that a filter takes into a folder, which is made where there is none; files of the
-/// same names are never overwritten. `each` hears of every window.
+/// Writes the windows that a filter takes: into a folder, which is made where there is none, or, where `to` has
+/// the format's ending, into that one file. No file is ever overwritten. `each` hears of every window.
 ///
 /// # Errors
-/// [`StoreError::Exists`], [`StoreError::Export`], or what the store reports.
+/// [`StoreError::Exists`]; [`StoreError::NotOneFile`]; [`StoreError::Export`]; or what the store reports.
 pub fn windows(
     reader: &Reader,
     filter: &WindowFilter,
     format: Format,
-    folder: &Path,
+    to: &Path,
     each: &mut dyn FnMut(),
 ) -> Result<Exported, StoreError> {
-    format::check(&folder.join(format!("a.{}", format.ending())))?;
-    std::fs::create_dir_all(folder).map_err(StoreError::files(folder, "making the folder"))?;
+    let ending = format.ending();
+    format::check(&to.join(format!("a.{ending}")))?;
     let mut exported = Exported::default();
-    for ((device, boot), rows) in by_boot(reader.windows(filter)?) {
+    let boots = by_boot(reader.windows(filter)?).into_iter();
+    let boots: Vec<_> = boots
+        .map(|(of, rows)| (of, with_samples(rows, &mut exported)))
+        .filter(|(_, rows)| !rows.is_empty())
+        .collect();
+    let files = match format {
+        Format::Mcap => boots.len(),
+        _ => boots.iter().map(|(_, rows)| rows.len()).sum(),
+    };
+    let one = to
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case(ending));
+    if one && files != 1 {
+        let path = to.to_owned();
+        return Err(StoreError::NotOneFile { path, files });
+    }
+    let path_of = |name: String| match one {
+        true => free(to.to_owned()),
+        false => free(to.join(format!("{name}.{ending}"))),
+    };
+    if !one {
+        std::fs::create_dir_all(to).map_err(StoreError::files(to, "making the folder"))?;
+    }
+    for ((device, boot), rows) in boots {
         let name = format!("{}-{boot}", file_name(&device));
-        let rows = with_samples(rows, &mut exported);
-        if rows.is_empty() {
-            continue;
-        }
         if format == Format::Mcap {
-            let path = free(folder.join(format!("{name}.mcap")))?;
+            let path = path_of(name)?;
             let session = reader.session_of(&device, boot)?;
             recording(reader, &rows, session.as_ref(), &path, each)?;
             exported.files.push(path);
         } else {
             for row in &rows {
-                let ending = format.ending();
-                let path = free(folder.join(format!("{name}-{}.{ending}", row.seq)))?;
+                let path = path_of(format!("{name}-{}", row.seq))?;
                 let Some(window) = reader.window(&device, boot, row.seq)? else {
                     continue;
                 };

@@ -5,12 +5,12 @@
 
 use std::collections::BTreeMap;
 
-use ihd_signal::TimeBase;
 use ihd_signal::truth::{ORDERS, PeriodTruth};
+use ihd_signal::{FrequencyStep, TimeBase};
 
 use super::time::time_base;
 use super::unit::{Quantity, Unit};
-use super::{Channel, Progress, Samples, Source};
+use super::{Channel, Known, Progress, Samples, Source};
 use crate::error::FormatError;
 
 /// One array, as the file's directory describes it.
@@ -135,6 +135,50 @@ impl<A: Arrays> ArraySource<A> {
         })
     }
 
+    /// What a simulation knows of its load; nothing where the arrays of it are not all there.
+    fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
+        let [
+            Some(t_s),
+            Some(f_sw_hz),
+            Some(i_a),
+            Some(r_power_ohm),
+            Some(p_w),
+        ] = [
+            self.column("truth_t_s")?,
+            self.column("truth_f_sw_hz")?,
+            self.column("truth_i_a")?,
+            self.column("truth_r_power_ohm")?,
+            self.column("truth_p_w")?,
+        ]
+        else {
+            return Ok(Vec::new());
+        };
+        let (Some(r_ohm), Some(l_h)) = (self.column("truth_r_ohm")?, self.column("truth_l_h")?)
+        else {
+            return Ok(Vec::new());
+        };
+        let (r_ohm, rest_r) = r_ohm.as_chunks::<{ ORDERS.len() }>();
+        let (l_h, rest_l) = l_h.as_chunks::<{ ORDERS.len() }>();
+        let n = t_s.len();
+        let lengths = [f_sw_hz.len(), i_a.len(), r_power_ohm.len(), p_w.len()];
+        let of_orders = [r_ohm.len(), l_h.len()];
+        let whole = rest_r.is_empty() && rest_l.is_empty();
+        if !whole || lengths.iter().chain(&of_orders).any(|length| *length != n) {
+            let what = "the arrays truth_* are of different length: save all or none of them";
+            return Err(FormatError::at_byte(0, what));
+        }
+        let period = |k: usize| PeriodTruth {
+            t_s: t_s[k],
+            f_sw_hz: f_sw_hz[k],
+            r_ohm: r_ohm[k],
+            l_h: l_h[k],
+            i_a: i_a[k],
+            r_power_ohm: r_power_ohm[k],
+            p_w: p_w[k],
+        };
+        Ok((0..n).map(period).collect())
+    }
+
     /// All numbers of the array of that name, row by row; `None` where there is none.
     fn column(&mut self, name: &str) -> Result<Option<Vec<f64>>, FormatError> {
         let Some(index) = self.arrays.iter().position(|a| a.name == name) else {
@@ -200,47 +244,21 @@ impl<A: Arrays> Source for ArraySource<A> {
         self.metadata.clone()
     }
 
-    fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
-        let [
-            Some(t_s),
-            Some(f_sw_hz),
-            Some(i_a),
-            Some(r_power_ohm),
-            Some(p_w),
-        ] = [
-            self.column("truth_t_s")?,
-            self.column("truth_f_sw_hz")?,
-            self.column("truth_i_a")?,
-            self.column("truth_r_power_ohm")?,
-            self.column("truth_p_w")?,
-        ]
-        else {
-            return Ok(Vec::new());
+    fn known(&mut self) -> Result<Known, FormatError> {
+        let scalar = |name: &str| {
+            let array = self.arrays.iter().find(|a| a.name == name)?;
+            array.scalar.filter(|x| x.is_finite())
         };
-        let (Some(r_ohm), Some(l_h)) = (self.column("truth_r_ohm")?, self.column("truth_l_h")?)
-        else {
-            return Ok(Vec::new());
-        };
-        let (r_ohm, rest_r) = r_ohm.as_chunks::<{ ORDERS.len() }>();
-        let (l_h, rest_l) = l_h.as_chunks::<{ ORDERS.len() }>();
-        let n = t_s.len();
-        let lengths = [f_sw_hz.len(), i_a.len(), r_power_ohm.len(), p_w.len()];
-        let of_orders = [r_ohm.len(), l_h.len()];
-        let whole = rest_r.is_empty() && rest_l.is_empty();
-        if !whole || lengths.iter().chain(&of_orders).any(|length| *length != n) {
-            let what = "the arrays truth_* are of different length: save all or none of them";
-            return Err(FormatError::at_byte(0, what));
-        }
-        let period = |k: usize| PeriodTruth {
-            t_s: t_s[k],
-            f_sw_hz: f_sw_hz[k],
-            r_ohm: r_ohm[k],
-            l_h: l_h[k],
-            i_a: i_a[k],
-            r_power_ohm: r_power_ohm[k],
-            p_w: p_w[k],
-        };
-        Ok((0..n).map(period).collect())
+        let (mains_hz, zero_crossing_s) = (scalar("mains_hz"), scalar("zero_crossing_s"));
+        let at_s = self.column("f_sw_t_s")?.unwrap_or_default();
+        let f_sw_hz = self.column("f_sw_hz")?.unwrap_or_default();
+        let step = |(t_s, f_sw_hz)| FrequencyStep { t_s, f_sw_hz };
+        Ok(Known {
+            truth: self.truth()?,
+            f_sw: at_s.into_iter().zip(f_sw_hz).map(step).collect(),
+            mains_hz,
+            zero_crossing_s,
+        })
     }
 
     fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {

@@ -16,8 +16,8 @@ pub mod wfm;
 
 use std::collections::BTreeMap;
 
-use ihd_signal::TimeBase;
 use ihd_signal::truth::PeriodTruth;
+use ihd_signal::{FrequencyStep, TimeBase};
 
 use self::unit::Unit;
 use super::error::FormatError;
@@ -55,6 +55,19 @@ fn single_channel(values: Vec<f32>, time: TimeBase, wanted: &[usize]) -> Samples
     }
 }
 
+/// What a file knows beside its samples, as a capture holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Known {
+    /// What a simulation knows of its load.
+    pub truth: Vec<PeriodTruth>,
+    /// Steps of the switching frequency.
+    pub f_sw: Vec<FrequencyStep>,
+    /// Mains frequency in hertz.
+    pub mains_hz: Option<f64>,
+    /// Time of a mains zero crossing in seconds.
+    pub zero_crossing_s: Option<f64>,
+}
+
 /// Hears how far a file has been read, from 0 to 1.
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
@@ -66,12 +79,12 @@ pub trait Source {
     /// What else the header states, as text: the format, the instrument.
     fn metadata(&self) -> BTreeMap<String, String>;
 
-    /// What the file knows of the load; nothing where it holds no simulation.
+    /// What the file knows beside the samples; nothing where it is of another program.
     ///
     /// # Errors
     /// [`FormatError`] where it is damaged.
-    fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
-        Ok(Vec::new())
+    fn known(&mut self) -> Result<Known, FormatError> {
+        Ok(Known::default())
     }
 
     /// Reads the samples of the channels with these indices into [`Source::channels`].

@@ -40,7 +40,7 @@ fn window(seq: u32) -> Box<Window> {
         trajectory: Vec::new(),
         saturated: 0,
         lookup_version: 0,
-        scales: Scales::default(),
+        scales: Scales::OF_THIS_BUILD,
     })
 }
 

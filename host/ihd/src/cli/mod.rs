@@ -26,6 +26,8 @@ pub mod scenario;
 pub mod serve;
 pub mod simulate;
 pub mod simulated;
+#[cfg(feature = "daemon")]
+pub mod store;
 pub mod study;
 #[cfg(feature = "daemon")]
 pub mod supervised;
@@ -65,6 +67,8 @@ enum Command {
     Replay(Box<replay::ReplayArgs>),
     Scenario(scenario::ScenarioArgs),
     Simulate(Box<simulate::SimulateArgs>),
+    #[cfg(feature = "daemon")]
+    Store(Box<store::StoreArgs>),
     Study(study::StudyArgs),
 }
 
@@ -88,6 +92,8 @@ impl Cli {
             Command::Replay(args) => args.run(),
             Command::Scenario(args) => args.run(),
             Command::Simulate(args) => args.run(),
+            #[cfg(feature = "daemon")]
+            Command::Store(args) => args.run(),
             Command::Study(args) => args.run(),
         }
     }
@@ -131,6 +137,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         || error.is::<inspect::SingleChannel>()
         || error.is::<Incomplete>()
     {
+        return 7;
+    }
+    #[cfg(feature = "daemon")]
+    if error.is::<store::DamagedStore>() {
         return 7;
     }
     if let Some(SurveyError::Empty { .. }) = error.downcast_ref() {

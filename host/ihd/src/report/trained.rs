@@ -48,7 +48,9 @@ pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
         window.seq,
         f64::from(window.f_sw_hz) * 1e-3
     );
-    draw(path, &title, &[r, l]).map_err(|why| FigureError::new(path, &why))
+    let mut svg = String::new();
+    draw(&mut svg, &title, &[r, l]).map_err(|why| FigureError::new(path, &why))?;
+    ihd_signal::atomic::write(path, svg.as_bytes()).map_err(|why| FigureError::new(path, &why))
 }
 
 fn filter(window: &Window, value: fn((f64, f64)) -> f64) -> Vec<(f64, f64)> {
@@ -72,8 +74,8 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
 
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-fn draw(path: &Path, title: &str, panels: &[Panel<'_>]) -> Drawn {
-    let root = SVGBackend::new(path, (900, 640)).into_drawing_area();
+fn draw(svg: &mut String, title: &str, panels: &[Panel<'_>]) -> Drawn {
+    let root = SVGBackend::with_string(svg, (900, 640)).into_drawing_area();
     root.fill(&WHITE)?;
     let root = root.titled(title, ("sans-serif", 20))?;
     for (area, panel) in root.split_evenly((panels.len(), 1)).iter().zip(panels) {

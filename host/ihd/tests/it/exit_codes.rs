@@ -282,7 +282,7 @@ fn control_characters_of_a_file_are_escaped() {
             seen += usize::from(text.contains("owned"));
         }
     }
-    assert!(seen >= 5, "only {seen} of the outputs hold the text at all");
+    assert!(seen >= 4, "only {seen} of the outputs hold the text at all");
 }
 
 /// The errors against a truth that came through NumPy's format are those against the original's.

@@ -11,6 +11,8 @@ mod identify_accuracy;
 mod inspect;
 mod record_replay;
 mod simulate;
+#[cfg(feature = "daemon")]
+mod store;
 #[cfg(feature = "pinn")]
 mod study_paper;
 #[cfg(feature = "pinn")]

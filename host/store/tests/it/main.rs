@@ -1,6 +1,9 @@
 //! The store as the daemon uses it, and what is done to it.
 
+mod care;
 mod damage;
+mod docs;
+mod export;
 mod fixture;
 mod fixture_process;
 mod kill;

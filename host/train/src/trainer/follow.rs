@@ -102,7 +102,10 @@ impl Run<'_, '_> {
 
     /// Makes the link again, for a minute at most.
     fn reconnect(&mut self, why: &TrainerError, asked_w: u16) -> Result<Boot, TrainerError> {
-        let boot_id = self.boot_id;
+        let before = Before {
+            boot_id: self.boot_id,
+            half_cycle: self.device.last.as_ref().map_or(0, |t| t.half_cycle),
+        };
         let until = Instant::now() + RECONNECT_WITHIN;
         let seconds = RECONNECT_WITHIN.as_secs();
         self.device.report(Progress::Note {
@@ -111,19 +114,20 @@ impl Run<'_, '_> {
         loop {
             self.device.let_go();
             self.open_again(until)?;
-            match self.resume(boot_id, asked_w) {
+            match self.resume(&before, asked_w) {
                 Err(why) if is_cut(&why) && Instant::now() < until => {}
                 resumed => return resumed,
             }
         }
     }
 
-    fn resume(&mut self, boot_id: u32, asked_w: u16) -> Result<Boot, TrainerError> {
+    fn resume(&mut self, before: &Before, asked_w: u16) -> Result<Boot, TrainerError> {
         let status = self.device.command(|client| client.status())?;
         self.learning.device_has(status.lookup_version);
         self.device.stream()?;
         let mut boot = Boot::Same;
-        let text = if self.boot_id != boot_id {
+        let is_younger = status.half_cycles < before.half_cycle;
+        let text = if self.boot_id != before.boot_id || is_younger {
             boot = Boot::Another;
             // A person has had a hand in it, or it has reset itself for a reason.
             "connected again; it has started anew and is not switched on again".into()
@@ -164,6 +168,12 @@ impl Run<'_, '_> {
             }
         }
     }
+}
+
+/// What tells a boot from the one before: a simulated hob has the same number in each.
+struct Before {
+    boot_id: u32,
+    half_cycle: u32,
 }
 
 /// Whether the device has started anew meanwhile.

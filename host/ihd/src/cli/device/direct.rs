@@ -79,7 +79,7 @@ impl Direct {
             identity: Some(Identity {
                 build: printable(&hello.build),
                 board: printable(&hello.board),
-                protocol: (hello.major, hello.minor),
+                protocol: (hello.protocol_major, hello.protocol_minor),
                 boot_id: hello.boot_id,
                 reset_reason: hello.reset_reason,
             }),
@@ -173,7 +173,8 @@ impl Direct {
         let store = ihd_store::Reader::open(folder).context(
             "what was active before stands in the store: give its configuration with --config",
         )?;
-        let rows = store.lookups(Some(&self.name))?;
+        let mut rows = store.lookups()?;
+        rows.retain(|row| row.device == self.name);
         let before = rows.iter().rev().find(|row| {
             row.state == ihd_store::LookupState::Superseded && row.version != on_device
         });

@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::hob::{Hob, is_somebody_elses};
 use super::text::{of_live, one_line};
+use crate::cli::usage::Usage;
 use crate::cli::{interrupt, output};
 
 /// Between two renewals; the lease lasts 10 s.
@@ -32,11 +33,14 @@ const STEP: Duration = Duration::from_secs(5);
 
 /// The device was asked to heat, and did not.
 #[derive(Debug, Error)]
-#[error("{name} did not heat: {why}")]
+#[error("{name} did not heat as asked: {why}")]
 pub struct DoesNotHeat {
     name: String,
     why: String,
 }
+
+/// How heating ended that nobody here ended.
+const ELSEWHERE: &str = "switched off elsewhere, or its link was cut";
 
 /// What became of it.
 #[derive(Debug, Default, Serialize)]
@@ -50,17 +54,29 @@ struct Heated {
     last: Option<DeviceReport>,
 }
 
+/// After a command until its device shows it.
+const SHOWN_WITHIN: Duration = Duration::from_secs(2);
+
 /// Heats with one power until ^C or the time is over.
 pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool) -> Result<()> {
-    let time = for_s
-        .map(Duration::try_from_secs_f64)
-        .transpose()
-        .context("--for")?;
+    let time = for_s.map(Duration::try_from_secs_f64).transpose();
+    let time = time.map_err(|_| Usage("--for is longer than anybody waits".into()))?;
     let command = Command::Power { power_w };
-    let mut end = |elapsed: Duration, _: &mut Hob, _: &DeviceReport| {
+    let mut end = |elapsed: Duration, hob: &mut Hob, report: &DeviceReport| {
+        if elapsed > SHOWN_WITHIN && asked_w(hob, report) == 0 {
+            return Ok(Some(ELSEWHERE));
+        }
         Ok(time.is_some_and(|time| elapsed >= time).then_some("time"))
     };
     run(hob, &command, &[power_w], &mut end, json)
+}
+
+/// What is asked of the device by whoever commands it from here.
+fn asked_w(hob: &Hob, report: &DeviceReport) -> u16 {
+    match hob {
+        Hob::Daemon { .. } => report.asked_by_daemon_w,
+        Hob::Direct(_) => report.live.as_ref().map_or(0, |live| live.asked_w),
+    }
 }
 
 /// Heats with one power after the other.
@@ -71,10 +87,14 @@ pub(super) fn sweep(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     let command = Command::Sweep {
         powers_w: powers_w.to_vec(),
     };
-    // The daemon's task has begun it when it answers.
+    // The daemon has begun it when it answers; the last power is the last that is left.
+    let mut left = powers_w.len();
     let mut end = |_: Duration, _: &mut Hob, report: &DeviceReport| {
-        let over = report.sweep_left_w.is_empty() && report.asked_by_daemon_w == 0;
-        Ok(over.then_some("sweep"))
+        let before = std::mem::replace(&mut left, report.sweep_left_w.len());
+        if left > 0 || report.asked_by_daemon_w > 0 {
+            return Ok(None);
+        }
+        Ok(Some(if before <= 1 { "sweep" } else { ELSEWHERE }))
     };
     run(hob, &command, powers_w, &mut end, json)
 }
@@ -252,13 +272,19 @@ fn status_line(report: &DeviceReport, elapsed: Duration) -> String {
 }
 
 fn did_it_heat(heated: &Heated) -> Result<()> {
-    if heated.heating_seconds > 0.0 || heated.ended_by == "interrupt" {
+    let early = heated.ended_by == ELSEWHERE;
+    if !early && (heated.heating_seconds > 0.0 || heated.ended_by == "interrupt") {
         return Ok(());
     }
     let why = heated.last.as_ref().map_or(String::new(), |report| {
         let live = report.live.as_ref().map_or(String::new(), of_live);
         format!("{} ({live})", report.detail)
     });
+    let why = if early {
+        format!("{ELSEWHERE}: {why}")
+    } else {
+        why
+    };
     let name = heated.device.clone();
     Err(DoesNotHeat { name, why }.into())
 }

@@ -24,7 +24,7 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
         Hob::Daemon { client, name } => {
             // Nothing is to be switched off: ^C ends the process.
             let mut shown_ms = i64::MIN;
-            for event in client.events(Some(name))? {
+            for event in client.events(Some(name.as_str()))? {
                 let cut = |e: std::io::Error| ClientError::Unreachable {
                     url: client.url().to_owned(),
                     why: format!("the events were cut off: {e}"),
