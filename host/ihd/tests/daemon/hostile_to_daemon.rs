@@ -69,6 +69,18 @@ fn hostile_devices_cost_neither_time_nor_memory_nor_the_others() {
             named.join(", "),
             grown as f64 * 1e-6
         );
+        for (report, name) in reports.iter().flatten().skip(1).zip(&named) {
+            let (state, windows) = (&report["state"], &report["windows"]);
+            println!(
+                "  {name}: {state} {} ({} connections, windows {} announced, {} stored, {} refused, {} unfit)",
+                report["detail"],
+                report["connections"],
+                windows["announced"],
+                windows["stored"],
+                windows["refused"],
+                windows["unfit"]
+            );
+        }
         let text = serde_json::to_string(&reports.unwrap_or_default()).unwrap();
         let log = fs::read_to_string(folder.path().join("daemon.log")).unwrap();
         let raw = text

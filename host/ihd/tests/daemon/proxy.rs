@@ -3,8 +3,8 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -75,12 +75,10 @@ impl std::fmt::Display for Counted {
 }
 
 struct Shared {
-    to: Mutex<SocketAddr>,
+    to: SocketAddr,
     faults: Faults,
     counted: Counted,
     stop: AtomicBool,
-    /// Cuts every connection, and refuses new ones while it is set.
-    out: AtomicBool,
 }
 
 /// The cable.
@@ -96,11 +94,10 @@ impl Proxy {
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let shared = Arc::new(Shared {
-            to: Mutex::new(to),
+            to,
             faults,
             counted: Counted::default(),
             stop: AtomicBool::new(false),
-            out: AtomicBool::new(false),
         });
         let own = Arc::clone(&shared);
         thread::spawn(move || accept(&listener, &own));
@@ -114,16 +111,6 @@ impl Proxy {
     pub fn counted(&self) -> &Counted {
         &self.shared.counted
     }
-
-    /// Where new connections lead from now on.
-    pub fn lead_to(&self, to: SocketAddr) {
-        *self.shared.to.lock().unwrap() = to;
-    }
-
-    /// Pulls the cable, or plugs it in again.
-    pub fn pull(&self, out: bool) {
-        self.shared.out.store(out, Relaxed);
-    }
 }
 
 impl Drop for Proxy {
@@ -136,20 +123,18 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     let mut number = 0;
     while !shared.stop.load(Relaxed) {
         match listener.accept() {
-            Ok((near, _)) if !shared.out.load(Relaxed) => {
+            Ok((near, _)) => {
                 number += 1;
                 // A far end that is not there ends this connection, as a refused one.
                 let _ = connect(near, shared, number);
             }
-            Ok(_) => {}
             Err(_) => thread::sleep(Duration::from_millis(5)),
         }
     }
 }
 
 fn connect(near: TcpStream, shared: &Arc<Shared>, number: u64) -> io::Result<()> {
-    let to = *shared.to.lock().unwrap();
-    let far = TcpStream::connect_timeout(&to, Duration::from_secs(1))?;
+    let far = TcpStream::connect_timeout(&shared.to, Duration::from_secs(1))?;
     shared.counted.connections.fetch_add(1, Relaxed);
     let seed = shared
         .faults
@@ -211,7 +196,7 @@ impl Direction {
         let mut buf = [0; 16 * 1024];
         let mut stall_at = self.next_stall();
         loop {
-            if self.shared.stop.load(Relaxed) || self.shared.out.load(Relaxed) {
+            if self.shared.stop.load(Relaxed) {
                 return Ok(());
             }
             let now = Instant::now();
