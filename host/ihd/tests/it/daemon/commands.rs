@@ -104,7 +104,7 @@ fn what_happens_is_watched() {
     let mut watch = kitchen.in_the_background(&["bench", "watch", "--json"]);
     let mut words = kitchen.in_the_background(&["bench", "watch"]);
     watch.line_with("\"event\":\"telemetry\"");
-    let (code, ..) = kitchen.device(&["bench", "power", "800", "--for", "4"]);
+    let (code, ..) = kitchen.device(&["bench", "power", "800", "--for", "8"]);
     assert_eq!(code, 0);
     let line = watch.line_with("\"event\":\"window-stored\"");
     let notice: serde_json::Value = serde_json::from_str(&line).unwrap();
