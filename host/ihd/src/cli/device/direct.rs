@@ -77,8 +77,8 @@ impl Direct {
             since_s: 0,
             detail: "without a daemon".into(),
             identity: Some(Identity {
-                build: printable(&hello.build),
-                board: printable(&hello.board),
+                build: printable(&hello.build).to_string(),
+                board: printable(&hello.board).to_string(),
                 protocol: (hello.protocol_major, hello.protocol_minor),
                 boot_id: hello.boot_id,
                 reset_reason: hello.reset_reason,

@@ -72,7 +72,7 @@ fn without_daemon(config: &Config) -> Vec<Listed> {
     match usb::boards() {
         Ok(boards) => {
             for board in boards {
-                let address = format!("usb:{}", board.serial_number);
+                let address = format!("usb:{}", board.serial);
                 if let Some(known) = listed.iter_mut().find(|l| l.address == address) {
                     known.detail = format!("plugged in: {}", board.product);
                     continue;
