@@ -34,8 +34,9 @@ fn a_killed_daemon_leaves_no_hob_heating_and_its_store_whole() {
     });
     kitchen.daemon.signal("KILL");
     kitchen.daemon.code_within(Duration::from_secs(5));
-    // Not asked meanwhile: a device that is asked hears its host.
-    std::thread::sleep(Duration::from_secs(11));
+    // Not asked meanwhile: a device that is asked hears its host. Its 10 s are its own, and a simulated one on a busy machine lags
+    // behind the wall's clock.
+    std::thread::sleep(Duration::from_secs(18));
     assert_eq!(asked_w_directly(&kitchen.hob_address), 0, "it still heats");
     // The same port and the same store, at once.
     kitchen.daemon = daemon(&kitchen.dir.path().join("ihd.toml"));
