@@ -226,6 +226,11 @@ pub fn outcome(output: Output) -> (i32, String, String) {
 
 /// What the hob itself says it was asked for, in watt, over its one link; the daemon must be gone.
 pub fn asked_w_directly(address: &str) -> u64 {
+    live_directly(address)["asked_w"].as_u64().unwrap()
+}
+
+/// What the hob itself says of its last half-cycle. It has heard its host then.
+pub fn live_directly(address: &str) -> Value {
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("ihd.toml");
     let text = format!("listen = \"127.0.0.1:{}\"\n", free_port());
@@ -241,5 +246,5 @@ pub fn asked_w_directly(address: &str) -> u64 {
         assert!(code == 3 && Instant::now() < until, "{stderr}");
     };
     let report: Value = serde_json::from_str(&stdout).unwrap();
-    report["live"]["asked_w"].as_u64().unwrap()
+    report["live"].clone()
 }
