@@ -448,7 +448,7 @@ mod tests {
         let e = [envelope(52.0, 0.0, 0.0, 60e-3, 0.0)];
         find(&e, Some(50.0), None, 0.0, &mut findings);
         assert!(
-            matches!(findings[..], [Finding::MainsDiffers { measured_hz, .. }] if (measured_hz - 52.0).abs() < 0.3),
+            matches!(findings[..], [Finding::MainsDiffers { measured_hz, .. }, ..] if (measured_hz - 52.0).abs() < 0.3),
             "{findings:?}"
         );
     }
