@@ -1,6 +1,7 @@
 //! Long runs in little time: pots put, lifted and exchanged, dips, faults, boots, cut cables and a disk that fills.
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
@@ -39,9 +40,12 @@ impl<'a> Disk<'a> {
             return;
         }
         let block = vec![0x55; 1 << 20];
-        let mut bytes: Vec<u8> = Vec::new();
-        while fs::write(&ballast, &bytes).is_ok() && bytes.len() < (4 << 30) {
-            bytes.extend_from_slice(&block);
+        let Ok(mut file) = fs::File::create(&ballast) else {
+            return;
+        };
+        // Smaller and smaller pieces, so that not a block is left.
+        for size in [1 << 20, 4_096, 1] {
+            while file.write_all(&block[..size]).is_ok() {}
         }
     }
 }
