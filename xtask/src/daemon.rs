@@ -19,7 +19,7 @@ const FULL: [(&str, &str); 6] = [
 /// Runs those tests whose name contains `only`; in `full`, 24 h of simulated time and 200 kills.
 pub fn test(on: &Workspace, only: Option<&str>, full: bool) -> anyhow::Result<()> {
     let mut test = on.cargo(TESTS.split(' '));
-    test.args(only);
+    test.arg(if full { ALONE } else { SHORT }).args(only);
     for (name, value) in FULL {
         if full && std::env::var_os(name).is_none() {
             test.env(name, value);
