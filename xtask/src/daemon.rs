@@ -3,8 +3,11 @@
 
 use crate::workspace::{Workspace, run};
 
-const TESTS: &str =
-    "test --package ihd --test daemon -- --include-ignored --nocapture --test-threads=1";
+const TESTS: &str = "test --package ihd --test daemon -- --include-ignored --nocapture";
+
+/// At a time: they wait more than they work; what is measured is measured alone.
+const SHORT: &str = "--test-threads=4";
+const ALONE: &str = "--test-threads=1";
 
 /// What the long form changes; each may also be set by hand.
 const FULL: [(&str, &str); 6] = [
