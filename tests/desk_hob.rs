@@ -55,6 +55,15 @@ pub fn desk_hello() -> Hello {
     ours(ROLE_DEVICE, CAP_SIMULATED, 7, "desk 0.0.0", "desk")
 }
 
+/// The hello of a desk device of protocol 2.0, which sends no piece of a window again.
+pub fn older_hello() -> Hello {
+    Hello {
+        protocol_minor: 0,
+        schema_hash: 0,
+        ..desk_hello()
+    }
+}
+
 impl DeskHob {
     /// A pot stands on the coil, the link is fast and whole.
     pub fn new(hello: Hello) -> Self {
@@ -261,7 +270,15 @@ impl Transport for DeskLink {
 /// # Panics
 /// When the device refuses: the test then fails where it should.
 pub fn heating() -> (Client, DeskLink) {
-    let link = DeskLink::new(DeskHob::new(desk_hello()));
+    heating_as(desk_hello())
+}
+
+/// The same for a device that says this of itself.
+///
+/// # Panics
+/// As [`heating`].
+pub fn heating_as(hello: Hello) -> (Client, DeskLink) {
+    let link = DeskLink::new(DeskHob::new(hello));
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     client.set_power(1_000).unwrap();
     link.hob().run(60);

@@ -1,6 +1,7 @@
 //! Windows over a damaged link: every one is delivered as it was recorded, or rejected with its
 //! reason, or shows as a gap.
 
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
@@ -11,19 +12,26 @@ use ihd_shared::sampling::{
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::MAX_PAIRS;
 use ihd_shared::wire::frame::{Frame, MAX_ENCODED, decode, encode};
+use ihd_shared::wire::hello::ROLE_HOST;
 use ihd_shared::wire::messages::{
-    AnyMessage, Message, Raw, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, Hello, Message, Raw, SetPower, Stream, TrajectoryChunk, WindowChunk, WindowEnd,
+    WindowStart,
 };
-use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating};
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating, heating_as, older_hello};
 
-/// What the client sees of the next half-cycles.
-fn watch(client: &mut Client, link: &DeskLink, half_cycles: u64) -> Vec<Event> {
-    link.hob().run(half_cycles);
+/// What the client sees of the next half-cycles, of which it misses nothing.
+fn watch(client: &mut Client, half_cycles: u64) -> Vec<Event> {
+    let end = client.clock() + Duration::from_millis(10 * half_cycles);
     let mut events = Vec::new();
-    while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
-        events.push(event);
+    loop {
+        let left = end.saturating_sub(client.clock());
+        match client.next_event(left).unwrap() {
+            Some(event) => events.push(event),
+            None if left.is_zero() => return events,
+            None => {}
+        }
     }
-    events
 }
 
 /// A frame's id, sequence number and payload.
@@ -41,8 +49,8 @@ fn framed(message: &impl Message, seq: u16) -> Vec<u8> {
 
 #[test]
 fn a_window_arrives_whole() {
-    let (mut client, link) = heating();
-    let events = watch(&mut client, &link, 6);
+    let (mut client, _link) = heating();
+    let events = watch(&mut client, 6);
     let windows: Vec<&Window> = events
         .iter()
         .map(|e| match e {
@@ -82,10 +90,10 @@ fn a_window_arrives_whole() {
 type Damage = fn(frame: &[u8]) -> Vec<Vec<u8>>;
 
 /// Applies `damage` to the `nth` frame with message `id` of one window; returns what became of it,
-/// and checks that the next window is untouched.
+/// and checks that the next window is untouched. The device is one that sends nothing again.
 fn reason_after(id: u8, nth: usize, damage: Damage) -> &'static str {
-    let (mut client, link) = heating();
-    watch(&mut client, &link, 4);
+    let (mut client, link) = heating_as(older_hello());
+    watch(&mut client, 4);
     let before = client.counters();
     let mut count = 0;
     link.hob().mangle = Box::new(move |frame| {
@@ -99,7 +107,7 @@ fn reason_after(id: u8, nth: usize, damage: Damage) -> &'static str {
             frame.to_vec()
         }
     });
-    let events = watch(&mut client, &link, 8);
+    let events = watch(&mut client, 8);
     let rejected: Vec<_> = events
         .iter()
         .filter_map(|e| match e {
@@ -132,10 +140,6 @@ fn dropped(_: &[u8]) -> Vec<Vec<u8>> {
     Vec::new()
 }
 
-fn repeated(frame: &[u8]) -> Vec<Vec<u8>> {
-    vec![frame.to_vec(); 2]
-}
-
 fn bit_flipped(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut frame = frame.to_vec();
     let middle = frame.len() / 2;
@@ -148,7 +152,7 @@ fn truncated(frame: &[u8]) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn frames_lost_cut_flipped_or_repeated_reject_the_window_with_the_reason() {
+fn frames_lost_cut_or_flipped_reject_the_window_of_an_older_device_with_the_reason() {
     for damage in [dropped, bit_flipped, truncated] {
         assert_eq!(reason_after(WindowStart::ID, 0, damage), "no start");
         assert_eq!(reason_after(WindowChunk::ID, 0, damage), "missing chunk");
@@ -159,27 +163,165 @@ fn frames_lost_cut_flipped_or_repeated_reject_the_window_with_the_reason() {
         );
         assert_eq!(reason_after(WindowEnd::ID, 0, damage), "no end");
     }
-    assert_eq!(reason_after(WindowStart::ID, 0, repeated), "repeated start");
-    assert_eq!(reason_after(WindowChunk::ID, 3, repeated), "repeated chunk");
-    assert_eq!(
-        reason_after(TrajectoryChunk::ID, 1, repeated),
-        "repeated chunk"
-    );
+}
+
+/// A frame is lost the first time it comes.
+fn lost_once(of: u8, damage: Damage) -> impl FnMut(&[u8]) -> Vec<u8> {
+    let (mut seen, mut damaged) = (0, BTreeSet::new());
+    move |frame: &[u8]| {
+        let (id, _, payload) = unframed(frame);
+        // Window and offset, or window alone.
+        let key = (id, payload[..payload.len().min(4)].to_vec());
+        seen += 1;
+        if id == of && seen % 3 == 0 && damaged.insert(key) {
+            return damage(frame).concat();
+        }
+        frame.to_vec()
+    }
 }
 
 #[test]
-fn a_repeated_end_is_counted_and_costs_nothing() {
+fn what_is_lost_is_asked_for_again_and_costs_no_window() {
+    let window_ids = [
+        WindowStart::ID,
+        WindowChunk::ID,
+        TrajectoryChunk::ID,
+        WindowEnd::ID,
+    ];
+    for damage in [dropped, bit_flipped, truncated] {
+        for id in window_ids {
+            let (mut client, link) = heating();
+            link.hob().mangle = Box::new(lost_once(id, damage));
+            let events = watch(&mut client, 80);
+            assert!(
+                events.iter().all(|e| matches!(e, Event::Window(_))),
+                "{id:#04x}: {:?}",
+                client.counters()
+            );
+            let counters = client.counters();
+            assert!(counters.windows.received >= 5, "{id:#04x}: {counters:?}");
+            assert!(counters.pieces_asked > 0, "{id:#04x}: {counters:?}");
+            // What is asked for is what was lost, and at the most as much again.
+            let lost = counters.frames_bad + counters.frames_lost;
+            assert!(counters.pieces_asked <= 2 * lost.max(4), "{counters:?}");
+        }
+    }
+}
+
+#[test]
+fn a_window_of_which_nothing_but_its_end_came_is_asked_for() {
     let (mut client, link) = heating();
-    link.hob().mangle = Box::new(|frame| match unframed(frame).0 {
-        WindowEnd::ID => frame.repeat(2),
-        _ => frame.to_vec(),
+    let (mut ended, mut seen) = (false, 0);
+    link.hob().mangle = Box::new(move |frame| {
+        let id = unframed(frame).0;
+        if !ended && (WindowStart::ID..WindowEnd::ID).contains(&id) {
+            seen += 1;
+            return Vec::new();
+        }
+        ended |= id == WindowEnd::ID && seen > 0;
+        frame.to_vec()
     });
-    let events = watch(&mut client, &link, 6);
+    let events = watch(&mut client, 30);
+    assert!(events.len() >= 5, "{}", events.len());
     assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
-    assert_eq!(
-        client.counters().window_messages_stray as usize,
-        events.len()
-    );
+    let counters = client.counters();
+    assert_eq!(counters.windows_rejected_total(), 0);
+    assert!(counters.pieces_asked > 10, "{counters:?}");
+}
+
+/// What comes twice, or in another order, is as good as what comes once and in order.
+#[test]
+fn repetition_and_order_cost_nothing() {
+    for hello in [desk_hello(), older_hello()] {
+        for disorder in [repeated_all(), swapped(), repeated_late()] {
+            let (mut client, link) = heating_as(hello.clone());
+            link.hob().mangle = disorder;
+            let events = watch(&mut client, 20);
+            assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+            assert!(events.len() >= 6, "{}", events.len());
+            let counters = client.counters();
+            assert_eq!(counters.windows_rejected_total(), 0);
+        }
+    }
+}
+
+type Disorder = Box<dyn FnMut(&[u8]) -> Vec<u8> + Send>;
+
+fn repeated_all() -> Disorder {
+    Box::new(|frame| frame.repeat(2))
+}
+
+/// Each window frame comes again behind the two that follow it.
+fn repeated_late() -> Disorder {
+    let mut last = std::collections::VecDeque::new();
+    Box::new(move |frame| {
+        let mut bytes = frame.to_vec();
+        if unframed(frame).0 >= WindowStart::ID {
+            last.push_back(frame.to_vec());
+            if last.len() > 2 {
+                bytes.extend(last.pop_front().unwrap());
+            }
+        }
+        bytes
+    })
+}
+
+/// Each second window frame comes behind the one that follows it; nothing follows the last.
+fn swapped() -> Disorder {
+    let mut held: Option<Vec<u8>> = None;
+    Box::new(move |frame| {
+        if !(WindowStart::ID..=WindowEnd::ID).contains(&unframed(frame).0) {
+            return frame.to_vec();
+        }
+        match held.take() {
+            Some(held) => [frame.to_vec(), held].concat(),
+            None if unframed(frame).0 == WindowEnd::ID => frame.to_vec(),
+            None => {
+                held = Some(frame.to_vec());
+                Vec::new()
+            }
+        }
+    })
+}
+
+#[test]
+fn a_host_that_asks_for_nothing_loses_nothing() {
+    // A host of 2.0 never asks and never lets go: its hello says so.
+    let recorded = [0, 1].map(|minor| {
+        let link = DeskLink::new(DeskHob::new(desk_hello()));
+        let hello = Hello {
+            protocol_minor: minor,
+            schema_hash: if minor == 0 {
+                0
+            } else {
+                desk_hello().schema_hash
+            },
+            role: ROLE_HOST,
+            ..desk_hello()
+        };
+        link.hob().offer(&framed(&hello, 0));
+        link.hob().offer(&framed(&SetPower { power_w: 1_000 }, 1));
+        link.hob().run(60);
+        let stream = Stream {
+            telemetry_every: 0,
+            windows_every: 2,
+        };
+        link.hob().offer(&framed(&stream, 2));
+        link.hob().run(40);
+        link.hob().realtime().recorder().counters().recorded
+    });
+    // Kept for 20 half-cycles where the host might ask, and not at all where it cannot.
+    assert!(recorded[0] >= 19, "{recorded:?}");
+    assert!((1..=3).contains(&recorded[1]), "{recorded:?}");
+}
+
+#[test]
+fn windows_that_are_asked_for_keep_no_power_on() {
+    let (mut client, _link) = heating();
+    // Windows are let go of all the while, and nothing is commanded.
+    let events = watch(&mut client, u64::from(HOST_UNHEARD_HALF_CYCLES) + 10);
+    assert!(events.len() > 100);
+    assert_eq!(client.status().unwrap().asked_w, 0);
 }
 
 /// Changes a decoded message and frames it again with a matching CRC.
@@ -299,11 +441,11 @@ fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
     let (mut client, link) = heating();
     link.hob().bytes_per_block = 100;
     client.stream(0, 1).unwrap();
-    let events = watch(&mut client, &link, 40);
+    let events = watch(&mut client, 40);
     assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
     link.hob().bytes_per_block = usize::MAX;
     client.stream(0, 0).unwrap();
-    watch(&mut client, &link, 2);
+    watch(&mut client, 2);
     let (counters, status) = (client.counters(), client.status().unwrap());
     assert!(counters.windows.missing > 5, "{counters:?}");
     let seen = counters.windows.received + counters.windows.missing;

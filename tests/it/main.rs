@@ -11,6 +11,7 @@ mod estimator;
 mod field_loop;
 mod import;
 mod link_device;
+mod link_loss;
 mod link_tcp;
 mod link_windows;
 mod protocol_doc;

@@ -6,12 +6,12 @@ use std::sync::{Arc, LazyLock, Mutex};
 use ihd_link::incoming::Incoming;
 use ihd_link::{Event, Window};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_raw};
-use ihd_tests::desk_hob::heating;
+use ihd_tests::desk_hob::{heating_as, older_hello};
 use proptest::prelude::*;
 
 /// The frames a heating device sends in some half-cycles, undamaged.
 static RECORDED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-    let (_client, link) = heating();
+    let (_client, link) = heating_as(older_hello());
     let frames = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&frames);
     link.hob().mangle = Box::new(move |frame| {

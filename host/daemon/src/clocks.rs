@@ -39,6 +39,49 @@ impl Clocks {
     }
 }
 
+/// So many a second, and what is beyond that is counted.
+pub struct Allowance {
+    a_second: u32,
+    began: Instant,
+    used: u32,
+    beyond: u64,
+}
+
+impl Allowance {
+    /// `a_second` of them.
+    pub fn new(a_second: u32) -> Self {
+        Self {
+            a_second,
+            began: Instant::now(),
+            used: 0,
+            beyond: 0,
+        }
+    }
+
+    /// Whether one more is allowed.
+    pub fn take(&mut self) -> bool {
+        self.take_at(Instant::now())
+    }
+
+    fn take_at(&mut self, now: Instant) -> bool {
+        if now.saturating_duration_since(self.began) >= Duration::from_secs(1) {
+            self.began = now;
+            self.used = 0;
+        }
+        let allowed = self.used < self.a_second;
+        match allowed {
+            true => self.used += 1,
+            false => self.beyond += 1,
+        }
+        allowed
+    }
+
+    /// How many were beyond it since this was asked last.
+    pub fn take_beyond(&mut self) -> u64 {
+        std::mem::take(&mut self.beyond)
+    }
+}
+
 /// Waits between two tries: longer each time, and not at the same time for every device.
 pub struct Backoff {
     next: Duration,
@@ -98,6 +141,16 @@ mod tests {
         }
         let mut clocks = Clocks { turn: t, wall: w };
         assert_eq!(clocks.turn_at(t + s(1), w - s(3_600)), None);
+    }
+
+    #[test]
+    fn what_is_beyond_the_allowance_is_counted() {
+        let mut allowance = Allowance::new(3);
+        let now = Instant::now();
+        let taken = (0..10).filter(|_| allowance.take_at(now)).count();
+        assert_eq!((taken, allowance.take_beyond()), (3, 7));
+        assert!(allowance.take_at(now + Duration::from_secs(1)));
+        assert_eq!(allowance.take_beyond(), 0);
     }
 
     #[test]

@@ -397,7 +397,7 @@ mod tests {
             tls = { certificate = "c.pem", key = "k.pem" }
             keep = { windows = "one-in-10", max_age_days = 30, max_bytes = 5000000 }
             learning = { threads = 2, queue = 8 }
-            network = { method = "hybrid" }
+            network = { preset = "hybrid", seed = 7 }
             [[device]]
             name = "a"
             address = "usb:1234"
@@ -411,6 +411,7 @@ mod tests {
         .unwrap();
         assert_eq!(config.store_settings().keep, ihd_store::Keep::OneIn(10));
         assert_eq!(config.learning.threads, 2);
+        assert_eq!(config.network().unwrap().seed, 7);
         assert!(config.discovers_usb());
         assert_eq!(config.devices[1].address.sim.len(), 2);
     }
@@ -432,6 +433,7 @@ mod tests {
             ("[keep]\nwindows = \"one-in-0\"", &["one-in-0"]),
             ("[keep]\nmax_bytes = 1", &["keep.max_bytes = 1"]),
             ("[learning]\nthreads = 0", &["learning.threads = 0"]),
+            ("[network]\nsead = 1", &["[network]", "sead"]),
             ("listen = \"here\"", &["listen"]),
             ("[tls]\nkey = \"k\"", &["tls.certificate"]),
             (&device("A", "sim"), &["\"A\"", "a-z"]),

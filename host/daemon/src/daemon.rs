@@ -31,6 +31,9 @@ const GARBAGE_EVERY: Duration = Duration::from_secs(600);
 /// Outcomes of learning that may wait for the store.
 const LEARNED: usize = 64;
 
+/// How long the threads that learn have for the window that each is at.
+const LEARNED_WITHIN: Duration = Duration::from_secs(10);
+
 /// Longest name of a holder.
 const LONGEST_HOLDER: usize = 128;
 
@@ -416,7 +419,7 @@ impl Daemon {
         let routing = lock(&self.inner.routing).take();
         if let Some(routing) = routing {
             // It ends when the threads that learn have, with the window that each is at.
-            let _ = routing.await;
+            let _ = tokio::time::timeout(LEARNED_WITHIN, routing).await;
         }
         self.inner.store.close().await;
     }

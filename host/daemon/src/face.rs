@@ -1,7 +1,7 @@
 //! A device as everybody but its own task sees it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use ihd_link::AsyncClient;
 use ihd_shared::wire::messages::{Hello, Telemetry};
@@ -112,9 +112,10 @@ impl Face {
         self.tell(What::State { state, detail });
     }
 
-    /// The state now.
-    pub fn state(&self) -> DeviceState {
-        self.lock().state
+    /// The state now, and for how long.
+    pub fn state_and_age(&self) -> (DeviceState, Duration) {
+        let inner = self.lock();
+        (inner.state, inner.since.elapsed())
     }
 
     /// Why it is in its state.

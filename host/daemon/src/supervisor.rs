@@ -74,7 +74,12 @@ impl Devices {
             address,
             context: context.clone(),
         };
-        let watched = tokio::spawn(keep_running(Arc::new(task), taken));
+        let face = Arc::clone(&task.face);
+        let (task, taken) = (Arc::new(task), Arc::new(tokio::sync::Mutex::new(taken)));
+        let watched = tokio::spawn(keep_running(face, move || {
+            let (task, orders) = (Arc::clone(&task), Arc::clone(&taken));
+            async move { task.run(&mut *orders.lock().await).await }
+        }));
         let mut tasks = lock(&self.tasks);
         tasks.retain(|task| !task.is_finished());
         tasks.push(watched);
@@ -101,13 +106,15 @@ impl Devices {
 }
 
 /// Runs a device's task, and once more after a panic: the hob off first.
-async fn keep_running(task: Arc<DeviceTask>, orders: mpsc::Receiver<Order>) {
-    let orders = Arc::new(tokio::sync::Mutex::new(orders));
+async fn keep_running<F>(face: Arc<Face>, run: impl Fn() -> F)
+where
+    F: Future<Output = ()> + Send + 'static,
+{
     loop {
-        let (running, orders) = (Arc::clone(&task), Arc::clone(&orders));
-        let run = tokio::spawn(async move { running.run(&mut *orders.lock().await).await });
-        let Err(panicked) = run.await else { return };
-        after_panic(&task.face, &panicked.to_string()).await;
+        let Err(panicked) = tokio::spawn(run()).await else {
+            return;
+        };
+        after_panic(&face, &panicked.to_string()).await;
         tokio::time::sleep(AFTER_PANIC).await;
     }
 }
@@ -216,4 +223,44 @@ fn plug(
 
 fn usb_name(serial: &str) -> String {
     printable(&format!("usb:{serial}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use ihd_link::AsyncClient;
+    use ihd_sim::hob::{HobConfig, SimHob};
+    use ihd_sim::transport::SharedHob;
+
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_task_that_panics_leaves_the_hob_off_and_runs_again() {
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        let plug = hob.clone();
+        let (events, _coming) = mpsc::channel(16);
+        let client = AsyncClient::connect(move || Ok(Box::new(plug)), events).await;
+        let client = Arc::new(client.unwrap());
+        client.with(|c| c.set_power(900)).await.unwrap().unwrap();
+        let face = Arc::new(Face::new("a".into(), "sim".into(), Board::default()));
+        face.lock().asked_w = 900;
+        face.lock().client = Some(client);
+        let runs = Arc::new(AtomicU32::new(0));
+        let counted = Arc::clone(&runs);
+        keep_running(Arc::clone(&face), move || {
+            let counted = Arc::clone(&counted);
+            async move {
+                assert!(
+                    counted.fetch_add(1, Ordering::Relaxed) > 0,
+                    "the first one fails"
+                );
+            }
+        })
+        .await;
+        assert_eq!(runs.load(Ordering::Relaxed), 2);
+        assert_eq!(hob.lock().housekeeping().control().asked_w(), 0);
+        assert_eq!(face.lock().asked_w, 0);
+        assert!(face.detail().contains("fault of this program"));
+    }
 }

@@ -57,6 +57,11 @@ impl Unfinished<'_> {
         self.0.progress
     }
 
+    /// Counts all messages of it.
+    pub fn heard(&self) -> u32 {
+        self.0.heard
+    }
+
     /// What is missing, in requests of a chunk each; at most `limit`, first things first.
     pub fn missing(&self, limit: usize) -> Vec<ResendWindow> {
         let building = self.0;
@@ -192,6 +197,7 @@ struct Building {
     trajectory: Pieces<TRAJECTORY_ENTRY_BYTES>,
     end_crc32: Option<u32>,
     progress: u32,
+    heard: u32,
 }
 
 impl Building {
@@ -203,6 +209,7 @@ impl Building {
             trajectory: Pieces::new(Part::Trajectory),
             end_crc32: None,
             progress: 0,
+            heard: 0,
         }
     }
 
@@ -231,6 +238,7 @@ impl Building {
             AnyMessage::WindowEnd(m) => self.take_end(m)?,
             _ => false,
         };
+        self.heard = self.heard.wrapping_add(1);
         self.progress = self.progress.wrapping_add(is_new.into());
         self.complete()
     }

@@ -25,6 +25,8 @@ pub struct Counters {
     pub telemetry: SequenceCounters,
     /// Windows accepted.
     pub windows: SequenceCounters,
+    /// Windows of which anything has come: each is accepted or rejected in the end, or under way.
+    pub windows_begun: u32,
     /// Windows rejected, by [`super::WindowDefect::label`].
     pub windows_rejected: BTreeMap<&'static str, u32>,
     /// Pieces of windows that were asked for again.

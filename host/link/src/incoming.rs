@@ -138,6 +138,7 @@ impl Incoming {
                 let closed = |result| events.push_back(window_event(result, counters));
                 if let Some(seq) = self.assembler.take(m, closed) {
                     self.counters.windows.see(seq);
+                    self.counters.windows_begun = self.counters.windows_begun.wrapping_add(1);
                 }
             }
             // What only a host sends has no business here.

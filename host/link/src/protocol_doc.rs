@@ -114,8 +114,8 @@ entries, {CHUNK_BYTES} bytes a chunk.
 buffer is claimed: a gap is a window that was dropped.
 
 Chunks leave the device without gap or overlap. What is lost of them the host asks for again with `ResendWindow`,
-at most a few pieces at a time, when the window's end has come or nothing more of the window has come for
-30 ms, and six times at the most without success. A receiver takes pieces in any order and more than once;
+a few pieces at a time, when the window's end has come or nothing more of the window comes (100 ms, or
+longer on a slow link), and six times at the most without success. A receiver takes pieces in any order and more than once;
 those that overlap must agree.
 
 ## Lookup

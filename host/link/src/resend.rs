@@ -14,8 +14,8 @@ use super::assembler::Unfinished;
 /// Pieces asked for at once: twice as many find room among a device's answers and in what a host has room for.
 pub const PIECES: usize = 4;
 
-/// Silence about a window before each time that its missing pieces are asked for, if it has not ended. The longest
-/// is well below what a device keeps a window for.
+/// Silence about a window before each time that its missing pieces are asked for. The longest is well below what a
+/// device keeps a window for.
 const PATIENCE: [Duration; 6] = [
     Duration::from_millis(30),
     Duration::from_millis(30),
@@ -24,6 +24,9 @@ const PATIENCE: [Duration; 6] = [
     Duration::from_millis(100),
     Duration::from_millis(100),
 ];
+
+/// The least of it while the window's end has not come: more may come by itself.
+const PATIENCE_WITHIN: Duration = Duration::from_millis(100);
 
 /// Silence about a window after which nothing of it is expected any more.
 const GIVE_UP: Duration = Duration::from_secs(10);
@@ -43,16 +46,21 @@ pub enum Step {
 #[derive(Default)]
 pub struct Resend {
     window: Option<Asked>,
+    /// What lies between two messages of a window lately, at the longest: a slow link needs more patience.
+    spacing: Duration,
 }
 
 struct Asked {
     seq: u32,
     progress: u32,
+    heard: u32,
+    /// When its last message came.
+    heard_at: Duration,
     /// When the last new piece came.
     moved: Duration,
-    /// When that was, or pieces were last asked for.
+    /// When a message came, or pieces were asked for, last.
     since: Duration,
-    /// Times that silence led to a request.
+    /// Times that silence led to a request, since the last new piece.
     rounds: usize,
     pieces: Vec<ResendWindow>,
 }
@@ -64,19 +72,7 @@ impl Resend {
             self.window = None;
             return Step::Wait(Duration::MAX);
         };
-        let known = self.window.take().filter(|asked| asked.seq == window.seq());
-        let asked = self.window.insert(known.unwrap_or_else(|| Asked {
-            seq: window.seq(),
-            progress: window.progress(),
-            moved: now,
-            since: now,
-            rounds: 0,
-            pieces: Vec::new(),
-        }));
-        if asked.progress != window.progress() {
-            asked.progress = window.progress();
-            (asked.moved, asked.since, asked.rounds) = (now, now, 0);
-        }
+        let asked = self.listen(now, window);
         if now.saturating_sub(asked.moved) >= GIVE_UP {
             return Step::GiveUp(asked.seq);
         }
@@ -84,19 +80,60 @@ impl Resend {
         if !asks {
             return Step::Wait(left);
         }
-        let silence = now.saturating_sub(asked.since);
-        let patience = PATIENCE.get(asked.rounds).copied();
-        let impatient = patience.is_some_and(|patience| silence >= patience);
         let answered = match asked.pieces.as_slice() {
             [] => window.has_ended(),
             pieces => !pieces.iter().any(|piece| window.misses(piece)),
         };
+        let silence = now.saturating_sub(asked.since);
+        let rounds = asked.rounds;
+        let patience = self.patience(rounds, window.has_ended());
+        let impatient = patience.is_some_and(|patience| silence >= patience);
         if !impatient && !answered {
             return Step::Wait(patience.map_or(left, |p| p.saturating_sub(silence).min(left)));
         }
-        asked.rounds += usize::from(impatient);
-        asked.since = now;
-        asked.pieces = window.missing(PIECES);
-        Step::Ask(asked.pieces.clone())
+        let pieces = window.missing(PIECES);
+        if let Some(asked) = &mut self.window {
+            asked.rounds += usize::from(impatient);
+            asked.since = now;
+            asked.pieces.clone_from(&pieces);
+        }
+        Step::Ask(pieces)
+    }
+
+    /// Notes what has come since the last step.
+    fn listen(&mut self, now: Duration, window: &Unfinished<'_>) -> &Asked {
+        let known = self.window.take().filter(|asked| asked.seq == window.seq());
+        let mut asked = known.unwrap_or_else(|| Asked {
+            seq: window.seq(),
+            progress: window.progress(),
+            heard: window.heard(),
+            heard_at: now,
+            moved: now,
+            since: now,
+            rounds: 0,
+            pieces: Vec::new(),
+        });
+        if asked.heard != window.heard() {
+            let gap = now.saturating_sub(asked.heard_at);
+            self.spacing = gap.max(self.spacing * 3 / 4);
+            asked.heard = window.heard();
+            (asked.heard_at, asked.since) = (now, now);
+        }
+        if asked.progress != window.progress() {
+            asked.progress = window.progress();
+            (asked.moved, asked.rounds) = (now, 0);
+        }
+        self.window.insert(asked)
+    }
+
+    /// Silence before the next request; `None` when there is none.
+    fn patience(&self, rounds: usize, has_ended: bool) -> Option<Duration> {
+        let least = if has_ended {
+            Duration::ZERO
+        } else {
+            PATIENCE_WITHIN
+        };
+        let patience = PATIENCE.get(rounds)?;
+        Some((*patience).max(2 * self.spacing).max(least))
     }
 }

@@ -92,6 +92,9 @@ const DIFFERS_HZ: f64 = 1.0;
 /// What another frequency must leave unexplained at most, relative to the one specified, to be reported.
 const CLEARLY_BETTER: f64 = 0.5;
 
+/// Share of the envelope's variance below which nothing is left to be explained by another frequency.
+const WELL_EXPLAINED: f64 = 1e-3;
+
 /// Views that the search doubles through at most: 60 ms to 30 000 years.
 const MOST_VIEWS: u32 = 64;
 
@@ -127,10 +130,9 @@ pub fn find(
     if let (Some(specified_hz), true) = (specified_hz, free && seen) {
         let own = fit(&envelopes, None, true);
         // Half-cycles with pauses between them fit several frequencies alike.
-        let better = |own: &Fit| {
-            let as_told = measured.map_or(1.0, |told| told.unexplained);
-            own.unexplained < CLEARLY_BETTER * as_told
-        };
+        let as_told = measured.map_or(1.0, |told| told.unexplained);
+        let better =
+            |own: &Fit| as_told > WELL_EXPLAINED && own.unexplained < CLEARLY_BETTER * as_told;
         let differs = |own: &Fit| (own.hz - specified_hz).abs() > DIFFERS_HZ && better(own);
         if let Some(own) = own.filter(differs) {
             findings.push(Finding::MainsDiffers {
@@ -446,7 +448,7 @@ mod tests {
         let e = [envelope(52.0, 0.0, 0.0, 60e-3, 0.0)];
         find(&e, Some(50.0), None, 0.0, &mut findings);
         assert!(
-            matches!(findings[..], [Finding::MainsDiffers { measured_hz, .. }] if (measured_hz - 52.0).abs() < 0.3),
+            matches!(findings[..], [Finding::MainsDiffers { measured_hz, .. }, ..] if (measured_hz - 52.0).abs() < 0.3),
             "{findings:?}"
         );
     }

@@ -56,6 +56,9 @@ pub struct Frames {
     next: u64,
     /// Where the record that was read last began.
     at: u64,
+    /// Where the first of the records began that were passed over since the last one that was read: their lengths
+    /// are believed unchecked.
+    passed: Option<u64>,
     body: Vec<u8>,
     chunk: Vec<u8>,
     /// Message times of the last chunk, in nanoseconds.
@@ -99,6 +102,7 @@ impl Frames {
             length: found.len(),
             next: MAGIC.len() as u64,
             at: 0,
+            passed: None,
             body: Vec::new(),
             chunk: Vec::new(),
             times_ns: (0, 0),
@@ -179,10 +183,26 @@ impl Frames {
     /// the next chunk that can be found.
     fn resume(&mut self) -> Result<(), McapFileError> {
         if self.next <= self.at || !self.begins_a_record(self.next)? {
-            let found = self.chunk_from(self.at + 1)?;
+            let found = self.chunk_from(self.unchecked() + 1)?;
+            // With its end mark a file is damaged here, and not cut.
+            self.ended = found.is_none() && self.has_end_mark()?;
             self.next = found.unwrap_or(self.length);
         }
+        self.passed = None;
         self.seek(self.next)
+    }
+
+    /// Where what may be damaged begins: a wrong length shows in what it leads to.
+    fn unchecked(&self) -> u64 {
+        self.passed.unwrap_or(self.at)
+    }
+
+    /// Whether the file ends as a whole one does.
+    fn has_end_mark(&mut self) -> Result<bool, McapFileError> {
+        let mut end = [0; MAGIC.len()];
+        self.seek(self.length.saturating_sub(MAGIC.len() as u64))?;
+        let read = self.input.read_exact(&mut end);
+        Ok(read.is_ok() && end == *MAGIC)
     }
 
     fn seek(&mut self, to: u64) -> Result<(), McapFileError> {
@@ -296,7 +316,11 @@ impl Frames {
         }
         if declared > left - PREFIX {
             // Cut here, or the length is wrong: then there is more behind.
-            if self.chunk_from(self.at + 1)?.is_some() {
+            let mut found = self.chunk_from(self.unchecked() + 1)?;
+            if found == Some(self.at) {
+                found = self.chunk_from(self.at + 1)?;
+            }
+            if found.is_some() || self.has_end_mark()? {
                 let left = left - PREFIX;
                 let what =
                     format!("a record declares {declared} bytes, {left} are left in the file");
@@ -307,13 +331,18 @@ impl Frames {
         }
         self.next = self.at + PREFIX + declared;
         match opcode {
-            op::CHUNK => self.take_chunk(declared),
+            op::CHUNK => {
+                self.passed = None;
+                self.take_chunk(declared)
+            }
             _ if needed => {
+                self.passed = None;
                 self.read_body(declared)?;
                 Ok(Step::Record(opcode))
             }
             _ => {
                 self.look_for_a_chunk(declared)?;
+                self.passed.get_or_insert(self.at);
                 self.pass()
             }
         }

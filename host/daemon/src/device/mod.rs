@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, LinkError};
 use ihd_shared::lookup::RlLookup;
+use ihd_store::{Store, StoreError};
 use tokio::sync::{mpsc, oneshot, watch};
 
 use crate::OpenDevice;
@@ -41,6 +42,9 @@ const EVENTS: usize = 256;
 
 /// A session that lasted this long was a good one: the next try comes soon.
 const GOOD_SESSION: Duration = Duration::from_secs(10);
+
+/// How long a device's task waits for the store.
+const STORE_WITHIN: Duration = Duration::from_secs(4);
 
 /// What a device's task is told.
 pub enum Order {
@@ -81,6 +85,16 @@ pub struct Context {
 }
 
 impl Context {
+    /// Runs `f` with the store; none where it said no, which its thread tells, or takes too long: a device
+    /// must not wait for a disk.
+    pub async fn in_store<T: Send + 'static>(
+        &self,
+        f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Option<T> {
+        let done = tokio::time::timeout(STORE_WITHIN, self.store.run(f)).await;
+        done.ok()?.ok()
+    }
+
     /// Ready once the daemon stops.
     pub async fn stopping(&self) {
         // A daemon that is gone stops its devices, too.

@@ -37,6 +37,7 @@ impl Session<'_> {
             Err(error) => return Err(error),
         };
         let Some(rows) = self.rows().await else {
+            self.owes_mending = true;
             return Ok(());
         };
         self.context.learner.device_has(&self.face.name, on_device);
@@ -56,12 +57,8 @@ impl Session<'_> {
     /// What the store holds; none where it cannot say.
     pub(super) async fn rows(&self) -> Option<Vec<LookupRow>> {
         let device = self.device?;
-        let rows = self
-            .context
-            .store
-            .run(move |store| store.lookups(device))
-            .await;
-        rows.ok()
+        let rows = self.context.in_store(move |store| store.lookups(device));
+        rows.await
     }
 
     /// The store learns what the device uses.
@@ -71,9 +68,12 @@ impl Session<'_> {
         let lookup = lookup.clone();
         let adopted = self
             .context
-            .store
-            .run(move |store| store.adopt_lookup(device, &lookup));
-        if adopted.await.is_ok() && version > 0 {
+            .in_store(move |store| store.adopt_lookup(device, &lookup))
+            .await;
+        if adopted.is_none() {
+            // The store has it as pending, and is told again.
+            self.owes_mending = true;
+        } else if version > 0 {
             tracing::info!(
                 device = self.face.name,
                 version,
@@ -142,9 +142,9 @@ impl Session<'_> {
         let (pending, said) = (lookup.clone(), printable(why));
         let pended = self
             .context
-            .store
-            .run(move |store| store.pend_lookup(device, &pending, &said));
-        pended.await.map_err(|error| error.to_string())?;
+            .in_store(move |store| store.pend_lookup(device, &pending, &said));
+        let not_kept = "the store cannot keep it: nothing is pushed that it does not know";
+        pended.await.ok_or(not_kept)?;
         let version = lookup.version;
         self.face.lock().lookup.pending = Some(version);
         let pushed = lookup.clone();
@@ -154,8 +154,7 @@ impl Session<'_> {
                 let said = error.to_string();
                 let refused = self
                     .context
-                    .store
-                    .run(move |store| store.refuse_lookup(device, version, &said));
+                    .in_store(move |store| store.refuse_lookup(device, version, &said));
                 // It stays pending, and the next connection asks the device.
                 let _ = refused.await;
                 Err(error.to_string())
@@ -247,12 +246,11 @@ impl Session<'_> {
         self.context.learner.forget(&self.face.name);
         self.context.learner.device_has(&self.face.name, 0);
         if let Some(device) = self.device {
-            let forgotten = self.context.store.run(move |store| {
+            let forgotten = self.context.in_store(move |store| {
                 store.forget_learned(device)?;
                 store.adopt_lookup(device, &prior())
             });
-            // The store's trouble is told by its thread, and the next connection mends it.
-            let _ = forgotten.await;
+            self.owes_mending = forgotten.await.is_none();
         }
         self.show_lookups().await;
         Ok(())

@@ -15,7 +15,7 @@ use tokio::sync::mpsc;
 use super::pushing::Push;
 use super::sweep::{Step, Sweep};
 use super::{Context, Order, lease_ended};
-use crate::clocks::Clocks;
+use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
 use crate::learning::Task;
 use crate::ledger::Arrival;
@@ -47,6 +47,18 @@ const OUT_OF_ORDER: u32 = 1_000;
 
 /// Half-cycles that are remembered until their window has come: two seconds.
 const POWERS: usize = 256;
+
+/// Between two tries of what the store could not do.
+const TRY_AGAIN: Duration = Duration::from_secs(10);
+
+/// Windows of a second that are taken: a device that keeps to what it was told sends six.
+const WINDOWS_A_SECOND: u32 = 30;
+
+/// Faults, and windows with a defect, of a second that are told.
+const TOLD_A_SECOND: u32 = 10;
+
+/// A state lasts this long before another one is told.
+const STATE_LASTS: Duration = Duration::from_millis(400);
 
 /// Why a session ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -80,6 +92,13 @@ pub struct Session<'a> {
     looked: Instant,
     unanswered: u32,
     shown_half_cycle: Option<u32>,
+    /// Jumps of the window numbers that were told.
+    jumps: u32,
+    /// Store and device may hold different lookups: to be compared again.
+    pub(super) owes_mending: bool,
+    tried_again: Instant,
+    windows_allowed: Allowance,
+    told_allowed: Allowance,
     /// The last half-cycles, and in which it heated with which power in milliwatt.
     powers: VecDeque<(u32, bool, u32)>,
 }
@@ -103,6 +122,11 @@ impl<'a> Session<'a> {
             looked: now,
             unanswered: 0,
             shown_half_cycle: None,
+            jumps: 0,
+            owes_mending: false,
+            tried_again: now,
+            windows_allowed: Allowance::new(WINDOWS_A_SECOND),
+            told_allowed: Allowance::new(TOLD_A_SECOND),
             powers: VecDeque::new(),
             news: None,
         }
@@ -201,7 +225,7 @@ impl<'a> Session<'a> {
         let hello = self.client.hello().clone();
         let front_end = self.client.front_end().clone();
         let is_resumed = self.face.lock().is_resumed;
-        let began = self.context.store.run(move |store| {
+        let began = self.context.in_store(move |store| {
             let device = store.device(&name, &address)?;
             let session = store.begin_session(device, &hello, &front_end)?;
             let learned = match is_resumed {
@@ -211,7 +235,7 @@ impl<'a> Session<'a> {
             Ok((device, session, learned))
         });
         // The store's trouble is told by its thread.
-        if let Ok((device, session, learned)) = began.await {
+        if let Some((device, session, learned)) = began.await {
             self.device = Some(device);
             self.session = Some(session);
             self.face.lock().is_resumed = true;
@@ -243,10 +267,13 @@ impl<'a> Session<'a> {
                         inner.ledger.fates.refused += 1;
                     }
                 }
-                tracing::debug!(device = self.face.name, seq, why, "window refused");
-                self.face.tell(What::WindowRefused { seq, why });
+                if self.told_allowed.take() {
+                    tracing::debug!(device = self.face.name, seq, why, "window refused");
+                    self.face.tell(What::WindowRefused { seq, why });
+                }
                 Ok(())
             }
+            Event::Fault(_) if !self.told_allowed.take() => Ok(()),
             Event::Fault(event) => {
                 let (fault, text) = (event.fault.number(), event.fault.text().to_owned());
                 if event.fault == Fault::NONE {
@@ -314,6 +341,7 @@ impl<'a> Session<'a> {
         let teaches = told.is_none_or(|(_, heats, _)| *heats);
         let power_w = told.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3);
         let ids = self.device.zip(self.session);
+        let ids = ids.filter(|_| self.windows_allowed.take());
         let stored = ids.is_some_and(|(device_id, session)| {
             let face = Arc::clone(self.face);
             let learner = Arc::clone(&self.context.learner);
@@ -421,11 +449,20 @@ impl<'a> Session<'a> {
         let Some(t) = self.face.lock().last.clone() else {
             return;
         };
-        let (state, detail) = of_telemetry(&t, self.face.state());
-        self.face.enter(state, &detail);
+        self.show_state(&t);
         if self.shown_half_cycle != Some(t.half_cycle) {
             self.shown_half_cycle = Some(t.half_cycle);
             self.face.tell(What::Telemetry { live: live(&t) });
+        }
+    }
+
+    /// The state that a half-cycle shows; not more often than a person can follow.
+    fn show_state(&self, t: &Telemetry) {
+        let (before, age) = self.face.state_and_age();
+        let (state, detail) = of_telemetry(t, before);
+        let passing = matches!(before, DeviceState::Connected | DeviceState::Suspended);
+        if state == before || passing || age >= STATE_LASTS {
+            self.face.enter(state, &detail);
         }
     }
 
@@ -442,10 +479,44 @@ impl<'a> Session<'a> {
             Err(_) => return Err(self.why_ended()),
         }
         let unlearned = self.context.learner.unlearned(&self.face.name);
-        self.face.lock().ledger.fates.unlearned = unlearned;
+        let jumps = {
+            let mut inner = self.face.lock();
+            inner.ledger.fates.unlearned = unlearned;
+            inner.ledger.jumps()
+        };
+        if jumps > std::mem::replace(&mut self.jumps, jumps) {
+            tracing::warn!(
+                device = self.face.name,
+                jumps,
+                "its windows are numbered in jumps"
+            );
+        }
+        let beyond = self.told_allowed.take_beyond() + self.windows_allowed.take_beyond();
+        if beyond > 0 {
+            tracing::warn!(
+                device = self.face.name,
+                beyond,
+                "more windows and faults than a device sends: not told"
+            );
+        }
         self.look_at_recording();
-        if self.session.is_none() && self.context.store.gauge().is_well() {
+        if self.tried_again.elapsed() >= TRY_AGAIN {
+            self.tried_again = Instant::now();
+            self.try_store_again().await?;
+        }
+        Ok(())
+    }
+
+    /// What the store could not do when it was asked.
+    async fn try_store_again(&mut self) -> Result<(), Ended> {
+        if self.session.is_none() {
             self.begin_in_store().await;
+            self.owes_mending |= self.session.is_some();
+        }
+        if self.session.is_some() && self.push.is_none() && std::mem::take(&mut self.owes_mending) {
+            let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
+            let mended = self.reconcile(on_device).await;
+            mended.map_err(|error| Ended::Link(error.to_string()))?;
         }
         Ok(())
     }
@@ -529,8 +600,7 @@ impl<'a> Session<'a> {
         if let Some(session) = self.session {
             let ending = self
                 .context
-                .store
-                .run(move |store| store.end_session(session, &why));
+                .in_store(move |store| store.end_session(session, &why));
             // The store's trouble is told by its thread.
             let _ = ending.await;
         }

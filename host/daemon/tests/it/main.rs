@@ -1,5 +1,6 @@
 //! The daemon with simulated hobs.
 
+mod learning;
 mod leases;
 mod lookups;
 mod rig;

@@ -13,11 +13,11 @@ use ihd_daemon::config::Config;
 /// The configuration that is read when none is named and it is there.
 const HERE: &str = "ihd.toml";
 
-/// A daemon that does not answer within this is not there.
+/// Where nobody takes the call within this, no daemon is there.
 const THERE_WITHIN: Duration = Duration::from_millis(300);
 
-/// The same over TLS, whose handshake takes a while on a small board.
-const THERE_WITHIN_TLS: Duration = Duration::from_secs(2);
+/// Who took the call has this long to say that he is a daemon: a busy one holds devices too, which must not be taken from it.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(5);
 
 /// Token for a daemon whose token file cannot be read from here.
 const TOKEN: &str = "IHD_TOKEN";
@@ -66,15 +66,16 @@ pub fn server_settings(config: &Config) -> Settings {
 /// A client of the daemon that the configuration describes, where one answers.
 ///
 /// # Errors
-/// When it is there, and its certificate or token cannot be read.
+/// When somebody is there who does not say who he is, or the certificate or token cannot be read.
 pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     let reached = reached_at(config.listen);
     if std::net::TcpStream::connect_timeout(&reached, THERE_WITHIN).is_err() {
         return Ok(None);
     }
-    let (scheme, within) = match config.tls {
-        None => ("http", THERE_WITHIN),
-        Some(_) => ("https", THERE_WITHIN_TLS),
+    let scheme = if config.tls.is_some() {
+        "https"
+    } else {
+        "http"
     };
     let ca = config.tls.as_ref().map(|tls| match &tls.certificate {
         Some(path) => path.clone(),
@@ -82,14 +83,13 @@ pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     });
     let url = format!("{scheme}://{reached}");
     let client = ApiClient::new(&url, &holder(), token(config)?, ca.as_deref())?;
-    match client.health(within) {
+    match client.health(ANSWERS_WITHIN) {
         Ok(_) => Ok(Some(client)),
         Err(error @ ClientError::Strange { .. }) => {
             super::output::complain(format_args!("ihd: {error}; going without a daemon"));
             Ok(None)
         }
-        Err(error) if config.tls.is_some() => Err(error.into()),
-        Err(_) => Ok(None),
+        Err(error) => Err(error.into()),
     }
 }
 

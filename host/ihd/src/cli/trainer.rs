@@ -164,10 +164,14 @@ impl TrainerArgs {
         let Some(store) = store.filter(|_| found) else {
             return Ok(());
         };
-        let drawn = trained::write(report, &store.join("identified.svg"));
-        if failed.is_none() {
-            // After a failure that one is told.
-            drawn?;
+        match (
+            trained::write(report, &store.join("identified.svg")),
+            failed,
+        ) {
+            (Ok(()), _) => {}
+            (Err(why), None) => return Err(why.into()),
+            // The run's own failure is told.
+            (Err(_), Some(_)) => return Ok(()),
         }
         if !self.json {
             say!(

@@ -63,7 +63,7 @@ fn captures_with_nothing_in_them_are_refused_with_the_reason() {
     assert!(matches!(refused(&c), SurveyError::TooSlow { .. }));
     (c.v_v, c.i_a) = (Vec::new(), Vec::new());
     c.time = TimeBase::Stamps(Vec::new());
-    assert!(matches!(refused(&c), SurveyError::TooShort { .. }));
+    assert!(matches!(refused(&c), SurveyError::Empty { .. }));
 }
 
 /// Found by fuzzing: relative errors of an L of zero were infinite.

@@ -89,8 +89,13 @@ fn cells(lookup: &RlLookup) -> Value {
 /// R and L over frequency (down) and current (across, every fourth); what was observed has a star.
 fn table(lookup: &RlLookup) -> String {
     let shown: Vec<usize> = (0..CURRENTS).step_by(4).collect();
+    let built_in = if lookup.version == 0 {
+        " (the built-in one)"
+    } else {
+        ""
+    };
     let mut text = format!(
-        "version {}, {} of {} cells observed (*)\n",
+        "version {}{built_in}, {} of {} cells observed (*)\n",
         lookup.version,
         lookup.observed_cells(),
         FREQUENCIES * CURRENTS

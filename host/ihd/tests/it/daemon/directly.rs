@@ -1,9 +1,10 @@
 //! Commands where no daemon runs.
 
 use std::path::PathBuf;
+use std::sync::MutexGuard;
 use std::time::Duration;
 
-use super::processes::{Process, asked_w_directly, device, free_port, hob, ihd};
+use super::processes::{Process, alone, asked_w_directly, device, free_port, hob, ihd};
 
 struct Bench {
     _hob: Process,
@@ -11,9 +12,11 @@ struct Bench {
     place: String,
     config: PathBuf,
     dir: tempfile::TempDir,
+    _alone: MutexGuard<'static, ()>,
 }
 
 fn bench() -> Bench {
+    let alone = alone();
     let (hob, address) = hob();
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("ihd.toml");
@@ -29,6 +32,7 @@ fn bench() -> Bench {
         address,
         config,
         dir,
+        _alone: alone,
     }
 }
 

@@ -1,0 +1,70 @@
+//! Whatever heats teaches, and a restart forgets nothing.
+
+use ihd_daemon::model::{DeviceState, What};
+use ihd_store::{LookupState, ResultFilter};
+
+use super::rig::{Rig, hear, until, until_state};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let mut notices = daemon.watch();
+    rig.bench().panel(7);
+    let version = hear(&mut notices, |what| match what {
+        What::LookupActive { version, .. } => Some(*version),
+        _ => None,
+    })
+    .await;
+    assert!(version >= 1);
+    hear(&mut notices, |what| {
+        matches!(what, What::ResultStored { pass: true, .. }).then_some(())
+    })
+    .await;
+    let report = until(&daemon, |r| {
+        r.windows.learned >= 3
+            && r.lookup.on_device == r.lookup.active
+            && r.lookup.pending.is_none()
+    })
+    .await;
+    assert!(report.lookup.observed_cells > 0);
+    assert_eq!(report.asked_by_daemon_w, 0, "it only watched");
+    let results = daemon.results(ResultFilter::default()).await.unwrap();
+    assert!(results.len() >= 3);
+    // The simulated pot, at a point of its load: the truth is 2-3 ohm and some 20 microhenry.
+    let passed = results.iter().find(|r| r.pass).unwrap();
+    assert!(
+        passed.sigma_r_pct < 1.0 && passed.l_h > 5e-6 && passed.l_h < 60e-6,
+        "{passed:?}"
+    );
+    rig.bench().panel(0);
+    until_state(&daemon, DeviceState::Idle).await;
+    let before = until(&daemon, |r| {
+        let w = r.windows;
+        r.lookup.pending.is_none() && w.learned + w.unfit + w.unlearned == w.stored
+    })
+    .await;
+    let lookups = daemon.lookups("bench").await.unwrap();
+    daemon.stop().await;
+
+    let daemon = rig.daemon().await;
+    let after = until_state(&daemon, DeviceState::Idle).await;
+    assert_eq!(
+        after.lookup, before.lookup,
+        "the same lookup, and nothing was pushed"
+    );
+    assert_eq!(daemon.lookups("bench").await.unwrap(), lookups);
+    rig.bench().panel(7);
+    let again = until(&daemon, |r| r.windows.learned >= 3).await;
+    assert!(
+        again.lookup.observed_cells >= before.lookup.observed_cells,
+        "nothing is learned worse than before: {:?}, {:?}",
+        again.lookup,
+        before.lookup
+    );
+    let rows = daemon.lookups("bench").await.unwrap();
+    let active = rows.iter().filter(|row| row.state == LookupState::Active);
+    assert_eq!(active.count(), 1);
+    daemon.stop().await;
+}
