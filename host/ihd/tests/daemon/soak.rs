@@ -224,12 +224,19 @@ fn for_long_nothing_grows_and_every_window_is_accounted_for() {
     if !daemon.stop() {
         wrong.push(format!("it does not end in order: {}", daemon.log_tail()));
     }
+    let stored: u64 = reports.iter().map(|r| count(r, "stored")).sum();
     match store(folder.path(), &["check"]) {
-        Ok(check) if check["integrity"] == "ok" => println!(
-            "store: {} windows, {} results",
-            check["windows"], check["results"]
-        ),
-        Ok(check) => wrong.push(format!("store: {}", check["integrity"])),
+        Ok(check) => {
+            println!(
+                "store: {}, {} windows, {} results",
+                check["integrity"], check["windows"], check["results"]
+            );
+            if check["integrity"] != "ok" || check["windows"] != stored {
+                wrong.push(format!(
+                    "the store has not the {stored} windows that were counted: {check}"
+                ));
+            }
+        }
         Err(e) => wrong.push(e.to_string()),
     }
     drop(disk);

@@ -227,6 +227,10 @@ impl<'a> Device<'a> {
         let mut heated = Duration::ZERO;
         while heated < SETTLE_WITHIN {
             let Some(telemetry) = self.next_telemetry(point)? else {
+                // Nothing else that a device sends stands for it.
+                if self.client()?.clock().saturating_sub(before) >= PATIENCE {
+                    return Err(self.silent("telemetry"));
+                }
                 continue;
             };
             let now = self.client()?.clock();
