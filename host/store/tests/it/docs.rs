@@ -23,6 +23,9 @@ fn the_tables_are_documented_as_they_are() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         fs::write(path, format!("{before}{BEGIN}{tables}{END}{after}")).unwrap();
     } else {
-        assert!(shown == tables, "docs/store.md is not up to date: UPDATE_DOCS=1");
+        assert!(
+            shown == tables,
+            "docs/store.md is not up to date: UPDATE_DOCS=1"
+        );
     }
 }
