@@ -40,6 +40,6 @@ pub use counters::Counters;
 pub use device_spec::DeviceSpec;
 pub use error::LinkError;
 pub use incoming::Event;
-pub use printable::{printable, printable_hello};
+pub use printable::printable_hello;
 pub use transport::{FrameSink, Transport};
 pub use window::{Window, WindowDefect};

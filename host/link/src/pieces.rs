@@ -131,6 +131,8 @@ impl<const N: usize> Pieces<N> {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::single_range_in_vec_init, reason = "one gap, one chunk")]
+
     use super::*;
 
     /// Entries of a byte whose values are their places.

@@ -4,13 +4,14 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::time::Duration;
 
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
+use ihd_signal::printable;
 use nusb::MaybeFuture;
 use nusb::descriptors::TransferType;
 use nusb::io::{EndpointRead, EndpointWrite};
 use nusb::transfer::{Bulk, Direction, In, Out};
 
 use super::transport::SEND_TIMEOUT;
-use super::{LinkError, Transport, printable};
+use super::{LinkError, Transport};
 
 /// The device sends packets of less than 64 bytes, each of which ends a transfer: many in flight.
 const TRANSFER: usize = 64;
@@ -52,14 +53,14 @@ pub struct Board {
 }
 
 /// The controllers that are plugged in, in order of their serial numbers. Their strings are
-/// [`printable`](super::printable).
+/// [`printable`].
 ///
 /// # Errors
 /// [`LinkError::Connect`] where the system has no USB, or does not let us look.
 pub fn boards() -> Result<Vec<Board>, LinkError> {
     let board = |device: &nusb::DeviceInfo| Board {
-        serial: printable(device.serial_number().unwrap_or_default()),
-        product: printable(device.product_string().unwrap_or_default()),
+        serial: printable(device.serial_number().unwrap_or_default()).to_string(),
+        product: printable(device.product_string().unwrap_or_default()).to_string(),
     };
     let mut boards: Vec<Board> = controllers()?.iter().map(board).collect();
     boards.sort();

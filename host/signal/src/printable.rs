@@ -1,9 +1,9 @@
-//! Text from a device or a file, made fit for a terminal or a log.
+//! Text from a device or a file, made fit for a terminal, a log or a database.
 
 use std::fmt::{self, Display, Formatter, Write};
 
-/// Shows text with its control characters as `\u{1b}`, so that nothing that a device or a file holds
-/// moves a cursor, names a window or breaks a line.
+/// Shows text with what a terminal would obey as `\u{1b}`: nothing that a device or a file holds moves a cursor,
+/// names a window, breaks a line, or changes the order of letters.
 #[derive(Clone, Copy, Debug)]
 pub struct Printable<'a>(&'a str);
 
@@ -12,13 +12,27 @@ pub fn printable(text: &str) -> Printable<'_> {
     Printable(text)
 }
 
+/// Whether a character is shown as it is: no control character, and none that changes the order of letters or
+/// cannot be seen.
+pub fn is_shown(c: char) -> bool {
+    matches!(c, '\'' | '"' | '\\') || c.escape_debug().len() == 1
+}
+
+/// The first characters of a text, fit to be shown; ` …` tells that there were more.
+pub fn cut(text: &str, longest: usize) -> String {
+    match text.char_indices().nth(longest) {
+        None => printable(text).to_string(),
+        Some((end, _)) => format!("{} …", printable(&text[..end])),
+    }
+}
+
 impl Display for Printable<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         for c in self.0.chars() {
-            if c.is_control() {
-                write!(f, "{}", c.escape_unicode())?;
-            } else {
+            if is_shown(c) {
                 f.write_char(c)?;
+            } else {
+                write!(f, "{}", c.escape_unicode())?;
             }
         }
         Ok(())
@@ -30,8 +44,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_characters_are_escaped_and_nothing_else() {
-        let text = printable("a\x1b]0;owned\x07\r\n\u{9b}b µΩ").to_string();
-        assert_eq!(text, r"a\u{1b}]0;owned\u{7}\u{d}\u{a}\u{9b}b µΩ");
+    fn what_a_terminal_would_obey_is_shown_instead() {
+        let evil = "a\x1b]0;owned\x07\r\n\u{9b}b\u{202e}d\u{200b}\u{7f}";
+        let shown = printable(evil).to_string();
+        let expected = r"a\u{1b}]0;owned\u{7}\u{d}\u{a}\u{9b}b\u{202e}d\u{200b}\u{7f}";
+        assert_eq!(shown, expected);
+        assert!(shown.chars().all(is_shown));
+    }
+
+    #[test]
+    fn ordinary_text_stays() {
+        let text = "it's \"ihd\" 1.0 \\ 25 µH, 日本";
+        assert_eq!(printable(text).to_string(), text);
+    }
+
+    #[test]
+    fn long_text_is_cut_by_characters() {
+        assert_eq!(cut("µΩ", 2), "µΩ");
+        assert_eq!(cut("µΩ\u{7}", 2), "µΩ …");
+        assert_eq!(cut(&"\u{7}".repeat(3), 2), r"\u{7}\u{7} …");
     }
 }

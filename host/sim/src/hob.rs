@@ -5,6 +5,7 @@
 //! from the firmware's detector on noisy codes; truth is counted by the mains itself.
 
 use std::collections::VecDeque;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use ihd_firmware::drive::Bridge;
 use ihd_firmware::health::Heartbeat;
@@ -81,6 +82,8 @@ pub struct HobConfig {
     pub noise: Noise,
     /// Seed of the noise.
     pub seed: u64,
+    /// What tells this boot from others; `None`: the seed, so that the same run gives the same bytes.
+    pub boot: Option<u32>,
     /// What the link carries, in bytes per second of simulated time. USB full speed with
     /// single-buffered bulk endpoints manages a few hundred kilobytes.
     pub link_bytes_per_s: f64,
@@ -105,7 +108,20 @@ impl Default for HobConfig {
                 i_a: 0.02,
             },
             seed: 1,
+            boot: None,
             link_bytes_per_s: 400e3,
+        }
+    }
+}
+
+impl HobConfig {
+    /// The same hob in a process of its own: whoever stores what it sends must tell this boot from the one before.
+    pub fn booted_now(self) -> Self {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
+        let boot = since_1970.map_or(0, |t| t.as_micros() as u32);
+        Self {
+            boot: Some(boot),
+            ..self
         }
     }
 }
@@ -153,8 +169,7 @@ impl SimHob {
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
         let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-        // Simulated boots differ by their seed.
-        let boot_id = config.seed as u32;
+        let boot_id = config.boot.unwrap_or(config.seed as u32);
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
         let mains = Mains::new(config.mains_hz).changed(0.0, config.mains_v, config.mains_hz);

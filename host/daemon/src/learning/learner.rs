@@ -305,7 +305,7 @@ fn settle(
             news = None;
         }
     }
-    let state = known.to_save(news.is_some(), SAVE_EVERY);
+    let state = known.take_due_save(news.is_some(), SAVE_EVERY);
     Learned {
         device: task.device,
         device_id: task.device_id,

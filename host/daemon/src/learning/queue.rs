@@ -62,7 +62,7 @@ impl Known {
     }
 
     /// The bytes for the store, where something new was learned, or nothing was stored for `every`.
-    pub fn to_save(&mut self, is_news: bool, every: Duration) -> Option<Vec<u8>> {
+    pub fn take_due_save(&mut self, is_news: bool, every: Duration) -> Option<Vec<u8>> {
         let curves = self.learning.curves();
         if !is_news && curves == self.curves_saved && self.saved.elapsed() < every {
             return None;

@@ -217,6 +217,7 @@ fn a_daemon_that_is_slow_or_gone_blocks_nobody_who_offers() {
 }
 
 /// Windows of a simulated hob heating at some powers, each settled or not.
+#[expect(clippy::vec_box, reason = "as the link hands them over")]
 fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> {
     let hob = SharedHob::new(SimHob::new(&HobConfig {
         warming,

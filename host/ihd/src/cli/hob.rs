@@ -101,13 +101,13 @@ impl HobArgs {
 
     fn hob(&self) -> Result<(SimHob, Option<Script>)> {
         let Some(path) = &self.script else {
-            return Ok((SimHob::new(&self.simulated.config()?), None));
+            return Ok((SimHob::new(&self.simulated.config()?.booted_now()), None));
         };
         let of_script = || format!("script {}", path.display());
         let scenario = Scenario::read(path).with_context(of_script)?;
         let mut config = scenario.file.hob();
         config.seed = self.simulated.seed().unwrap_or(config.seed);
-        let mut hob = SimHob::assemble(&config).with_context(of_script)?;
+        let mut hob = SimHob::assemble(&config.booted_now()).with_context(of_script)?;
         let script = Script::new(&scenario, &mut hob).with_context(of_script)?;
         Ok((hob, Some(script)))
     }

@@ -98,7 +98,7 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
             let mut running = running.lock().unwrap_or_else(PoisonError::into_inner);
             let hob = running
                 .entry(name)
-                .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob)));
+                .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob.booted_now())));
             Box::new(PacedHob::new(hob.clone(), simulated.speed)) as Box<dyn Transport>
         })
     }))

@@ -5,6 +5,7 @@ use std::fmt::Arguments;
 use std::io::Write;
 
 use anyhow::{Context, Result};
+use ihd_signal::printable::is_shown;
 use serde::Serialize;
 
 /// Prints a line. Usable as `println!`, but for what it returns.
@@ -63,10 +64,10 @@ fn raw(bytes: &[u8]) -> Result<()> {
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
-        if c.is_control() && !matches!(c, '\n' | '\t') {
-            out.extend(c.escape_unicode());
-        } else {
+        if is_shown(c) || matches!(c, '\n' | '\t') {
             out.push(c);
+        } else {
+            out.extend(c.escape_unicode());
         }
     }
     out

@@ -328,7 +328,7 @@ impl Truth {
                 t.fault = Fault::HARDWARE_OVER_CURRENT;
             }
             heard = Some(Heard::Telemetry(Box::new(t)));
-            if self.act == Act::Fault && h % 100 == 0 {
+            if self.act == Act::Fault && h.is_multiple_of(100) {
                 heard = Some(Heard::Fault(FaultEvent {
                     half_cycle: h,
                     fault: Fault::HARDWARE_OVER_CURRENT,

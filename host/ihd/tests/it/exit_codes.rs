@@ -120,7 +120,7 @@ fn a_device_that_is_not_there_is_3() {
     drop(socket);
     for args in [
         format!("record --device tcp:{address} --out b.mcap"),
-        format!("record --device serial:/dev/none --out b.mcap"),
+        "record --device serial:/dev/none --out b.mcap".to_owned(),
     ] {
         let (code, _, stderr) = run(dir.path(), &args);
         assert_eq!(code, 3, "{args}: {stderr}");

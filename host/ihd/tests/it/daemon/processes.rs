@@ -130,7 +130,6 @@ pub struct Kitchen {
     pub daemon: Process,
     pub hob: Process,
     pub dir: TempDir,
-    pub port: u16,
     pub hob_address: String,
     _alone: MutexGuard<'static, ()>,
 }
@@ -152,7 +151,6 @@ impl Kitchen {
             daemon,
             hob,
             dir,
-            port,
             hob_address,
             _alone: alone,
         };
