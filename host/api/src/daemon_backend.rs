@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ihd_daemon::learning::LearnerFigures;
 use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease, Notice};
 use ihd_daemon::{Daemon, DaemonError};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
@@ -141,16 +142,6 @@ impl Backend for DaemonBackend {
 
     fn figures(&self) -> Vec<Figure> {
         let f = self.daemon.figures();
-        let gauge = |name, help, value| Figure {
-            name,
-            help,
-            counter: false,
-            value,
-        };
-        let counter = |name, help, value| Figure {
-            counter: true,
-            ..gauge(name, help, value)
-        };
         let mut all = vec![
             gauge("up_seconds", "Seconds since the daemon began", f.up_s),
             gauge("devices", "Devices", f.devices as f64),
@@ -181,6 +172,7 @@ impl Backend for DaemonBackend {
                 f.store_busy_s,
             ),
         ];
+        all.extend(learner_figures(&f.learner));
         if let Some(bytes) = f.rss_bytes {
             let help = "Memory of the daemon that is resident";
             all.push(gauge("resident_memory_bytes", help, bytes as f64));
@@ -207,6 +199,61 @@ impl Backend for DaemonBackend {
             Ok(alive)
         })
     }
+}
+
+fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
+    Figure {
+        name,
+        help,
+        counter: false,
+        value,
+    }
+}
+
+fn counter(name: &'static str, help: &'static str, value: f64) -> Figure {
+    Figure {
+        counter: true,
+        ..gauge(name, help, value)
+    }
+}
+
+fn learner_figures(f: &LearnerFigures) -> Vec<Figure> {
+    let mut all = vec![
+        gauge("learner_threads", "Threads that train", f.threads as f64),
+        gauge(
+            "learner_queue",
+            "Windows that wait to be learned from",
+            f.waiting as f64,
+        ),
+        counter(
+            "learner_windows_total",
+            "Windows that were looked at",
+            f.learned as f64,
+        ),
+        counter(
+            "learner_dropped_total",
+            "Windows that were dropped before they were looked at",
+            f.unlearned as f64,
+        ),
+        counter(
+            "learner_panics_total",
+            "Windows whose training failed within",
+            f.panics as f64,
+        ),
+        counter(
+            "learner_busy_seconds_total",
+            "Seconds that the threads trained, all together",
+            f.busy_s,
+        ),
+    ];
+    let p50 = f
+        .fit_p50_s
+        .map(|s| gauge("learner_fit_p50_seconds", "Half of the last fits", s));
+    let p99 = f
+        .fit_p99_s
+        .map(|s| gauge("learner_fit_p99_seconds", "99 % of the last fits", s));
+    all.extend(p50.into_iter().chain(p99));
+    all
 }
 
 /// JSON has no NaN.

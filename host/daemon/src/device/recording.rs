@@ -22,7 +22,8 @@ impl Session<'_> {
         let started = self.client.with(move |client| {
             fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
             let recorder = SessionRecorder::create(&path, &hello, &front_end)
-                .map_err(|error| error.to_string())?;
+                .map_err(|error| error.to_string())?
+                .flushed_by_the_wall_clock();
             client.record_to(recorder);
             Ok::<_, String>(())
         });

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use ihd_capture::mcap::SessionRecorder;
-use ihd_link::{Client, Counters, LinkError, Window};
+use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
 use ihd_pinn::{Config, Identified};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
@@ -147,7 +147,10 @@ impl Run<'_, '_> {
             n => store.join(format!("session-{n}.mcap")),
         };
         let client = self.device.client()?;
-        let recorder = SessionRecorder::create(&path, client.hello(), client.front_end())?;
+        let mut recorder = SessionRecorder::create(&path, client.hello(), client.front_end())?;
+        if client.describe() != DeviceSpec::Sim.to_string() {
+            recorder = recorder.flushed_by_the_wall_clock();
+        }
         client.record_to(recorder);
         Ok(())
     }

@@ -1,19 +1,12 @@
 //! Where the store is, and how it keeps: from the configuration, or from the command line.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
-use ihd_store::{Retention, Settings};
-use serde::Deserialize;
+use ihd_store::Settings;
 
-use super::super::usage::Usage;
-
-/// The configuration that is read where there is one and none is named.
-const CONFIG: &str = "ihd.toml";
-
-/// The folder without a configuration.
-const STORE: &str = "ihd-store";
+use super::super::configured;
 
 #[derive(Debug, Args)]
 pub struct PlaceArgs {
@@ -31,55 +24,18 @@ pub struct Place {
     pub settings: Settings,
 }
 
-/// What of the configuration matters here.
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Config {
-    store: Option<PathBuf>,
-    keep: Keeping,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Keeping {
-    windows: ihd_store::Keep,
-    max_age_days: Option<u32>,
-    max_bytes: Option<u64>,
-}
-
 impl PlaceArgs {
     /// Reads the configuration, where there is one.
     ///
     /// # Errors
     /// When the one that was named cannot be read, or is none.
     pub fn place(&self) -> Result<Place> {
-        let config = match &self.config {
-            Some(path) => read(path)?,
-            None if Path::new(CONFIG).is_file() => read(Path::new(CONFIG))?,
-            None => Config::default(),
-        };
-        let folder = self.store.clone().or(config.store);
-        let keep = config.keep;
-        let usual = Retention::default().max_bytes;
+        let config = configured::config(self.config.as_deref())?;
         Ok(Place {
-            folder: folder.unwrap_or_else(|| STORE.into()),
-            settings: Settings {
-                retention: Retention {
-                    max_age_days: keep.max_age_days,
-                    max_bytes: keep.max_bytes.unwrap_or(usual),
-                },
-                keep: keep.windows,
-            },
+            settings: config.store_settings(),
+            folder: self.store.clone().unwrap_or(config.store),
         })
     }
-}
-
-fn read(path: &Path) -> Result<Config> {
-    let name = path.display();
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("cannot read the configuration {name}"))?;
-    toml::from_str(&text)
-        .map_err(|error| Usage(format!("the configuration {name}: {error}")).into())
 }
 
 /// A day (UTC) or a time as milliseconds since 1970: `2026-11-22` or `2026-11-22T08:30:00Z`.
