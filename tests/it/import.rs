@@ -1,6 +1,7 @@
 //! What scopes, MATLAB and NumPy write, opened as captures. tests/fixtures/formats/make.py states who
 //! wrote each file; the waveform is the formula of [`wave`].
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
@@ -230,13 +231,23 @@ fn flags_say_what_files_do_not() {
         second: Some(fixture("tek_isf_i.isf")),
         ..OpenOptions::default()
     };
-    let refused = open(&fixture("tek_wfm3le_v.wfm"), &beside)
-        .unwrap_err()
-        .to_string();
+    let dir = tempfile::tempdir().unwrap();
+    let later = dir.path().join("later.wfm");
+    fs::write(&later, half_an_interval_later("tek_wfm3le_v.wfm")).unwrap();
+    let refused = open(&later, &beside).unwrap_err().to_string();
     assert!(
         refused.contains("tek_isf_i.isf") && refused.contains("0.5"),
         "{refused}"
     );
+}
+
+/// A little-endian WFM file whose time axis (scale, then offset, as doubles) begins half an interval later.
+fn half_an_interval_later(file: &str) -> Vec<u8> {
+    let mut bytes = fs::read(fixture(file)).unwrap();
+    let axis = [DT_S.to_le_bytes(), T0_S.to_le_bytes()].concat();
+    let at = bytes.windows(16).position(|b| b == axis).unwrap();
+    bytes[at + 8..at + 16].copy_from_slice(&(T0_S + 0.5 * DT_S).to_le_bytes());
+    bytes
 }
 
 /// Tektronix' own files, beside the project; `None` where they are absent.

@@ -23,9 +23,9 @@ fn peak_of(read: impl FnOnce()) -> usize {
 /// 246 bytes that declare 536,870,911 doubles.
 #[test]
 fn an_array_of_4_gib_in_246_bytes_is_refused() {
-    let formats = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/formats");
+    let damaged = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/damaged");
     let peak = peak_of(|| {
-        let refused = open(&formats.join("lies.mat"), &OpenOptions::default()).unwrap_err();
+        let refused = open(&damaged.join("lies.mat"), &OpenOptions::default()).unwrap_err();
         let text = refused.to_string();
         assert!(
             text.contains("lies.mat, byte 136") && text.contains("declared"),

@@ -122,6 +122,14 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         };
     }
     #[cfg(feature = "daemon")]
+    if let Some(error) = error.downcast_ref::<ihd_daemon::config::ConfigError>() {
+        use ihd_daemon::config::ConfigError as E;
+        return match error {
+            E::Read { .. } => 1,
+            E::Parse { .. } | E::Value { .. } => 2,
+        };
+    }
+    #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {
         return code;
     }

@@ -111,7 +111,8 @@ fn a_host_that_reads_nothing_and_floods_costs_no_memory() {
         let _ = stream.write(&garbage);
     }
     let grown = hob.process.rss().saturating_sub(before);
-    assert!(grown < 16_000_000, "{grown} bytes more after 10 s");
+    // The truths of 256 half-cycles, 7 MB, are gathered meanwhile.
+    assert!(grown < 32_000_000, "{grown} bytes more after 10 s");
     drop(stream);
     // And it is still a hob.
     thread::sleep(Duration::from_millis(500));
