@@ -10,13 +10,14 @@ const SHORT: &str = "--test-threads=4";
 const ALONE: &str = "--test-threads=1";
 
 /// What the long form changes; each may also be set by hand.
-const FULL: [(&str, &str); 6] = [
+const FULL: [(&str, &str); 7] = [
     ("IHD_KILLS", "200"),
     ("IHD_HOBS", "3"),
-    ("IHD_SOAK_S", "8640"),
-    ("IHD_SOAK_SPEED", "10"),
+    ("IHD_SOAK_S", "864"),
+    ("IHD_SOAK_SPEED", "100"),
     ("IHD_MANY_S", "300"),
     ("IHD_HOSTILE_S", "60"),
+    ("IHD_HEALTHY_S", "1"),
 ];
 
 /// Runs those tests whose name contains `only`; in `full`, 24 h of simulated time and 200 kills.
