@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Points per step of the lookup's current axis.
 const POINTS_PER_STEP: usize = 8;
 
-/// Points of a curve at most: up to [`HIGHEST_A`], and the one at zero current.
+/// Points of a curve at most: up to the highest current, and the one at zero current.
 pub const MAX_POINTS: usize = POINTS_PER_STEP * (CURRENTS + 3);
 
 /// Currents below this, in ampere, are left out: the firmware's filter holds R and L there, and the
