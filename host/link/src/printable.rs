@@ -4,7 +4,7 @@ use ihd_shared::wire::hello::ours;
 use ihd_shared::wire::messages::Hello;
 use ihd_signal::printable;
 
-/// A hello whose strings are [`printable`], cut where that makes them too long.
+/// A hello whose strings are [`printable()`], cut where that makes them too long.
 pub fn printable_hello(hello: Hello) -> Hello {
     let [build, board] = [&hello.build, &hello.board].map(|text| printable(text).to_string());
     let Hello { build, board, .. } = ours(hello.role, 0, 0, &build, &board);

@@ -53,7 +53,7 @@ pub struct Board {
 }
 
 /// The controllers that are plugged in, in order of their serial numbers. Their strings are
-/// [`printable`].
+/// [`printable()`].
 ///
 /// # Errors
 /// [`LinkError::Connect`] where the system has no USB, or does not let us look.
