@@ -105,9 +105,9 @@ impl Face {
         }
         match state {
             DeviceState::Faulted | DeviceState::Incompatible | DeviceState::Suspended => {
-                tracing::warn!(device = self.name, state = word(state), detail);
+                tracing::warn!(device = self.name, state = state.word(), detail);
             }
-            _ => tracing::info!(device = self.name, state = word(state), detail),
+            _ => tracing::info!(device = self.name, state = state.word(), detail),
         }
         self.tell(What::State { state, detail });
     }
@@ -158,19 +158,5 @@ pub fn identity(hello: &Hello) -> Identity {
         protocol: (hello.protocol_major, hello.protocol_minor),
         boot_id: hello.boot_id,
         reset_reason: hello.reset_reason,
-    }
-}
-
-/// A state's word in logs, as in the API.
-pub fn word(state: DeviceState) -> &'static str {
-    match state {
-        DeviceState::Searching => "searching",
-        DeviceState::Connected => "connected",
-        DeviceState::WaitingForPot => "waiting-for-pot",
-        DeviceState::Learning => "learning",
-        DeviceState::Idle => "idle",
-        DeviceState::Faulted => "faulted",
-        DeviceState::Suspended => "suspended",
-        DeviceState::Incompatible => "incompatible",
     }
 }

@@ -27,6 +27,22 @@ pub enum DeviceState {
     Incompatible,
 }
 
+impl DeviceState {
+    /// Its word in logs and on terminals: that of the API.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Searching => "searching",
+            Self::Connected => "connected",
+            Self::WaitingForPot => "waiting-for-pot",
+            Self::Learning => "learning",
+            Self::Idle => "idle",
+            Self::Faulted => "faulted",
+            Self::Suspended => "suspended",
+            Self::Incompatible => "incompatible",
+        }
+    }
+}
+
 /// Who a device is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Identity {

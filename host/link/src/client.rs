@@ -11,6 +11,7 @@ use ihd_shared::wire::messages::{
     Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, ResendWindow, ResetLookup, SetPower,
     Status, Stream, Utilisation,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use super::incoming::{Answer, Event, Incoming};
 use super::resend::{Resend, Step};
@@ -19,6 +20,10 @@ use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
 
 /// How long a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How often a host that wants its power to stay on is heard, with or without a question: the device ends it after
+/// [`HOST_UNHEARD_HALF_CYCLES`], 10 s at 50 Hz.
+pub const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
 
 /// Times that a command which may come twice is sent within its time-out: an answer is lost as any frame.
 const TRIES: u32 = 3;

@@ -35,7 +35,7 @@ pub mod window;
 
 #[cfg(feature = "async")]
 pub use asynchronous::AsyncClient;
-pub use client::Client;
+pub use client::{Client, HEARD_EVERY};
 pub use counters::Counters;
 pub use device_spec::DeviceSpec;
 pub use error::LinkError;

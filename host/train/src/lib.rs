@@ -23,6 +23,6 @@ mod trainer;
 pub use learning::{Learning, Verdict as GateVerdict, judge};
 #[cfg(feature = "pinn")]
 pub use trainer::{
-    Failed, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, Settings, Source,
-    TrainerError, TruthSource, run,
+    Failed, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, SETTLE_WITHIN,
+    SETTLED_AFTER, Settings, Source, TrainerError, TruthSource, WINDOWS_EVERY, run,
 };

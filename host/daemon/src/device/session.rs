@@ -4,12 +4,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ihd_link::{AsyncClient, Client, Event, LinkError, Window};
+use ihd_link::{AsyncClient, Client, Event, HEARD_EVERY, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Status, Telemetry};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_store::{DeviceId, SessionId};
+use ihd_train::WINDOWS_EVERY;
 use tokio::sync::mpsc;
 
 use super::pushing::Push;
@@ -23,15 +24,8 @@ use crate::model::{DeviceState, What};
 use crate::printable::printable;
 use crate::states::{live, of_telemetry};
 
-/// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
-const WINDOWS_EVERY: u8 = 20;
-
 /// How often the session looks at the clock, and shows what the device does.
 const TICK: Duration = Duration::from_millis(100);
-
-/// A device that is to heat for us hears from us this often: a quarter of the time after which it would end
-/// that, and less at 60 Hz.
-const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
 
 /// A device that says nothing for this long is asked whether it is there.
 const SILENT: Duration = Duration::from_secs(2);

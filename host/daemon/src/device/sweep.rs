@@ -12,12 +12,7 @@ use std::time::{Duration, Instant};
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::{State, Telemetry};
-
-/// Half-cycles at one frequency after which it counts as settled, as in `ihd trainer`.
-const SETTLED_AFTER: u32 = 5;
-
-/// Heating time in which a power must have settled, as in `ihd trainer`.
-const SETTLE_WITHIN: Duration = Duration::from_secs(6);
+use ihd_train::{SETTLE_WITHIN, SETTLED_AFTER};
 
 /// Windows of each power.
 const WINDOWS: u32 = 3;

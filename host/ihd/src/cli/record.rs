@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use clap::{Args, FromArgMatches};
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
-use ihd_link::{Client, DeviceSpec, Event, Transport};
+use ihd_link::{Client, DeviceSpec, Event, HEARD_EVERY, Transport};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_sim::hob::SimHob;
@@ -21,9 +21,6 @@ use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
 use crate::report::utilisation;
-
-/// How often the device hears from us: it switches off after 10 s without.
-const HEARD_EVERY: Duration = Duration::from_secs(2);
 
 /// How long an event may take before limits and ^C are looked at again.
 const LOOK_EVERY: Duration = Duration::from_millis(100);

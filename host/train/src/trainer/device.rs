@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ihd_firmware::pwm;
-use ihd_link::{Client, Counters, Event, LinkError, Window};
+use ihd_link::{Client, Counters, Event, HEARD_EVERY, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -15,17 +15,13 @@ use ihd_signal::truth::Truth;
 use super::{OperatingPoint, Progress, Recorded, TrainerError};
 
 /// Half-cycles at one frequency after which it counts as settled.
-const SETTLED_AFTER: u32 = 5;
+pub const SETTLED_AFTER: u32 = 5;
 
 /// How long an operating point may take to settle while it heats, on the device's clock.
-const SETTLE_WITHIN: Duration = Duration::from_secs(6);
+pub const SETTLE_WITHIN: Duration = Duration::from_secs(6);
 
 /// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
-const WINDOWS_EVERY: u8 = 20;
-
-/// How long the device hears nothing from us, whether we need anything or not: it switches off after
-/// 10 s.
-const HEARD_EVERY: Duration = Duration::from_secs(2);
+pub const WINDOWS_EVERY: u8 = 20;
 
 /// How long an event may take before ^C is looked at again.
 const LOOK_EVERY: Duration = Duration::from_millis(100);

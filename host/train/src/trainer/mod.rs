@@ -9,7 +9,7 @@ mod run;
 mod source;
 mod store;
 
-pub use self::device::TruthSource;
+pub use self::device::{SETTLE_WITHIN, SETTLED_AFTER, TruthSource, WINDOWS_EVERY};
 pub use self::error::{Failed, TrainerError};
 pub use self::point::Point;
 pub use self::progress::Progress;

@@ -6,7 +6,7 @@ use ihd_daemon::model::DeviceReport;
 use ihd_link::usb;
 use serde::Serialize;
 
-use super::text::{one_line, state};
+use super::text::one_line;
 use crate::cli::{configured, output};
 
 #[derive(Serialize)]
@@ -23,7 +23,7 @@ impl From<&DeviceReport> for Listed {
         Self {
             name: report.name.clone(),
             address: report.address.clone(),
-            state: Some(state(report.state)),
+            state: Some(report.state.word()),
             detail: report.detail.clone(),
         }
     }

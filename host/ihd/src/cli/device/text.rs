@@ -1,7 +1,7 @@
 //! Devices in words. What a device or a daemon says is escaped where it is printed.
 
 use anyhow::Result;
-use ihd_daemon::model::{DeviceReport, DeviceState, Live};
+use ihd_daemon::model::{DeviceReport, Live};
 
 use crate::cli::output;
 
@@ -11,20 +11,6 @@ pub(super) fn print(report: &DeviceReport, json: bool) -> Result<()> {
         return output::json(report);
     }
     output::text(&of_report(report))
-}
-
-/// A state's word, as the API writes it.
-pub(super) fn state(state: DeviceState) -> &'static str {
-    match state {
-        DeviceState::Searching => "searching",
-        DeviceState::Connected => "connected",
-        DeviceState::WaitingForPot => "waiting-for-pot",
-        DeviceState::Learning => "learning",
-        DeviceState::Idle => "idle",
-        DeviceState::Faulted => "faulted",
-        DeviceState::Suspended => "suspended",
-        DeviceState::Incompatible => "incompatible",
-    }
 }
 
 /// A half-cycle in some words.
@@ -61,7 +47,7 @@ fn of_report(r: &DeviceReport) -> String {
     } else {
         format!(": {}", r.detail)
     };
-    line("state", format!("{}{detail}", state(r.state)));
+    line("state", format!("{}{detail}", r.state.word()));
     if let Some(who) = &r.identity {
         let (major, minor) = who.protocol;
         line(
@@ -132,7 +118,7 @@ pub(super) fn one_line(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::{LookupReport, WindowCounts};
+    use ihd_daemon::model::{DeviceState, LookupReport, WindowCounts};
 
     use super::*;
 

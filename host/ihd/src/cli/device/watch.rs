@@ -11,7 +11,7 @@ use ihd_link::Event;
 
 use super::direct::Direct;
 use super::hob::Hob;
-use super::text::{of_live, one_line, state};
+use super::text::{of_live, one_line};
 use crate::cli::{interrupt, output};
 
 /// Of so many half-cycles one is shown.
@@ -49,8 +49,8 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
 /// Half-cycles once a second, everything else at once.
 fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
     let text = match &notice.what {
-        What::State { state: now, detail } if detail.is_empty() => state(*now).to_owned(),
-        What::State { state: now, detail } => format!("{}: {detail}", state(*now)),
+        What::State { state: now, detail } if detail.is_empty() => now.word().to_owned(),
+        What::State { state: now, detail } => format!("{}: {detail}", now.word()),
         What::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => return Ok(()),
         What::Telemetry { live } => {
             *shown_ms = notice.at_ms;
