@@ -130,6 +130,12 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         };
     }
     #[cfg(feature = "daemon")]
+    if let Some(ihd_api::ServerError::Reachable { .. } | ihd_api::ServerError::Nameless { .. }) =
+        error.downcast_ref()
+    {
+        return 2;
+    }
+    #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {
         return code;
     }
