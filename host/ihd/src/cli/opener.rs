@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
 use clap::{Args, Command, FromArgMatches};
 use ihd_daemon::OpenDevice;
 use ihd_daemon::config::{Address, Config};
@@ -12,6 +12,7 @@ use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::{PacedHob, SharedHob};
 
 use super::simulated::SimulatedHobArgs;
+use super::usage::Usage;
 
 /// A simulated hob of a configuration: its options are those of `ihd hob`, and `speed`.
 #[derive(Clone, Debug)]
@@ -43,10 +44,10 @@ impl Simulated {
                 (_, toml::Value::String(text)) => words.push(format!("--{key}={text}")),
                 (_, toml::Value::Integer(n)) => words.push(format!("--{key}={n}")),
                 (_, toml::Value::Float(x)) => words.push(format!("--{key}={x}")),
-                _ => bail!("sim: {key} = {value} is no option"),
+                _ => bail!(Usage(format!("sim: {key} = {value} is no option"))),
             }
         }
-        ensure!(
+        ensure_usage!(
             speed.is_finite() && speed > 0.0 && speed <= 100.0,
             "sim: speed = {speed}, but must lie between 0 and 100"
         );
@@ -55,7 +56,7 @@ impl Simulated {
         let options = command
             .try_get_matches_from(words)
             .and_then(|matches| SimulatedHobArgs::from_arg_matches(&matches))
-            .map_err(|e| anyhow::anyhow!("sim: {}", first_line(&e.to_string())))?;
+            .map_err(|e| Usage(format!("sim: {}", first_line(&e.to_string()))))?;
         Ok(Self {
             hob: options.config()?,
             speed,
