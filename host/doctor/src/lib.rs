@@ -1,0 +1,1 @@
+//! What is wrong with a board, and with the machine it is plugged into.

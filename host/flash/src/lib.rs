@@ -1,0 +1,1 @@
+//! Puts the firmware's image on a board, and reads its log.
