@@ -4,6 +4,8 @@ pub mod fake;
 pub mod image;
 pub mod log_source;
 pub mod options;
+#[cfg(feature = "probe")]
+pub mod probe;
 pub mod programmer;
 
 pub use image::{BuildId, Image, ImageError};
