@@ -13,8 +13,10 @@
 mod chip;
 pub mod layout;
 mod protocol;
+mod restart;
 mod usb;
 
 pub use chip::Dfu;
 pub use protocol::{Refusal, Rom};
-pub use usb::{Found, PRODUCT_ID, VENDOR_ID, found, open, wait_for};
+pub use restart::{EnterError, reach, send_into_bootloader};
+pub use usb::{Found, PRODUCT_ID, Usb, VENDOR_ID, found, open};

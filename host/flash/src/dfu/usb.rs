@@ -26,6 +26,8 @@ const INTERFACE: u8 = 0;
 const TIMEOUT: Duration = Duration::from_secs(3);
 /// Between two looks at what is plugged in.
 const GLANCE: Duration = Duration::from_millis(100);
+/// From a reset until the system has noticed.
+const GOING: Duration = Duration::from_millis(500);
 /// English, where a device names no language.
 const ENGLISH: u16 = 0x0409;
 
@@ -112,23 +114,24 @@ pub fn open(serial: Option<&str>) -> Result<Dfu<Usb>, ProgramError> {
     }
 }
 
-/// Opens the bootloader as soon as there is one; `None` when the time is over.
+/// Opens a bootloader as soon as there is one that was not there before; `None` when the time is over.
 ///
 /// # Errors
 /// As [`open`].
-pub fn wait_for(
-    serial: Option<&str>,
+pub(super) fn wait_for_other_than(
+    before: &[String],
     patience: Duration,
 ) -> Result<Option<Dfu<Usb>>, ProgramError> {
-    Ok(wait(serial, patience)?.map(Usb::into_programmer))
+    let fresh = |one: &Found| !before.contains(&one.serial);
+    Ok(wait(&fresh, patience)?.map(Usb::into_programmer))
 }
 
-fn wait(serial: Option<&str>, patience: Duration) -> Result<Option<Usb>, ProgramError> {
+fn wait(wanted: &dyn Fn(&Found) -> bool, patience: Duration) -> Result<Option<Usb>, ProgramError> {
     let deadline = Instant::now() + patience;
     loop {
         let late = Instant::now() >= deadline;
-        let chosen = choose(found()?, serial, |one| &one.serial);
-        match chosen.and_then(|one| one.map(|one| one.open()).transpose()) {
+        let first = found()?.into_iter().find(wanted);
+        match first.map(|one| one.open()).transpose() {
             Ok(Some(usb)) => return Ok(Some(usb)),
             Ok(None) if late => return Ok(None),
             // Just plugged in: udev may not have given it away yet, or it is still going.
@@ -213,10 +216,12 @@ fn dfu(device: nusb::Device, interface: nusb::Interface) -> Result<DfuNusb, Erro
 impl Usb {
     fn into_programmer(self) -> Dfu<Self> {
         let serial = self.serial.clone();
-        Dfu::new(
-            self,
-            Box::new(move |patience| wait(Some(&serial), patience)),
-        )
+        let again = move |patience| {
+            // The system lists for a moment what has gone already.
+            thread::sleep(GOING);
+            wait(&|one| one.serial == serial, patience)
+        };
+        Dfu::new(self, Box::new(again))
     }
 }
 
