@@ -1,5 +1,6 @@
 //! Puts the firmware's image on a board, and reads its log.
 
+pub mod dfu;
 pub mod fake;
 pub mod image;
 pub mod install;
