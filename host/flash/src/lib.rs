@@ -1,1 +1,3 @@
 //! Puts the firmware's image on a board, and reads its log.
+
+pub mod log;
