@@ -142,10 +142,16 @@ mod tests {
         let why = places.table(&running(7)).err().unwrap();
         assert!(matches!(why, NoTable::Another { .. }), "{why}");
         let text = why.to_string();
-        assert!(text.contains("b1b1b1b1") && text.contains("07070707"), "{text}");
+        assert!(
+            text.contains("b1b1b1b1") && text.contains("07070707"),
+            "{text}"
+        );
         // The right one, but it logs nothing.
         let why = places.table(&running(0xB1)).err().unwrap();
-        assert!(matches!(why, NoTable::Table(TableError::None { .. })), "{why}");
+        assert!(
+            matches!(why, NoTable::Table(TableError::None { .. })),
+            "{why}"
+        );
         let why = places.table(&Running::default()).err().unwrap();
         assert!(matches!(why, NoTable::Nameless), "{why}");
     }
@@ -158,7 +164,12 @@ mod tests {
             kept: Some(Kept::at(folder.path())),
         };
         let why = places.table(&running(7)).err().unwrap().to_string();
-        for word in ["07070707", "--image", folder.path().to_str().unwrap(), OF_CHECKOUT] {
+        for word in [
+            "07070707",
+            "--image",
+            folder.path().to_str().unwrap(),
+            OF_CHECKOUT,
+        ] {
             assert!(why.contains(word), "{word}: {why}");
         }
     }

@@ -64,8 +64,10 @@ impl LogError {
 /// What came since the last look.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Chunk {
-    /// Messages that the board dropped, or that were lost on the way, before these bytes.
-    pub lost: u64,
+    /// Messages that the board had no room for, before these bytes.
+    pub lost_messages: u64,
+    /// Bytes of log that were lost on the way, before these bytes.
+    pub lost_bytes: u64,
     /// Bytes of the log.
     pub bytes: Vec<u8>,
 }
@@ -119,8 +121,13 @@ pub enum Happening<'a> {
         /// Why.
         why: &'a LogError,
     },
-    /// Messages are missing before what comes next.
-    Lost(u64),
+    /// Something is missing before what comes next.
+    Lost {
+        /// Messages that the board had no room for.
+        messages: u64,
+        /// Bytes that were lost on the way.
+        bytes: u64,
+    },
     /// Something came.
     Found(Found),
 }
@@ -191,9 +198,10 @@ fn take<E>(
     decoder: &mut Decoder,
     tell: &mut impl FnMut(Happening<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
-    if chunk.lost > 0 {
+    let (messages, bytes) = (chunk.lost_messages, chunk.lost_bytes);
+    if messages > 0 || bytes > 0 {
         decoder.lost();
-        tell(Happening::Lost(chunk.lost))?;
+        tell(Happening::Lost { messages, bytes })?;
     }
     let mut told = Ok(());
     decoder.push(&chunk.bytes, |found| {
@@ -204,10 +212,7 @@ fn take<E>(
     told
 }
 
-fn await_again<E: From<LogError>>(
-    way: &mut dyn Way,
-    stop: &AtomicBool,
-) -> Result<Option<Box<dyn OpenLog>>, E> {
+fn await_again(way: &mut dyn Way, stop: &AtomicBool) -> Result<Option<Box<dyn OpenLog>>, LogError> {
     loop {
         let until = Instant::now() + TRY_EVERY;
         while Instant::now() < until {
@@ -219,7 +224,7 @@ fn await_again<E: From<LogError>>(
         match way.open() {
             Ok(log) => return Ok(Some(log)),
             Err(why) if why.may_pass() => {}
-            Err(why) => return Err(why.into()),
+            Err(why) => return Err(why),
         }
     }
 }
@@ -264,7 +269,11 @@ mod tests {
 
         fn read(&mut self, _: Duration) -> Result<Chunk, LogError> {
             match self.acts.pop_front() {
-                Some(Act::Send(lost, bytes)) => Ok(Chunk { lost, bytes }),
+                Some(Act::Send(lost_messages, bytes)) => Ok(Chunk {
+                    lost_messages,
+                    lost_bytes: 0,
+                    bytes,
+                }),
                 Some(Act::Fail(why)) => Err(why),
                 Some(Act::Stop) | None => {
                     self.stop.store(true, Ordering::Relaxed);
@@ -302,11 +311,11 @@ mod tests {
         LogError::Link(LinkError::Closed { device })
     }
 
-    fn run(
-        opens: Vec<Result<(u8, Vec<Act>), LogError>>,
-    ) -> (Result<(), Ended>, Vec<String>) {
+    fn run(opens: Vec<Result<(u8, Vec<Act>), LogError>>) -> (Result<(), Ended>, Vec<String>) {
         let stop: &'static AtomicBool = Box::leak(Box::default());
-        let opens = opens.into_iter().map(|open| open.map(|(id, acts)| (id, acts.into())));
+        let opens = opens
+            .into_iter()
+            .map(|open| open.map(|(id, acts)| (id, acts.into())));
         let mut script = Script {
             opens: opens.collect(),
             stop,
@@ -320,7 +329,7 @@ mod tests {
                 }
                 Happening::Back { .. } => "back".into(),
                 Happening::Away { why } => format!("away {why}"),
-                Happening::Lost(n) => format!("lost {n}"),
+                Happening::Lost { messages, .. } => format!("lost {messages}"),
                 Happening::Found(found) => format!("{found:?}"),
             });
             Ok(())
@@ -358,11 +367,7 @@ mod tests {
     fn what_is_lost_is_told_before_what_comes_behind_it() {
         let (_, told) = run(vec![Ok((
             1,
-            vec![
-                Act::Send(0, vec![1]),
-                Act::Send(3, vec![2, 0]),
-                Act::Stop,
-            ],
+            vec![Act::Send(0, vec![1]), Act::Send(3, vec![2, 0]), Act::Stop],
         ))]);
         assert_eq!(told[1..], ["lost 3", "Unread"]);
     }

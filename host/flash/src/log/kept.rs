@@ -128,7 +128,10 @@ mod tests {
         let path = kept.keep(&image(1)).unwrap();
         kept.keep(&image(2)).unwrap();
         assert!(path.ends_with(format!("{}.elf", "01".repeat(20))));
-        assert_eq!(kept.find(&running(&image(1))).unwrap().build_id, BuildId([1; 20]));
+        assert_eq!(
+            kept.find(&running(&image(1))).unwrap().build_id,
+            BuildId([1; 20])
+        );
         assert!(kept.find(&running(&image(3))).is_none());
         let by_crc = Running {
             crc: Some(image(2).crc),
@@ -143,7 +146,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let kept = Kept::at(folder.path());
         let path = kept.keep(&image(1)).unwrap();
-        fs::write(&path, SampleImage { build_id: 9, ..SampleImage::default() }.elf()).unwrap();
+        fs::write(
+            &path,
+            SampleImage {
+                build_id: 9,
+                ..SampleImage::default()
+            }
+            .elf(),
+        )
+        .unwrap();
         assert!(kept.find(&running(&image(1))).is_none());
         fs::write(&path, b"cut").unwrap();
         assert!(kept.find(&running(&image(1))).is_none());
@@ -176,7 +187,10 @@ mod tests {
             data_folder(|name| set.iter().find(|(n, _)| *n == name).map(|(_, v)| v.into()))
         };
         assert_eq!(of(&[("HOME", "/h")]), Some("/h/.local/share".into()));
-        assert_eq!(of(&[("HOME", "/h"), ("XDG_DATA_HOME", "/d")]), Some("/d".into()));
+        assert_eq!(
+            of(&[("HOME", "/h"), ("XDG_DATA_HOME", "/d")]),
+            Some("/d".into())
+        );
         assert_eq!(of(&[]), None);
     }
 }

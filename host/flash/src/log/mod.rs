@@ -20,6 +20,8 @@ pub mod kept;
 pub mod message;
 #[cfg(feature = "log")]
 pub mod over_link;
+#[cfg(all(feature = "log", feature = "probe"))]
+pub mod over_probe;
 pub mod running;
 #[cfg(feature = "log")]
 mod rzcobs;

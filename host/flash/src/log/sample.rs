@@ -28,7 +28,10 @@ impl Sample {
                 "defmt_debug",
                 "{=bool} {=char} {=f32} {=i8} {=i64:x} {=u128}",
             ),
-            ("defmt_trace", "{0=0..4} {0=4..12:b} {1=?} {2=[?]} {3=[?;2]:a}"),
+            (
+                "defmt_trace",
+                "{0=0..4} {0=4..12:b} {1=?} {2=[?]} {3=[?;2]:a}",
+            ),
             ("defmt_println", "{=__internal_Debug} {=__internal_Display}"),
             (
                 "defmt_info",

@@ -40,7 +40,7 @@ pub struct LogArgs {
     /// The image whose texts are to be used; refused unless it is what runs
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// Print an object a line: t, level, message, module, location, dropped, malformed; or t and event
+    /// Print an object a line: t, level, message, module, location, dropped, lost_bytes, malformed; or t and event
     #[arg(long)]
     json: bool,
     /// The configuration that names devices, and the daemon that may have them; without one ihd.toml of this folder

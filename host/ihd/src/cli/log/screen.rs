@@ -19,8 +19,9 @@ const TELL_EVERY: Duration = Duration::from_secs(5);
 pub(super) struct Screen {
     json: bool,
     coloured: bool,
-    /// Lost, and frames that were none, since the last message.
+    /// Lost messages and bytes, and frames that were none, since the last message.
     lost: u64,
+    lost_bytes: u64,
     malformed: u64,
     /// Frames without texts since they were told last.
     unread: u64,
@@ -37,8 +38,10 @@ struct Line<'a> {
     location: Option<&'a Place>,
     #[serde(skip_serializing_if = "Option::is_none")]
     uptime: Option<&'a str>,
-    /// Messages that the board dropped or the way lost, and frames that were none, before this one.
+    /// Messages that the board had no room for, bytes of log that the way lost, and frames that were no message of this
+    /// image, before this one.
     dropped: u64,
+    lost_bytes: u64,
     malformed: u64,
 }
 
@@ -49,6 +52,7 @@ impl Screen {
             json,
             coloured,
             lost: 0,
+            lost_bytes: 0,
             malformed: 0,
             unread: 0,
             told: Instant::now(),
@@ -93,8 +97,9 @@ impl Screen {
                 complain(format_args!("ihd: back after {away_s:.1} s"));
                 Ok(())
             }
-            Happening::Lost(messages) => {
+            Happening::Lost { messages, bytes } => {
                 self.lost = self.lost.saturating_add(messages);
+                self.lost_bytes = self.lost_bytes.saturating_add(bytes);
                 Ok(())
             }
             Happening::Found(Found::Message(message)) => self.message(&message),
@@ -125,6 +130,7 @@ impl Screen {
                 location: message.place.as_ref(),
                 uptime: message.uptime.as_deref(),
                 dropped: std::mem::take(&mut self.lost),
+                lost_bytes: std::mem::take(&mut self.lost_bytes),
                 malformed: std::mem::take(&mut self.malformed),
             };
             return output::json_line(&line);
@@ -141,21 +147,31 @@ impl Screen {
     }
 
     fn tell(&mut self) -> Result<()> {
-        let [lost, malformed, unread] =
-            [&mut self.lost, &mut self.malformed, &mut self.unread].map(std::mem::take);
+        let counts = [
+            &mut self.lost,
+            &mut self.lost_bytes,
+            &mut self.malformed,
+            &mut self.unread,
+        ];
+        let [lost, lost_bytes, malformed, unread] = counts.map(std::mem::take);
         self.told = Instant::now();
-        if (lost, malformed, unread) == (0, 0, 0) {
+        if [lost, lost_bytes, malformed, unread] == [0; 4] {
             return Ok(());
         }
         if self.json {
             return event(serde_json::json!({
-                "event": "counts", "dropped": lost, "malformed": malformed, "unread": unread,
+                "event": "counts", "dropped": lost, "lost_bytes": lost_bytes, "malformed": malformed,
+                "unread": unread,
             }));
         }
         for (frames, what) in [
-            (lost, "messages lost: the board dropped them, or the way did"),
+            (
+                lost,
+                "messages missing here: the board had no room for them",
+            ),
+            (lost_bytes, "bytes of log missing here: lost on the way"),
             (malformed, "frames that are no message of this image"),
-            (unread, "messages without texts"),
+            (unread, "messages whose texts are not here"),
         ] {
             if frames > 0 {
                 complain(format_args!("ihd: {frames} {what}"));
@@ -222,7 +238,10 @@ mod tests {
 
     #[test]
     fn a_line_has_time_level_module_text_and_place() {
-        let line: String = parts("T", &message()).into_iter().map(|(_, text)| text).collect();
+        let line: String = parts("T", &message())
+            .into_iter()
+            .map(|(_, text)| text)
+            .collect();
         assert_eq!(
             line,
             "T warn  ihd_firmware::board: lookup 7 was not kept  (firmware/src/board/mod.rs:54)"
@@ -236,7 +255,10 @@ mod tests {
             place: None,
             ..message()
         };
-        let line: String = parts("T", &message).into_iter().map(|(_, text)| text).collect();
+        let line: String = parts("T", &message)
+            .into_iter()
+            .map(|(_, text)| text)
+            .collect();
         assert_eq!(line, "T -     lookup 7 was not kept");
     }
 
@@ -251,12 +273,13 @@ mod tests {
             location: message.place.as_ref(),
             uptime: None,
             dropped: 3,
+            lost_bytes: 0,
             malformed: 0,
         };
         assert_eq!(
             serde_json::to_string(&line).unwrap(),
             "{\"t\":\"T\",\"level\":\"warn\",\"message\":\"lookup 7 was not kept\",\"module\":null,\
-             \"location\":\"firmware/src/board/mod.rs:54\",\"dropped\":3,\"malformed\":0}"
+             \"location\":\"firmware/src/board/mod.rs:54\",\"dropped\":3,\"lost_bytes\":0,\"malformed\":0}"
         );
     }
 }

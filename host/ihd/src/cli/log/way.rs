@@ -1,6 +1,6 @@
 //! Ways to a board's log: a debug probe, the board on USB, a link without a configuration.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use ihd_flash::log::follow::Way;
 use ihd_link::usb;
 
@@ -21,11 +21,20 @@ pub(super) fn only_board() -> Result<Option<String>> {
 /// Through the debug probe with this name, or the only one.
 #[cfg(not(feature = "probe"))]
 pub(super) fn by_probe(_: Option<&str>) -> Result<Box<dyn Way>> {
-    bail!(super::super::usage::Usage(
+    Err(super::super::usage::Usage(
         "this program was built without debug probes, and no board is on USB: name a device (ihd log serial:PATH), or \
          take the program of the release archive, or `cargo run --release --features probe -- log --probe`"
-            .into()
-    ))
+            .into(),
+    )
+    .into())
+}
+
+/// Through the debug probe with this name, or the only one.
+#[cfg(feature = "probe")]
+pub(super) fn by_probe(selector: Option<&str>) -> Result<Box<dyn Way>> {
+    use ihd_flash::log::over_probe::ProbeWay;
+    use ihd_flash::probe::Probes;
+    Ok(Box::new(ProbeWay::new(Probes::default(), selector)))
 }
 
 /// Opens an address, each time anew.
