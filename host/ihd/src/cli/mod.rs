@@ -12,6 +12,7 @@ pub mod configured;
 pub mod convert;
 #[cfg(feature = "daemon")]
 pub mod device;
+pub mod flash;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
@@ -62,6 +63,7 @@ enum Command {
     Convert(Box<convert::ConvertArgs>),
     #[cfg(feature = "daemon")]
     Device(Box<device::DeviceArgs>),
+    Flash(flash::FlashArgs),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
@@ -89,6 +91,7 @@ impl Cli {
             Command::Convert(args) => args.run(),
             #[cfg(feature = "daemon")]
             Command::Device(args) => args.run(),
+            Command::Flash(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
@@ -144,6 +147,9 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {
         return code;
+    }
+    if error.is::<ihd_flash::install::InstallError>() || error.is::<ihd_flash::ProgramError>() {
+        return 3;
     }
     if error.is::<replay::Differs>() {
         return 6;
