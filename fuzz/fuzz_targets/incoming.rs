@@ -2,7 +2,8 @@
 //!
 //! What must hold:
 //! - every window of which anything came ends in a whole window or in a counted rejection, once the stream is over;
-//! - every good frame is one of: an answer, telemetry, a fault, a window message, malformed, unknown;
+//! - every good frame is one of: an answer, telemetry, a fault, a log, a window message, bytes of a test of the link,
+//!   malformed, unknown;
 //! - events and counters agree, and no frame makes more than two events: a client that takes them out
 //!   holds no more than what it has not taken, and the window under way;
 //! - a window given out is within its bounds, and its segment has finite numbers.
@@ -65,6 +66,8 @@ struct Host {
     faults: u32,
     windows: u32,
     rejected: u32,
+    logs: u32,
+    link_data: u32,
 }
 
 impl Host {
@@ -82,6 +85,7 @@ impl Host {
                         | AnyMessage::TrajectoryChunk(_)
                         | AnyMessage::WindowEnd(_),
                     ) => self.window_messages += 1,
+                    Ok(AnyMessage::LinkData(_)) => self.link_data += 1,
                     _ => {}
                 }
             }
@@ -180,6 +184,7 @@ impl Host {
                     assert!(!reason.to_string().is_empty());
                     self.rejected += 1;
                 }
+                Event::Log { .. } => self.logs += 1,
             }
         }
     }
@@ -194,7 +199,8 @@ impl Host {
         // Of whatever anything came ends once, by now.
         assert_eq!(self.windows + rejected, counters.windows_begun, "{counters:?}");
         assert!(self.windows <= self.starts, "{counters:?}");
-        let others = self.answers + self.telemetry + self.faults + self.window_messages;
+        let told = self.answers + self.telemetry + self.faults + self.logs;
+        let others = told + self.window_messages + self.link_data;
         let unread = counters.messages_malformed + counters.messages_unknown;
         assert_eq!(counters.frames_good, others + unread);
     }

@@ -10,6 +10,7 @@ extern crate std;
 
 pub mod fault;
 pub mod hob;
+pub mod image;
 pub mod lookup;
 pub mod replay;
 pub mod sampling;

@@ -6,6 +6,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::RESEND_MINOR;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
+use ihd_shared::wire::link_test::Received;
 use ihd_shared::wire::messages::{
     ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
     Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, ResendWindow, ResetLookup, SetPower,
@@ -374,7 +375,7 @@ impl Client {
     }
 
     /// A command that is answered by a [`Reply`], and that may come twice.
-    fn order_again<M: Message>(
+    pub(super) fn order_again<M: Message>(
         &mut self,
         message: &M,
         command: &'static str,
@@ -386,7 +387,7 @@ impl Client {
     }
 
     /// A command that may come twice: it is sent several times within the time-out if need be.
-    fn ask_again<M: Message, T>(
+    pub(super) fn ask_again<M: Message, T>(
         &mut self,
         message: &M,
         command: &'static str,
@@ -514,7 +515,7 @@ impl Client {
 
     /// Takes what comes within `timeout`, and asks for the missing pieces of windows meanwhile; returns
     /// how many bytes it was.
-    fn receive(&mut self, timeout: Duration) -> Result<usize, LinkError> {
+    pub(super) fn receive(&mut self, timeout: Duration) -> Result<usize, LinkError> {
         let start = self.transport.clock();
         loop {
             let pause = self.ask_for_pieces()?;
@@ -576,7 +577,7 @@ impl Client {
         let seq = newest.into_iter().find_map(|event| match event {
             Event::Window(window) => Some(window.seq),
             Event::WindowRejected { seq, .. } => Some(*seq),
-            Event::Telemetry(_) | Event::Fault(_) => None,
+            Event::Telemetry(_) | Event::Fault(_) | Event::Log { .. } => None,
         });
         // The device has one window at a time: those before it are gone.
         let let_go = seq.map(|seq| ResendWindow {
@@ -632,6 +633,28 @@ impl Client {
         });
         events.drain(..left);
         self.events_dropped = self.events_dropped.wrapping_add(excess as u32);
+    }
+
+    /// Sends a message that nobody answers.
+    pub(super) fn send_unanswered<M: Message>(
+        &mut self,
+        message: &M,
+        command: &'static str,
+    ) -> Result<(), LinkError> {
+        let mut frame = [0; MAX_ENCODED];
+        let length = self.framed(message, command, &mut frame)?;
+        self.tap.give(self.transport.clock(), &frame[..length]);
+        self.transport.send(&frame[..length])
+    }
+
+    /// Forgets the bytes of a test of the link that have come.
+    pub(super) fn forget_link_data(&mut self) {
+        self.incoming.link_data = Received::NONE;
+    }
+
+    /// The bytes of a test of the link that have come.
+    pub(super) fn link_data(&self) -> Received {
+        self.incoming.link_data
     }
 
     fn framed<M: Message>(

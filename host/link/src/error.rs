@@ -98,6 +98,23 @@ pub enum LinkError {
         /// Blocks that were sent and answered.
         sent: u32,
     },
+    /// The device's firmware is of a minor version that does not know the command.
+    #[error(
+        "{device} does not know {command}: its firmware speaks protocol {major}.{has}, which takes {major}.{needs}; \
+         `ihd flash` brings it up to date"
+    )]
+    TooOld {
+        /// The device, with its build.
+        device: String,
+        /// Name of the command.
+        command: &'static str,
+        /// Major version of both.
+        major: u16,
+        /// The device's minor version.
+        has: u16,
+        /// The minor version that knows the command.
+        needs: u16,
+    },
     /// A command does not fit a frame.
     #[error("{command} cannot be sent: {source}")]
     Unsendable {
@@ -170,7 +187,14 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
         Outcome::OutOfRange => {
             format!("field {detail} of the message is outside its range; nothing was changed")
         }
-        Outcome::Busy => "a lookup is already waiting for its half-cycle; try again".into(),
+        Outcome::Busy => {
+            "it is busy with one already (a lookup that waits for its half-cycle, or a test of the board); try again"
+                .into()
+        }
+        Outcome::NotIdle => "its inverter is on, or power is asked for; switch it off first".into(),
+        Outcome::Unavailable => {
+            "it has not what that takes (a simulated hob has no ROM bootloader, no comparators and no log)".into()
+        }
     }
 }
 

@@ -5,14 +5,16 @@ use std::collections::VecDeque;
 
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
+use ihd_shared::wire::link_test::Received;
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, FrontEnd, Hello, ReplayMode, Reply, Status, Telemetry,
-    Utilisation,
+    AnyMessage, Channels, Clocks, Comparators, DecodeError, FaultEvent, FrontEnd, Hello,
+    LinkTested, ReplayMode, Reply, Status, Telemetry, Utilisation,
 };
 
 use super::Counters;
 use super::assembler::{Assembler, Rejected, Unfinished};
 use super::protocol_1;
+use super::service::BoardFacts;
 use super::window::{Window, WindowDefect};
 
 /// What a device sends of its own accord.
@@ -30,6 +32,15 @@ pub enum Event {
         seq: u32,
         /// Why.
         reason: WindowDefect,
+    },
+    /// What the firmware has logged, once [`super::Client::stream_log`] asks for it.
+    Log {
+        /// Bytes of log before these, since the device's boot: a gap was lost on the link.
+        seq: u32,
+        /// Log frames that the device had no room for, since its boot.
+        dropped: u32,
+        /// Whole rzCOBS frames of defmt, each ended by a 0.
+        data: Vec<u8>,
     },
 }
 
@@ -52,6 +63,16 @@ pub enum Answer {
     ReplayMode(ReplayMode),
     /// Blocks replayed before, and the bytes of the estimates.
     ReplayEstimates(u32, Vec<u8>),
+    /// What the device is.
+    Board(Box<BoardFacts>),
+    /// What the measuring channels show.
+    Channels(Channels),
+    /// Whether the trip in hardware works.
+    Comparators(Comparators),
+    /// The clocks against each other.
+    Clocks(Clocks),
+    /// What came of the bytes that were sent for a test of the link.
+    LinkTested(LinkTested),
 }
 
 /// The receiving end of a link, or of a recording of one.
@@ -62,6 +83,8 @@ pub struct Incoming {
     counters: Counters,
     /// What comes is of protocol 1.x.
     from_protocol_1: bool,
+    /// Bytes of a test of the link.
+    pub(super) link_data: Received,
     /// Events in the order of their last byte.
     pub events: VecDeque<Event>,
     /// Answers in the order of their last byte.
@@ -124,6 +147,19 @@ impl Incoming {
                 counters.telemetry.received += 1;
                 self.events.push_back(Event::Telemetry(m));
             }
+            Ok(AnyMessage::Board(m)) => {
+                self.answers.push_back(Answer::Board(Box::new((&m).into())));
+            }
+            Ok(AnyMessage::Channels(m)) => self.answers.push_back(Answer::Channels(m)),
+            Ok(AnyMessage::Comparators(m)) => self.answers.push_back(Answer::Comparators(m)),
+            Ok(AnyMessage::Clocks(m)) => self.answers.push_back(Answer::Clocks(m)),
+            Ok(AnyMessage::LinkTested(m)) => self.answers.push_back(Answer::LinkTested(m)),
+            Ok(AnyMessage::LinkData(m)) => self.link_data.take(&m),
+            Ok(AnyMessage::Log(m)) => self.events.push_back(Event::Log {
+                seq: m.seq,
+                dropped: m.dropped,
+                data: m.data.0.to_vec(),
+            }),
             Ok(AnyMessage::FaultEvent(m)) => self.events.push_back(Event::Fault(m)),
             Ok(
                 ref m @ (AnyMessage::WindowStart(_)
@@ -156,7 +192,12 @@ impl Incoming {
                 | AnyMessage::ClearFault(_)
                 | AnyMessage::ReplayStart(_)
                 | AnyMessage::ReplayBlocks(_)
-                | AnyMessage::ReplayEnd(_),
+                | AnyMessage::ReplayEnd(_)
+                | AnyMessage::Restart(_)
+                | AnyMessage::GetBoard(_)
+                | AnyMessage::TestBoard(_)
+                | AnyMessage::TestLink(_)
+                | AnyMessage::StreamLog(_),
             )
             | Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
                 counters.messages_malformed += 1;

@@ -81,8 +81,9 @@ with the reason. A device that fits sends `FrontEnd` behind its hello. A hello m
 
 ## Evolution
 
-A new message or a new fault raises the minor version. Any change of a message, an appended field
-included, raises the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every
+A new message or a new fault raises the minor version. So does a new value of `Outcome`, provided that a device
+answers with it to new messages alone: a host that does not know the message never asks, and so never meets the value. Any
+other change of a message or an enumeration, an appended field included, raises the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every
 message's bytes.
 
 The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
@@ -94,10 +95,14 @@ version steps by at most {LOOKUP_VERSION_STEP}. A recording of 1.x is still read
 
 What 2.1 added: pieces of windows are sent again (`ResendWindow`). Neither end of 2.1 uses it with one of 2.0.
 
+What 2.2 added: service. A host restarts the device, also into its chip's ROM bootloader (`Restart`), asks what it is
+(`GetBoard`), has parts of the board tested (`TestBoard`), tests the link (`TestLink`, `LinkData`) and reads the
+firmware's log (`StreamLog`, `Log`); the outcomes `NotIdle` and `Unavailable`. A host asks none of it of a device of 2.1.
+
 ## Commands that are repeated
 
 Answers get lost as other frames do. A host repeats what may come twice, twice within its time-out: `Hello`,
-`SetPower`, `Stream`, `Configure`, `ClearFault`, and all that only asks. `PushLookup` too: a device that answers a
+`SetPower`, `Stream`, `StreamLog`, `Configure`, `ClearFault`, and all that only asks. `Restart` and `TestLink` are sent once. `PushLookup` too: a device that answers a
 repetition with `LookupStale` or `Busy` may have taken the first, and the host reads the lookup back.
 `ResetLookup` likewise. `ReplayBlocks` is repeated as its own description says.
 
@@ -117,6 +122,12 @@ Chunks leave the device without gap or overlap. What is lost of them the host as
 a few pieces at a time, when the window's end has come or nothing more of the window comes (100 ms, or
 longer on a slow link), and six times at the most without success. A receiver takes pieces in any order and more than once;
 those that overlap must agree.
+
+## Log
+
+What the firmware logs is defmt: each frame is an index into a table that the image's ELF file holds, and the arguments, in
+rzCOBS. `Log` carries whole frames. The build id in `Board` says which file it is. Log leaves behind telemetry and before
+windows: a frame of it is rare and short, and on a slow link a stream of windows would otherwise never let it pass.
 
 ## Lookup
 

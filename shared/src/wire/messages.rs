@@ -134,6 +134,12 @@ wire_enum! {
         /// A setting outside its range, and none was changed; `detail` is the field's place in its
         /// message, from 0.
         OutOfRange = 17,
+        /// The inverter must be off for this: power is asked for, or flows. Only `Restart` and `TestBoard`
+        /// are answered so.
+        NotIdle = 18,
+        /// This device has not what it takes: a simulated hob has no ROM bootloader, no comparators and no log. Only
+        /// messages of 2.2 are answered so.
+        Unavailable = 19,
     }
 }
 
@@ -150,6 +156,29 @@ wire_enum! {
         End = 3,
         /// None: the host has the window, or has given it up.
         Nothing = 4,
+    }
+}
+
+wire_enum! {
+    /// What runs after a `Restart`.
+    pub enum Program {
+        /// The firmware, from its beginning.
+        Firmware = 0,
+        /// The chip's ROM bootloader, which takes another firmware over USB (DFU) or the serial port. It stays until
+        /// the next reset.
+        Bootloader = 1,
+    }
+}
+
+wire_enum! {
+    /// What a `TestBoard` is to look at.
+    pub enum BoardTest {
+        /// Offset and noise of the measuring channels, and the supply. Answered by `Channels`.
+        Channels = 0,
+        /// The trip of both comparators, by moving their thresholds. Answered by `Comparators`.
+        Comparators = 1,
+        /// The clocks against each other. Answered by `Clocks`.
+        Clocks = 2,
     }
 }
 
@@ -319,6 +348,43 @@ message_table! { 'a;
         piece: Piece,
         /// Index of a chunk's first pair or entry; else 0.
         offset: u16,
+    }
+    /// Ends the program that runs, for one that begins anew. Only with the inverter off and no power asked for,
+    /// else `Reply` with `NotIdle`. After a `Reply` with `Ok` the device goes, [`super::timing::RESTART_AFTER_MS`] later.
+    0x10 "to device" Restart {
+        /// What runs next.
+        into: Program,
+    }
+    /// Asks for a `Board`.
+    0x11 "to device" GetBoard {}
+    /// Looks at a part of the board. Only with the inverter off and no power asked for, else `Reply` with `NotIdle`.
+    /// Answered within a second by the test's own message. While one runs, another is answered by `Busy`; the same one
+    /// asked for again is answered once.
+    0x12 "to device" TestBoard {
+        /// Which part.
+        test: BoardTest,
+    }
+    /// Bytes that are known beforehand: a device counts those that come, and sends those that `TestLink` asks for. Never answered.
+    0x13 "both" LinkData<'a> {
+        /// Frames of `LinkData` that this end has sent before this one since the last `TestLink`.
+        seq: u32,
+        /// At most [`crate::window::CHUNK_BYTES`]; byte k is the lowest byte of `seq` + k.
+        #[serde(borrow)]
+        data: Raw<'a>,
+    }
+    /// Ends one test of the link and begins another: answered by `LinkTested`, then by so many `LinkData`, behind
+    /// all else that the device has to send. `OutOfRange` for more bytes than a `LinkData` takes.
+    0x14 "to device" TestLink {
+        /// `LinkData` to send; 0 for none.
+        frames: u16,
+        /// Bytes of data in each.
+        bytes: u16,
+    }
+    /// Sends what the firmware logs, from the oldest that is still kept on, in `Log`s; or no more. A `Hello` ends it.
+    /// Answered by `Reply`.
+    0x15 "to device" StreamLog {
+        /// Whether.
+        on: bool,
     }
     /// Answer to every command that has no answer of its own.
     0x80 "from device" Reply {
@@ -528,6 +594,108 @@ message_table! { 'a;
         /// Bits of a code.
         bits: u8,
     }
+    /// What the device is, as far as its chip and its program know. A simulated hob has no chip: its numbers are 0, its
+    /// option bytes as they should be.
+    0x8d "from device" Board<'a> {
+        /// DBGMCU_IDCODE: which chip, and its revision.
+        id_code: u32,
+        /// Flash, in KiB, as the chip says (FLASHSIZE).
+        flash_kib: u16,
+        /// FLASH_OPTR, the user option bytes in force.
+        option_bytes: u32,
+        /// RCC_CSR as the program found it: why it started.
+        reset_flags: u32,
+        /// Starts since power came on, this one included; 255 for that many or more.
+        starts: u8,
+        /// Bytes of the program in flash before its CRC.
+        image_bytes: u32,
+        /// CRC-32 of these bytes, as it was worked out at start.
+        image_crc: u32,
+        /// The CRC-32 that the program was sealed with: the word behind its last.
+        sealed_crc: u32,
+        /// GNU build id of the program, 20 bytes; empty where it has none.
+        #[serde(borrow)]
+        build_id: Raw<'a>,
+        /// The chip's unique number, 12 bytes; empty where there is no chip.
+        #[serde(borrow)]
+        chip: Raw<'a>,
+    }
+    /// What the measuring channels show with the bridge open. Codes are in 1/256, those of the pairs from mid-scale on.
+    0x8e "from device" Channels {
+        /// Pairs of coil voltage and current that were looked at.
+        samples: u32,
+        /// Mean of the coil voltage's codes.
+        v_mean: i32,
+        /// Root mean square of the same about the mean.
+        v_rms: u32,
+        /// Mean of the coil current's codes.
+        i_mean: i32,
+        /// Root mean square of the same about the mean.
+        i_rms: u32,
+        /// Codes of bus and mains that were looked at.
+        slow_samples: u32,
+        /// Mean of the bus voltage's codes, which begin at 0.
+        bus_mean: i32,
+        /// Root mean square of the same about the mean.
+        bus_rms: u32,
+        /// Mean of the mains voltage's codes.
+        mains_mean: i32,
+        /// Root mean square of the same about the mean.
+        mains_rms: u32,
+        /// Code of the chip's reference voltage, whole; 0 where it was not measured.
+        reference: u16,
+        /// The analogue supply by it, in millivolt; 0 where it was not measured.
+        vdda_mv: u16,
+    }
+    /// Whether the trip in hardware works, from the thresholds to the fault inputs, with the bridge open.
+    0x8f "from device" Comparators {
+        /// With its threshold at 0 V the comparator of positive current reached its fault input.
+        positive_tripped: bool,
+        /// With its threshold back it is quiet.
+        positive_quiet: bool,
+        /// As for positive current.
+        negative_tripped: bool,
+        /// As for positive current.
+        negative_quiet: bool,
+    }
+    /// The clocks, counted against each other.
+    0x90 "from device" Clocks {
+        /// What the main clock's frequency should be, in hertz.
+        main_hz: u32,
+        /// Periods of the low-speed oscillator that were counted; 0 where it stands still.
+        lsi_periods: u32,
+        /// Main clock's cycles meanwhile.
+        lsi_main_cycles: u32,
+        /// Milliseconds that a USB host's frames counted; 0 without one. The only clock here that is a crystal's.
+        usb_frames: u16,
+        /// Main clock's cycles meanwhile.
+        usb_main_cycles: u32,
+        /// How many periods too many the 48 MHz oscillator had in the USB host's last frame, of 48 000; 0 without one.
+        hsi48_off: i16,
+        /// Its trim, 0 to 127, which follows a USB host.
+        hsi48_trim: u8,
+    }
+    /// What has come of a test of the link.
+    0x91 "from device" LinkTested {
+        /// `LinkData` received since the last `TestLink`.
+        frames: u32,
+        /// Bytes of their data.
+        bytes: u32,
+        /// Of the frames, those whose data was not what their number says.
+        bad: u32,
+        /// Frames missing from their sequence.
+        lost: u32,
+    }
+    /// What the firmware has logged.
+    0x92 "from device" Log<'a> {
+        /// Bytes sent in `Log`s before this one, since boot: a gap was lost on the way.
+        seq: u32,
+        /// Of the firmware's log frames, those that found no room, since boot.
+        dropped: u32,
+        /// Whole log frames of defmt as they leave over RTT: rzCOBS, each ends with 0. The image's own table decodes them.
+        #[serde(borrow)]
+        data: Raw<'a>,
+    }
 }
 
 impl WindowStart {
@@ -591,6 +759,8 @@ pub const ENUMS: &[Entry] = &[
     Pot::ENTRY,
     Outcome::ENTRY,
     Piece::ENTRY,
+    Program::ENTRY,
+    BoardTest::ENTRY,
 ];
 
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they

@@ -1,13 +1,15 @@
 //! The wire: numbered postcard messages in CRC-checked COBS frames, the same bytes in process,
 //! over TCP, over USB and in files.
 //!
-//! Evolution: a new message or a new fault raises [`PROTOCOL_MINOR`]; any change of a message, an
-//! appended field included, raises [`PROTOCOL_MAJOR`]. [`messages::Hello`] alone is frozen for ever,
+//! Evolution: a new message or a new fault raises [`PROTOCOL_MINOR`], and so does a new [`messages::Outcome`] that
+//! only a new message is answered with; any change of a message, an appended field included, raises
+//! [`PROTOCOL_MAJOR`]. [`messages::Hello`] alone is frozen for ever,
 //! so that any two builds can find out that they do not fit.
 
 pub mod deframer;
 pub mod frame;
 pub mod hello;
+pub mod link_test;
 pub mod messages;
 pub mod schema;
 pub mod timing;
@@ -16,7 +18,11 @@ pub mod timing;
 pub const PROTOCOL_MAJOR: u16 = 2;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 1;
+pub const PROTOCOL_MINOR: u16 = 2;
 
 /// The minor version that knows [`messages::ResendWindow`].
 pub const RESEND_MINOR: u16 = 1;
+
+/// The minor version that knows [`messages::Restart`], [`messages::GetBoard`], [`messages::TestBoard`],
+/// [`messages::TestLink`] and [`messages::StreamLog`].
+pub const SERVICE_MINOR: u16 = 2;

@@ -6,3 +6,6 @@ pub const HOST_UNHEARD_HALF_CYCLES: u32 = 1_000;
 
 /// Half-cycles for which a device keeps a window that it has sent after it last heard of it: 0.2 s at 50 Hz.
 pub const WINDOW_KEPT_HALF_CYCLES: u8 = 20;
+
+/// From the answer to a `Restart` until the device goes, in milliseconds: time for the answer to leave.
+pub const RESTART_AFTER_MS: u32 = 100;

@@ -268,6 +268,8 @@ impl<'a> Session<'a> {
                 Ok(())
             }
             Event::Fault(_) if !self.told_allowed.take() => Ok(()),
+            // The daemon asks for none.
+            Event::Log { .. } => Ok(()),
             Event::Fault(event) => {
                 let (fault, text) = (event.fault.number(), event.fault.text().to_owned());
                 if event.fault == Fault::NONE {

@@ -305,7 +305,7 @@ impl Run<'_> {
                 self.outcome
                     .value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
             }
-            Event::Window(_) | Event::Telemetry(_) => {}
+            Event::Window(_) | Event::Telemetry(_) | Event::Log { .. } => {}
         }
     }
 
@@ -325,7 +325,7 @@ impl Run<'_> {
         match event {
             Event::Window(_) | Event::WindowRejected { .. } => self.outcome.windows.lost += 1,
             Event::Telemetry(_) => self.outcome.telemetry.lost += 1,
-            Event::Fault(_) => {}
+            Event::Fault(_) | Event::Log { .. } => {}
         }
     }
 

@@ -280,7 +280,7 @@ impl<'a> Device<'a> {
                 });
                 Ok(None)
             }
-            Some(Event::Window(_)) | None => Ok(None),
+            Some(Event::Window(_) | Event::Log { .. }) | None => Ok(None),
         }
     }
 
@@ -314,7 +314,7 @@ impl<'a> Device<'a> {
                     since = self.client()?.clock();
                 }
                 Some(Event::Fault(f)) => self.note_fault(f.fault, point)?,
-                Some(Event::Telemetry(_) | Event::Window(_)) | None => {}
+                Some(Event::Telemetry(_) | Event::Window(_) | Event::Log { .. }) | None => {}
             }
             if self.client()?.clock().saturating_sub(since) >= PATIENCE {
                 return Err(self.silent("a window"));

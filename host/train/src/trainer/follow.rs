@@ -57,7 +57,7 @@ impl Run<'_, '_> {
                 self.device.report(Progress::Rejected { seq, why });
             }
             // The half-cycles' state says what a fault means.
-            Some(Event::Window(_) | Event::Fault(_)) | None => {}
+            Some(Event::Window(_) | Event::Fault(_) | Event::Log { .. }) | None => {}
         }
         Ok(None)
     }

@@ -114,7 +114,7 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
         let due = match &event {
             Event::Telemetry(t) => t.half_cycle % ONE_IN == 0,
             Event::Fault(_) => true,
-            Event::Window(_) | Event::WindowRejected { .. } => false,
+            Event::Window(_) | Event::WindowRejected { .. } | Event::Log { .. } => false,
         };
         if due && let Event::Fault(fault) = &event {
             say!("{}", one_line(&format!("fault: {fault:?}")))?;

@@ -1,0 +1,196 @@
+use ihd_shared::wire::link_test::Received;
+use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello, Log, Outcome};
+
+use super::*;
+use crate::Event;
+use crate::fake::{Fake, Sent, front_end, hello};
+
+/// A client of a device that greets, and that `answer` answers for.
+fn client(mut answer: impl FnMut(&AnyMessage<'_>, &mut Sent) + Send + 'static) -> Client {
+    let on_message = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+        AnyMessage::Hello(_) => sent.greet(),
+        _ => answer(message, sent),
+    };
+    Client::connect(Box::new(Fake::new(on_message, |_| {}))).unwrap()
+}
+
+fn refuse(sent: &mut Sent, to: u8, outcome: Outcome) {
+    sent.message(&Reply {
+        to,
+        outcome,
+        detail: 0,
+    });
+}
+
+/// Counts what comes and sends what is asked for, but for the frames of the numbers in `swallowed`.
+fn link_tester(swallowed: &'static [u32]) -> impl FnMut(&AnyMessage<'_>, &mut Sent) + Send {
+    let mut received = Received::default();
+    move |message, sent| match message {
+        AnyMessage::LinkData(frame) if swallowed.contains(&frame.seq) => {}
+        AnyMessage::LinkData(frame) => received.take(frame),
+        AnyMessage::TestLink(test) => {
+            sent.message(&received.counts());
+            received = Received::NONE;
+            let mut data = vec![0; usize::from(test.bytes)];
+            for seq in (0..u32::from(test.frames)).filter(|seq| !swallowed.contains(seq)) {
+                fill(seq, &mut data);
+                let data = Raw(&data);
+                sent.message(&LinkData { seq, data });
+            }
+        }
+        _ => {}
+    }
+}
+
+#[test]
+fn a_restart_is_asked_for_once_and_a_refusal_says_why() {
+    let mut asked = Vec::new();
+    let mut device = client(move |message, sent| {
+        if let AnyMessage::Restart(m) = message {
+            asked.push(m.into);
+            match asked.len() {
+                1 => sent.done(Restart::ID),
+                2 => refuse(sent, Restart::ID, Outcome::NotIdle),
+                _ => panic!("asked again"),
+            }
+        }
+    });
+    device.restart(Program::Bootloader).unwrap();
+    let refused = device.restart(Program::Firmware).unwrap_err();
+    assert!(matches!(
+        refused,
+        LinkError::Refused {
+            outcome: Outcome::NotIdle,
+            ..
+        }
+    ));
+    assert!(refused.to_string().contains("switch it off first"));
+}
+
+#[test]
+fn a_device_of_2_1_is_asked_nothing_that_it_does_not_know() {
+    let on_message = |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+        AnyMessage::Hello(_) => {
+            sent.message(&Hello {
+                protocol_minor: 1,
+                schema_hash: 7,
+                ..hello()
+            });
+            sent.message::<FrontEnd>(&front_end());
+        }
+        other => panic!("{other:?}"),
+    };
+    let mut client = Client::connect(Box::new(Fake::new(on_message, |_| {}))).unwrap();
+    let errors = [
+        client.restart(Program::Firmware).unwrap_err(),
+        client.board().unwrap_err(),
+        client.channels().unwrap_err(),
+        client.test_link(1, 1).unwrap_err(),
+        client.stream_log(true).unwrap_err(),
+    ];
+    for error in errors {
+        assert!(
+            matches!(
+                error,
+                LinkError::TooOld {
+                    has: 1,
+                    needs: 2,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+        assert!(error.to_string().contains("fake 1.0"), "{error}");
+    }
+}
+
+#[test]
+fn facts_and_tests_come_back_as_they_were_sent() {
+    let mut device = client(|message, sent| match message {
+        AnyMessage::GetBoard(_) => sent.message(&Board {
+            id_code: 0x2003_6469,
+            flash_kib: 512,
+            option_bytes: 1,
+            reset_flags: 2,
+            starts: 3,
+            image_bytes: 4,
+            image_crc: 5,
+            sealed_crc: 6,
+            build_id: Raw(&[7; 20]),
+            chip: Raw(&[8; 12]),
+        }),
+        AnyMessage::TestBoard(TestBoard {
+            test: BoardTest::Comparators,
+        }) => sent.message(&Comparators {
+            positive_tripped: true,
+            positive_quiet: true,
+            negative_tripped: true,
+            negative_quiet: false,
+        }),
+        AnyMessage::TestBoard(_) => refuse(sent, TestBoard::ID, Outcome::Busy),
+        _ => {}
+    });
+    let facts = device.board().unwrap();
+    assert_eq!((facts.id_code, facts.sealed_crc), (0x2003_6469, 6));
+    assert_eq!((facts.build_id.len(), facts.chip.len()), (20, 12));
+    assert!(!device.comparators().unwrap().negative_quiet);
+    assert!(matches!(
+        device.clocks(),
+        Err(LinkError::Refused {
+            outcome: Outcome::Busy,
+            ..
+        })
+    ));
+}
+
+#[test]
+fn a_link_that_loses_nothing_loses_nothing() {
+    let mut device = client(link_tester(&[]));
+    for _ in 0..2 {
+        let test = device.test_link(40, 960).unwrap();
+        for counts in [&test.to_device, &test.from_device] {
+            let LinkTested {
+                frames,
+                bytes,
+                bad,
+                lost,
+            } = *counts;
+            assert_eq!((frames, bytes, bad, lost), (40, 40 * 960, 0, 0));
+        }
+        assert!(test.from_device_took > Duration::ZERO);
+    }
+}
+
+#[test]
+fn what_is_lost_is_counted_the_last_as_well() {
+    let mut device = client(link_tester(&[3, 4, 39]));
+    let test = device.test_link(40, 100).unwrap();
+    for counts in [&test.to_device, &test.from_device] {
+        assert_eq!((counts.frames, counts.bad, counts.lost), (37, 0, 3));
+    }
+}
+
+#[test]
+fn the_log_comes_as_events() {
+    let mut device = client(|message, sent| {
+        if let AnyMessage::StreamLog(StreamLog { on: true }) = message {
+            sent.done(StreamLog::ID);
+            sent.message(&Log {
+                seq: 70,
+                dropped: 2,
+                data: Raw(&[1, 2, 0]),
+            });
+        }
+    });
+    device.stream_log(true).unwrap();
+    let event = device.next_event(Duration::from_millis(10)).unwrap();
+    let data = vec![1, 2, 0];
+    assert_eq!(
+        event,
+        Some(Event::Log {
+            seq: 70,
+            dropped: 2,
+            data
+        })
+    );
+}
