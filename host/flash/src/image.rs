@@ -1,0 +1,503 @@
+//! The firmware's image: an ELF file as `cargo xtask firmware` leaves it, checked before it goes anywhere.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::{env, fs, io};
+
+use ihd_shared::image::{
+    FLASH_ADDRESS, HEADER_ADDRESS, HEADER_BYTES, Header, LOOKUP_ADDRESS, NOTE_ADDRESS, NOTE_BYTES,
+    build_id,
+};
+use ihd_shared::wire::frame::CRC32;
+use object::read::elf::{ElfFile32, ProgramHeader};
+use object::{Architecture, Endianness, Object, ObjectSegment};
+use serde::{Serialize, Serializer};
+
+/// Where a checkout keeps its image, below its root.
+pub const OF_CHECKOUT: &str = "target/firmware/images/stm32g474.elf";
+
+/// Largest file that is read: the image is 1 MB with all debug information.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+
+/// RAM that a stack may begin in: SRAM1 and SRAM2.
+const RAM: std::ops::RangeInclusive<u32> = 0x2000_0000..=0x2001_8000;
+
+/// What is wrong with a file that is to be flashed.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The file cannot be read.
+    #[error("image {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It is no ELF file of a 32-bit Arm, or is cut.
+    #[error(
+        "image {path} is no ELF file for a 32-bit Arm ({why}); give the file that `cargo xtask firmware` writes"
+    )]
+    NotElf {
+        /// The file.
+        path: String,
+        /// Why.
+        why: String,
+    },
+    /// It places bytes where the image has no business.
+    #[error(
+        "image {path} places {bytes} bytes at {address:#010x}, outside of {FLASH_ADDRESS:#010x} to {LOOKUP_ADDRESS:#010x}, \
+         which is the STM32G474's flash without the pages of the lookup; this image is for another chip or too large"
+    )]
+    Outside {
+        /// The file.
+        path: String,
+        /// Where.
+        address: u64,
+        /// How many.
+        bytes: usize,
+    },
+    /// Bytes between the beginning of the flash and the CRC that nothing fills, or that two fill.
+    #[error(
+        "image {path} has a gap or an overlap at {address:#010x}; build it anew with `cargo xtask firmware`"
+    )]
+    Gap {
+        /// The file.
+        path: String,
+        /// Where.
+        address: u32,
+    },
+    /// Neither header nor build id are where they belong.
+    #[error(
+        "image {path} has no header of an ihd firmware; it is another program, or older than protocol 2.2: build it with `cargo xtask firmware`"
+    )]
+    NoHeader {
+        /// The file.
+        path: String,
+    },
+    /// Stack or entry lie where no program's can.
+    #[error(
+        "image {path} begins with {stack:#010x} and {entry:#010x}, which are no stack and no entry of an STM32G474's program"
+    )]
+    Vectors {
+        /// The file.
+        path: String,
+        /// First word.
+        stack: u32,
+        /// Second word.
+        entry: u32,
+    },
+    /// The last word is not the CRC of what is before it.
+    #[error(
+        "image {path} is not sealed: its CRC is {found:#010x}, but {computed:#010x} would be right. What cargo leaves in \
+         its own folder has none; flash {OF_CHECKOUT}, which `cargo xtask firmware` writes"
+    )]
+    Unsealed {
+        /// The file.
+        path: String,
+        /// What is there.
+        found: u32,
+        /// What should be.
+        computed: u32,
+    },
+    /// No image was given, none is built in and no checkout has one.
+    #[error(
+        "there is no image to flash: this program carries none, and there is no {OF_CHECKOUT} here; build one with `cargo \
+         xtask firmware` in a checkout, or give one with --image (a release archive has it)"
+    )]
+    None,
+}
+
+/// What the linker computed over all that it linked: two images with the same one are the same.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct BuildId(pub [u8; 20]);
+
+impl BuildId {
+    /// From a device's words; `None` unless they are 20 bytes.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        bytes.try_into().ok().map(Self)
+    }
+
+    /// The first eight hexadecimal digits, for people.
+    pub fn short(&self) -> String {
+        self.to_string().chars().take(8).collect()
+    }
+}
+
+impl fmt::Display for BuildId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for BuildId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "BuildId({self})")
+    }
+}
+
+impl Serialize for BuildId {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_str(self)
+    }
+}
+
+/// Bytes that lie together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// Where the first of them goes.
+    pub address: u32,
+    /// The bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// An image that may be flashed: it lies in the flash, outside of the pages of the lookup, without a gap, and its CRC
+/// is right.
+#[derive(Clone, Debug)]
+pub struct Image {
+    /// The file; none for the one that is built in.
+    pub path: Option<PathBuf>,
+    /// Package and version, as a device's hello has it: `ihd-firmware 0.1.0`.
+    pub build: String,
+    /// The build id.
+    pub build_id: BuildId,
+    /// Major and minor version of the protocol that it speaks.
+    pub protocol: (u16, u16),
+    /// Everything from the beginning of the flash to the CRC and the few bytes of filling behind it, in order.
+    pub segments: Vec<Segment>,
+    /// CRC-32 of all before its last word, which is this.
+    pub crc: u32,
+    /// Bytes from the beginning of the flash to behind the CRC.
+    pub bytes: u32,
+    elf: Vec<u8>,
+}
+
+impl Image {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`ImageError`]: every reason for which the file must not be flashed.
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
+        let failed = |source| ImageError::Read {
+            path: path.to_owned(),
+            source,
+        };
+        let meta = fs::metadata(path).map_err(failed)?;
+        if !meta.is_file() || meta.len() > MAX_FILE_BYTES {
+            return Err(ImageError::NotElf {
+                path: path.display().to_string(),
+                why: "no file, or too large".into(),
+            });
+        }
+        Self::parse(&fs::read(path).map_err(failed)?, Some(path))
+    }
+
+    /// Checks a file's bytes; the path is for messages.
+    ///
+    /// # Errors
+    /// As [`Image::read`].
+    pub fn parse(elf: &[u8], path: Option<&Path>) -> Result<Self, ImageError> {
+        let name = || path.map_or("(built in)".into(), |path| path.display().to_string());
+        let not_elf = |why: &dyn fmt::Display| ImageError::NotElf {
+            path: name(),
+            why: why.to_string(),
+        };
+        let file = ElfFile32::<Endianness>::parse(elf).map_err(|why| not_elf(&why))?;
+        if file.architecture() != Architecture::Arm || !file.is_little_endian() {
+            return Err(not_elf(&"another processor"));
+        }
+        let mut segments = Vec::new();
+        for segment in file.segments() {
+            let bytes = segment.data().map_err(|why| not_elf(&why))?;
+            let address = segment.elf_program_header().p_paddr(file.endian());
+            if !bytes.is_empty() {
+                segments.push(within_flash(address, bytes, &name)?);
+            }
+        }
+        segments.sort_by_key(|segment| segment.address);
+        let flat = flat(&segments).map_err(|address| ImageError::Gap {
+            path: name(),
+            address,
+        })?;
+        let no_header = || ImageError::NoHeader { path: name() };
+        let header = slice(&flat, HEADER_ADDRESS, HEADER_BYTES).and_then(Header::parse);
+        let header = header.ok_or_else(no_header)?;
+        let id = slice(&flat, NOTE_ADDRESS, NOTE_BYTES).and_then(build_id);
+        let id = BuildId(id.ok_or_else(no_header)?);
+        let crc = sealed(&flat, &header, &name)?;
+        check_vectors(&flat, &header, &name)?;
+        Ok(Self {
+            path: path.map(Path::to_owned),
+            build: format!("ihd-firmware {}", header.version()),
+            build_id: id,
+            protocol: (header.protocol_major, header.protocol_minor),
+            segments,
+            crc,
+            bytes: header.crc_address + 4 - FLASH_ADDRESS,
+            elf: elf.to_owned(),
+        })
+    }
+
+    /// The image that this program carries; `None` without the feature `image`.
+    ///
+    /// # Errors
+    /// As [`Image::parse`].
+    pub fn built_in() -> Option<Result<Self, ImageError>> {
+        #[cfg(feature = "image")]
+        {
+            let elf = include_bytes!(concat!(env!("OUT_DIR"), "/stm32g474.elf"));
+            Some(Self::parse(elf, None))
+        }
+        #[cfg(not(feature = "image"))]
+        None
+    }
+
+    /// The image of the checkout around the working directory, or around this program; `None` where none was built.
+    ///
+    /// # Errors
+    /// As [`Image::read`].
+    pub fn of_checkout() -> Option<Result<Self, ImageError>> {
+        let program = env::current_exe().ok();
+        let beginnings = env::current_dir().ok().into_iter().chain(program);
+        let mut roots = beginnings.flat_map(|path| {
+            let roots = path.ancestors().map(Path::to_owned).collect::<Vec<_>>();
+            roots.into_iter()
+        });
+        let found = roots.find(|root| {
+            root.join("firmware/Cargo.toml").is_file() && root.join(OF_CHECKOUT).is_file()
+        })?;
+        Some(Self::read(&found.join(OF_CHECKOUT)))
+    }
+
+    /// The given file; without one what is built in, and else the checkout's.
+    ///
+    /// # Errors
+    /// As [`Image::read`]; [`ImageError::None`].
+    pub fn choose(given: Option<&Path>) -> Result<Self, ImageError> {
+        match given {
+            Some(path) => Self::read(path),
+            None => Self::built_in()
+                .or_else(Self::of_checkout)
+                .unwrap_or(Err(ImageError::None)),
+        }
+    }
+
+    /// The file's bytes, with debug information and the texts of the log.
+    pub fn elf(&self) -> &[u8] {
+        &self.elf
+    }
+
+    /// What is flashed, from the beginning of the flash on.
+    pub fn flat(&self) -> Vec<u8> {
+        self.segments
+            .iter()
+            .flat_map(|segment| segment.bytes.iter().copied())
+            .collect()
+    }
+
+    /// Build, build id and protocol in one line.
+    pub fn describe(&self) -> String {
+        let (major, minor) = self.protocol;
+        let id = self.build_id.short();
+        format!("{} (build {id}, protocol {major}.{minor})", self.build)
+    }
+}
+
+fn within_flash(
+    address: u32,
+    bytes: &[u8],
+    name: &dyn Fn() -> String,
+) -> Result<Segment, ImageError> {
+    let end = u64::from(address) + bytes.len() as u64;
+    if address < FLASH_ADDRESS || end > u64::from(LOOKUP_ADDRESS) {
+        return Err(ImageError::Outside {
+            path: name(),
+            address: address.into(),
+            bytes: bytes.len(),
+        });
+    }
+    Ok(Segment {
+        address,
+        bytes: bytes.to_owned(),
+    })
+}
+
+/// All segments as one run from the beginning of the flash, or where it breaks.
+fn flat(segments: &[Segment]) -> Result<Vec<u8>, u32> {
+    let mut flat = Vec::new();
+    for segment in segments {
+        let next = FLASH_ADDRESS + flat.len() as u32;
+        if segment.address != next {
+            return Err(next.min(segment.address));
+        }
+        flat.extend_from_slice(&segment.bytes);
+    }
+    Ok(flat)
+}
+
+fn slice(flat: &[u8], address: u32, bytes: usize) -> Option<&[u8]> {
+    let at = address.checked_sub(FLASH_ADDRESS)? as usize;
+    flat.get(at..at.checked_add(bytes)?)
+}
+
+fn word(flat: &[u8], address: u32) -> Option<u32> {
+    let bytes = slice(flat, address, 4)?;
+    Some(u32::from_le_bytes(bytes.try_into().ok()?))
+}
+
+/// The CRC, if it is right.
+fn sealed(flat: &[u8], header: &Header, name: &dyn Fn() -> String) -> Result<u32, ImageError> {
+    let found =
+        word(flat, header.crc_address).ok_or_else(|| ImageError::NoHeader { path: name() })?;
+    let covered = (header.crc_address - FLASH_ADDRESS) as usize;
+    let computed = CRC32.checksum(flat.get(..covered).unwrap_or_default());
+    if found == computed {
+        Ok(found)
+    } else {
+        Err(ImageError::Unsealed {
+            path: name(),
+            found,
+            computed,
+        })
+    }
+}
+
+fn check_vectors(
+    flat: &[u8],
+    header: &Header,
+    name: &dyn Fn() -> String,
+) -> Result<(), ImageError> {
+    let stack = word(flat, FLASH_ADDRESS).unwrap_or_default();
+    let entry = word(flat, FLASH_ADDRESS + 4).unwrap_or_default();
+    let code = FLASH_ADDRESS..header.crc_address;
+    if RAM.contains(&stack) && stack % 4 == 0 && entry & 1 == 1 && code.contains(&entry) {
+        Ok(())
+    } else {
+        Err(ImageError::Vectors {
+            path: name(),
+            stack,
+            entry,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fake::SampleImage;
+    use proptest::prelude::*;
+
+    fn parse(elf: &[u8]) -> Result<Image, ImageError> {
+        Image::parse(elf, Some(Path::new("sample.elf")))
+    }
+
+    #[test]
+    fn a_sealed_image_says_what_it_is() {
+        let sample = SampleImage::default();
+        let image = parse(&sample.elf()).unwrap();
+        assert_eq!(image.build, "ihd-firmware 9.8.7");
+        assert_eq!(image.protocol, (2, 2));
+        assert_eq!(image.build_id, BuildId([0xB1; 20]));
+        assert_eq!(
+            image.describe(),
+            "ihd-firmware 9.8.7 (build b1b1b1b1, protocol 2.2)"
+        );
+        let flat = image.flat();
+        assert_eq!(image.bytes as usize, flat.len());
+        let (covered, crc) = flat.split_at(flat.len() - 4);
+        assert_eq!(
+            crc,
+            crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC)
+                .checksum(covered)
+                .to_le_bytes()
+        );
+        assert_eq!(image.crc.to_le_bytes(), crc);
+    }
+
+    #[test]
+    fn an_unsealed_image_is_refused() {
+        let mut elf = SampleImage::default().elf();
+        let at = elf
+            .windows(8)
+            .position(|bytes| bytes == SampleImage::CODE)
+            .unwrap();
+        elf[at] ^= 1;
+        let why = parse(&elf).unwrap_err();
+        assert!(matches!(why, ImageError::Unsealed { .. }), "{why}");
+        assert!(why.to_string().contains("cargo xtask firmware"), "{why}");
+    }
+
+    #[test]
+    fn what_belongs_elsewhere_is_refused() {
+        let mut sample = SampleImage::default();
+        sample.place = 0;
+        assert!(matches!(
+            parse(&sample.elf()),
+            Err(ImageError::Outside { address: 0, .. })
+        ));
+        let mut sample = SampleImage::default();
+        // One double word into the first page of the lookup.
+        sample.bytes = (LOOKUP_ADDRESS - FLASH_ADDRESS) as usize + 8;
+        assert!(matches!(
+            parse(&sample.elf()),
+            Err(ImageError::Outside { .. })
+        ));
+        sample.bytes -= 8;
+        assert_eq!(parse(&sample.elf()).unwrap().bytes, 508 * 1024);
+    }
+
+    #[test]
+    fn what_is_no_firmware_of_ours_is_refused() {
+        let mut sample = SampleImage::default();
+        sample.magic = *b"NOPE";
+        assert!(matches!(
+            parse(&sample.elf()),
+            Err(ImageError::NoHeader { .. })
+        ));
+        assert!(matches!(parse(b"\x7fELF"), Err(ImageError::NotElf { .. })));
+        assert!(matches!(parse(b""), Err(ImageError::NotElf { .. })));
+        let mut sample = SampleImage::default();
+        sample.entry = 0x0800_0300;
+        let even = parse(&sample.elf()).unwrap_err();
+        assert!(matches!(even, ImageError::Vectors { .. }), "{even}");
+        let mut sample = SampleImage::default();
+        sample.machine = 62;
+        assert!(matches!(
+            parse(&sample.elf()),
+            Err(ImageError::NotElf { .. })
+        ));
+    }
+
+    #[test]
+    fn a_gap_is_refused() {
+        let mut sample = SampleImage::default();
+        sample.gap = 8;
+        assert!(matches!(parse(&sample.elf()), Err(ImageError::Gap { .. })));
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_named() {
+        let why = Image::choose(Some(Path::new("/no/such.elf"))).unwrap_err();
+        assert!(why.to_string().contains("/no/such.elf"), "{why}");
+        assert!(matches!(
+            Image::read(Path::new("/")),
+            Err(ImageError::NotElf { .. })
+        ));
+    }
+
+    proptest! {
+        /// Whatever is damaged or cut off is an error or harmless, never a panic; and what is taken has a right CRC.
+        #[test]
+        fn damage_is_no_panic(at in 0_usize..2_048, to: u8, cut in 0_usize..4_096) {
+            let mut elf = SampleImage::default().elf();
+            elf.truncate(cut.max(1));
+            if let Some(byte) = elf.get_mut(at) {
+                *byte = to;
+            }
+            if let Ok(image) = parse(&elf) {
+                let flat = image.flat();
+                let covered = image.bytes as usize - 4;
+                prop_assert_eq!(CRC32.checksum(&flat[..covered]), image.crc);
+            }
+        }
+    }
+}

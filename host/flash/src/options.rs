@@ -1,0 +1,214 @@
+//! The STM32G474's option bytes, as far as this firmware depends on them (RM0440, 3.4.2 and 3.7.8).
+
+use serde::Serialize;
+
+/// First address of the option bytes in flash; those of the second bank lie [`SECOND_BANK`] behind.
+pub const OPTION_BYTES_ADDRESS: u32 = 0x1FFF_7800;
+
+/// Distance of the second bank's option bytes.
+pub const SECOND_BANK: u32 = 0x1000;
+
+const BOR_LEV: u32 = 0b111 << 8;
+const BFB2: u32 = 1 << 20;
+const DBANK: u32 = 1 << 22;
+const SRAM_PE: u32 = 1 << 24;
+const N_SWBOOT0: u32 = 1 << 26;
+const N_BOOT0: u32 = 1 << 27;
+
+/// How a chip is protected against being read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReadProtection {
+    /// Not at all: 0xAA.
+    None,
+    /// Flash cannot be read or written by a probe or a bootloader; lifting this erases the chip.
+    Level1,
+    /// For ever: no probe, no bootloader. 0xCC.
+    Level2,
+}
+
+/// What is not as the firmware needs it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Deviation {
+    /// Its name in the reference manual.
+    pub name: &'static str,
+    /// What it is.
+    pub is: u32,
+    /// What it should be.
+    pub wanted: u32,
+    /// Whether the firmware does not heat without (true), or works with less margin (false).
+    pub needed: bool,
+    /// What for.
+    pub why: &'static str,
+}
+
+/// The option bytes as they are, or as they are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct OptionBytes {
+    /// `FLASH_OPTR`.
+    pub optr: u32,
+    /// `FLASH_WRP1AR`, `FLASH_WRP1BR`, `FLASH_WRP2AR`, `FLASH_WRP2BR`: pages that cannot be written, first in bits 6:0,
+    /// last in bits 22:16; none where the first lies behind the last.
+    pub wrp: [u32; 4],
+}
+
+impl Default for OptionBytes {
+    /// As ST delivers a chip.
+    fn default() -> Self {
+        Self {
+            optr: 0xFFEF_F8AA,
+            wrp: [0xFF00_FFFF; 4],
+        }
+    }
+}
+
+impl OptionBytes {
+    /// Two banks of flash: a page of one can be erased while the program runs from the other.
+    pub fn has_two_banks(&self) -> bool {
+        self.optr & DBANK != 0
+    }
+
+    /// Parity of SRAM1 and CCM SRAM is checked.
+    pub fn has_parity(&self) -> bool {
+        self.optr & SRAM_PE == 0
+    }
+
+    /// The pin BOOT0 chooses between flash and bootloader; else the option byte nBOOT0 does.
+    pub fn boots_by_pin(&self) -> bool {
+        self.optr & N_SWBOOT0 != 0
+    }
+
+    /// Which threshold resets below: 0 (1.7 V) to 4 (2.8 V).
+    pub fn bor_level(&self) -> u32 {
+        (self.optr & BOR_LEV) >> 8
+    }
+
+    /// Protection against reading.
+    pub fn read_protection(&self) -> ReadProtection {
+        match self.optr & 0xFF {
+            0xAA => ReadProtection::None,
+            0xCC => ReadProtection::Level2,
+            _ => ReadProtection::Level1,
+        }
+    }
+
+    /// Pages that cannot be written: bank (0 or 1), first and last page of it.
+    pub fn protected_pages(&self) -> Vec<(usize, u32, u32)> {
+        let areas = self.wrp.iter().enumerate();
+        areas
+            .map(|(index, area)| (index / 2, area & 0x7F, area >> 16 & 0x7F))
+            .filter(|(_, first, last)| first <= last)
+            .collect()
+    }
+
+    /// What is not as the firmware wants it.
+    pub fn deviations(&self) -> Vec<Deviation> {
+        let bit = |mask: u32| u32::from(self.optr & mask != 0);
+        let all = [
+            Deviation {
+                name: "DBANK",
+                is: bit(DBANK),
+                wanted: 1,
+                needed: true,
+                why: "a lookup is kept in the second bank while the program runs from the first",
+            },
+            Deviation {
+                name: "SRAM_PE",
+                is: bit(SRAM_PE),
+                wanted: 0,
+                needed: true,
+                why: "parity guards the RAM that holds code and data of the sampling path",
+            },
+            Deviation {
+                name: "BFB2",
+                is: bit(BFB2),
+                wanted: 0,
+                needed: true,
+                why: "the program begins in the first bank",
+            },
+            Deviation {
+                name: "nBOOT0",
+                is: bit(N_BOOT0),
+                wanted: 1,
+                needed: !self.boots_by_pin(),
+                why: "with 0 the chip starts its bootloader instead of the program where nSWBOOT0 is 0",
+            },
+            Deviation {
+                name: "nSWBOOT0",
+                is: bit(N_SWBOOT0),
+                wanted: 1,
+                needed: false,
+                why: "the pin BOOT0 reaches the bootloader when a program does not run",
+            },
+            Deviation {
+                name: "BOR_LEV",
+                is: self.bor_level(),
+                wanted: 4,
+                needed: false,
+                why: "below 2.8 V the chip stays in reset, its outputs open",
+            },
+        ];
+        all.into_iter().filter(|one| one.is != one.wanted).collect()
+    }
+
+    /// These, with everything as the firmware wants it; protections stay.
+    pub fn as_wanted(&self) -> Self {
+        let set = DBANK | N_BOOT0 | N_SWBOOT0 | 4 << 8;
+        let clear = SRAM_PE | BFB2 | BOR_LEV;
+        Self {
+            optr: self.optr & !clear | set,
+            wrp: self.wrp,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The reset value in RM0440, 3.7.8.
+    #[test]
+    fn as_delivered_parity_and_the_brown_out_level_differ() {
+        let names = |options: OptionBytes| {
+            let all = options.deviations();
+            all.iter()
+                .map(|one| (one.name, one.needed))
+                .collect::<Vec<_>>()
+        };
+        let delivered = OptionBytes::default();
+        assert_eq!(names(delivered), [("SRAM_PE", true), ("BOR_LEV", false)]);
+        assert_eq!(delivered.read_protection(), ReadProtection::None);
+        assert_eq!(delivered.protected_pages(), []);
+        let wanted = delivered.as_wanted();
+        assert_eq!(wanted.optr, 0xFEEF_FCAA);
+        assert_eq!(names(wanted), []);
+    }
+
+    #[test]
+    fn a_chip_that_never_starts_its_program_is_told() {
+        // nSWBOOT0 = 0, nBOOT0 = 0.
+        let options = OptionBytes {
+            optr: 0xF3EF_FCAA & !SRAM_PE,
+            ..Default::default()
+        };
+        let found = options.deviations();
+        let found: Vec<_> = found.iter().map(|one| (one.name, one.needed)).collect();
+        assert_eq!(found, [("nBOOT0", true), ("nSWBOOT0", false)]);
+    }
+
+    #[test]
+    fn protections_are_read() {
+        let options = OptionBytes {
+            optr: 0xFFEF_F8BB,
+            wrp: [0xFF00_FFFF, 0xFF03_FF00, 0xFF7F_FF7E, 0xFF00_FFFF],
+        };
+        assert_eq!(options.read_protection(), ReadProtection::Level1);
+        assert_eq!(options.protected_pages(), [(0, 0, 3), (1, 126, 127)]);
+        assert_eq!(options.as_wanted().wrp, options.wrp);
+        let forever = OptionBytes {
+            optr: 0xFFEF_F8CC,
+            ..options
+        };
+        assert_eq!(forever.read_protection(), ReadProtection::Level2);
+    }
+}

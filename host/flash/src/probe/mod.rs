@@ -1,0 +1,212 @@
+//! Debug probes, ST-LINK, CMSIS-DAP and J-Link, through probe-rs.
+
+mod attached;
+mod errors;
+mod flashing;
+mod option_registers;
+mod registers;
+mod rtt;
+
+use std::rc::Rc;
+
+use probe_rs::config::Registry;
+use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
+use probe_rs::probe::{DebugProbeInfo, DebugProbeSelector, WireProtocol};
+use probe_rs::{Permissions, Session};
+use serde::Serialize;
+
+pub use attached::ProbeProgrammer;
+pub use rtt::RttSource;
+
+use crate::programmer::{Doing, ProgramError};
+
+/// The family's description, cut from probe-rs's own: all of them are 5 MB.
+const TARGET: &str = include_str!("../../targets/STM32G474.yaml");
+
+/// Its name there; stands for each package.
+const CHIP: &str = "STM32G474RE";
+
+/// A probe that is plugged in.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct FoundProbe {
+    /// Its name.
+    pub name: String,
+    /// USB vendor id.
+    pub vendor_id: u16,
+    /// USB product id.
+    pub product_id: u16,
+    /// Its serial number.
+    pub serial: Option<String>,
+    /// What `--probe` takes: `0483:374e:0042…`.
+    pub selector: String,
+    /// Whether this user may open it.
+    pub accessible: bool,
+}
+
+impl FoundProbe {
+    fn of(item: &ProbeListItem) -> Self {
+        let info = &item.info;
+        let serial = info.serial_number.clone();
+        let mut selector = format!("{:04x}:{:04x}", info.vendor_id, info.product_id);
+        if let Some(serial) = &serial {
+            selector = format!("{selector}:{serial}");
+        }
+        Self {
+            name: info.identifier.clone(),
+            vendor_id: info.vendor_id,
+            product_id: info.product_id,
+            serial,
+            selector,
+            accessible: item.accessibility == Accessibility::Accessible,
+        }
+    }
+
+    /// Name and selector.
+    pub fn describe(&self) -> String {
+        format!("{} ({})", self.name, self.selector)
+    }
+}
+
+/// The probes of this machine, or of a test.
+#[derive(Clone, Debug)]
+pub struct Probes {
+    lister: Rc<Lister>,
+}
+
+impl Default for Probes {
+    /// Those of this machine.
+    fn default() -> Self {
+        Self::with(Lister::new())
+    }
+}
+
+impl Probes {
+    /// Those of a lister; what drives them does not know the difference.
+    pub fn with(lister: Lister) -> Self {
+        Self {
+            lister: Rc::new(lister),
+        }
+    }
+
+    /// All that are plugged in.
+    pub fn list(&self) -> Vec<FoundProbe> {
+        let found = self.lister.list_all_with_access();
+        found.iter().map(FoundProbe::of).collect()
+    }
+
+    /// The way to the chip behind a probe. The chip is not reset and goes on running.
+    ///
+    /// # Errors
+    /// [`ProgramError::NotFound`], [`ProgramError::Several`] without a selector (`VID:PID` or `VID:PID:SERIAL`),
+    /// [`ProgramError::Open`], [`ProgramError::NoChip`].
+    pub fn attach(&self, selector: Option<&str>) -> Result<ProbeProgrammer, ProgramError> {
+        let (info, found) = self.choose(selector)?;
+        let session = self.session(&info, &found)?;
+        Ok(ProbeProgrammer::new(self.clone(), found, session))
+    }
+
+    /// The log behind a probe: of the block at an address, where the image names it (`_SEGGER_RTT`), else it is searched
+    /// for in RAM. The chip is not reset, and needs not be there yet.
+    ///
+    /// # Errors
+    /// As [`Probes::attach`], for the probe alone.
+    pub fn log(
+        &self,
+        selector: Option<&str>,
+        block: Option<u32>,
+    ) -> Result<RttSource, ProgramError> {
+        let (_, found) = self.choose(selector)?;
+        Ok(RttSource::new(self.clone(), found, block))
+    }
+
+    fn choose(&self, selector: Option<&str>) -> Result<(DebugProbeInfo, FoundProbe), ProgramError> {
+        let parsed = selector.map(|text| {
+            text.parse::<DebugProbeSelector>()
+                .map_err(|why| not_found(format!("`{text}` names no probe ({why}); it is VID:PID or VID:PID:SERIAL, as `ihd doctor` lists them")))
+        });
+        let parsed = parsed.transpose()?;
+        let items = self.lister.list_with_access(parsed.as_ref());
+        let item = match items.as_slice() {
+            [item] => item,
+            [] => return Err(not_found(none_found(selector))),
+            several => {
+                return Err(ProgramError::Several {
+                    found: several
+                        .iter()
+                        .map(|item| FoundProbe::of(item).describe())
+                        .collect(),
+                    option: "--probe VID:PID:SERIAL",
+                });
+            }
+        };
+        Ok((item.info.clone(), FoundProbe::of(item)))
+    }
+
+    fn session(&self, info: &DebugProbeInfo, found: &FoundProbe) -> Result<Session, ProgramError> {
+        let open = |why: &dyn std::error::Error| ProgramError::Open {
+            what: found.describe(),
+            why: errors::chain(why),
+        };
+        let mut probe = self.lister.open(info).map_err(|why| open(&why))?;
+        // Some probes know but one.
+        let _ = probe.select_protocol(WireProtocol::Swd);
+        let registry = registry()?;
+        probe
+            .attach_with_registry(CHIP, Permissions::new(), &registry)
+            .map_err(|why| errors::attaching(found, &why))
+    }
+
+    /// Opens the same probe again, wherever it is plugged in now.
+    fn reopen(&self, found: &FoundProbe) -> Result<Session, ProgramError> {
+        let (info, found) = self.choose(Some(&found.selector))?;
+        self.session(&info, &found)
+    }
+}
+
+fn not_found(what: String) -> ProgramError {
+    ProgramError::NotFound { what }
+}
+
+fn none_found(selector: Option<&str>) -> String {
+    match selector {
+        Some(selector) => format!(
+            "no probe {selector} is plugged in; without --probe the only one is taken, and `ihd doctor` lists them"
+        ),
+        None => "no debug probe is plugged in: connect the board's ST-LINK socket (a NUCLEO has one on board), or an ST-LINK, \
+                 a CMSIS-DAP or a J-Link; without one, --dfu flashes through the chip's own USB. `ihd doctor` looks closer"
+            .into(),
+    }
+}
+
+fn registry() -> Result<Registry, ProgramError> {
+    let mut registry = Registry::new();
+    let added = registry.add_target_family_from_yaml(TARGET);
+    added.map(|_| registry).map_err(|why| ProgramError::Probe {
+        doing: Doing::Attaching,
+        why: errors::chain(&why),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_family_is_this_one_chip() {
+        let registry = registry().unwrap();
+        let target = registry.get_target_by_name(CHIP).unwrap();
+        assert_eq!(target.flash_algorithms.len(), 1);
+        let flash = &target.flash_algorithms[0].flash_properties;
+        assert_eq!(flash.address_range, 0x0800_0000..0x0808_0000);
+        assert_eq!(
+            flash.sectors[0].size,
+            u64::from(ihd_shared::image::PAGE_BYTES)
+        );
+    }
+
+    #[test]
+    fn what_names_no_probe_is_told() {
+        let why = Probes::default().attach(Some("yellow")).unwrap_err();
+        assert!(why.to_string().contains("VID:PID"), "{why}");
+    }
+}
