@@ -43,9 +43,11 @@ impl<'a> Asking<'a> {
             Err(error) => error,
         };
         let check = match &error {
-            LinkError::TooOld { .. } => {
-                Check::not_tested(name, error.to_string()).with_remedy("ihd flash")
-            }
+            LinkError::TooOld { .. }
+            | LinkError::Refused {
+                outcome: Outcome::UnknownMessage,
+                ..
+            } => Check::not_tested(name, error.to_string()).with_remedy("ihd flash"),
             LinkError::Refused {
                 outcome: Outcome::Unavailable,
                 ..

@@ -2,6 +2,7 @@
 
 pub mod fake;
 pub mod image;
+pub mod install;
 pub mod log_source;
 pub mod options;
 #[cfg(feature = "probe")]

@@ -89,7 +89,8 @@ impl Doing {
     /// What the chip holds after an interruption here.
     fn left(self) -> &'static str {
         match self {
-            Self::Attaching | Self::Reading | Self::Resetting => "the chip was not changed",
+            Self::Attaching | Self::Reading => "the chip was not changed",
+            Self::Resetting => "what was written before is complete",
             Self::SettingOptions => "the option bytes may be the old ones",
             Self::Erasing | Self::Programming | Self::Verifying => {
                 "the chip holds no whole program now and drives no output"

@@ -14,6 +14,7 @@ pub mod convert;
 #[cfg(feature = "daemon")]
 pub mod device;
 pub mod doctor;
+pub mod flash;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
@@ -65,6 +66,7 @@ enum Command {
     #[cfg(feature = "daemon")]
     Device(Box<device::DeviceArgs>),
     Doctor(doctor::DoctorArgs),
+    Flash(flash::FlashArgs),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
@@ -93,6 +95,7 @@ impl Cli {
             #[cfg(feature = "daemon")]
             Command::Device(args) => args.run(),
             Command::Doctor(args) => args.run(),
+            Command::Flash(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
@@ -150,6 +153,9 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if let Some(unwell) = error.downcast_ref::<doctor::Unwell>() {
         return unwell.exit_code();
+    }
+    if error.is::<ihd_flash::install::InstallError>() || error.is::<ihd_flash::ProgramError>() {
+        return 3;
     }
     if error.is::<replay::Differs>() {
         return 6;

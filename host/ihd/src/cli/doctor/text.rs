@@ -31,10 +31,30 @@ fn of_group(text: &mut String, group: &Group, device: Option<&str>) {
         (name, Some(device)) => format!("{}: {device}", name.replace('_', " ")),
     };
     let _ = writeln!(text, "{heading}");
-    for check in &group.checks {
-        of_check(text, check);
+    for checks in group.checks.chunk_by(are_alike) {
+        match checks {
+            [one] => of_check(text, one),
+            [first, ..] => of_alike(text, checks, first),
+            [] => {}
+        }
     }
     text.push('\n');
+}
+
+/// Whether two were not tested for the same reason, which is then told once.
+fn are_alike(a: &Check, b: &Check) -> bool {
+    a.verdict == Verdict::NotTested && (a.verdict, &a.finding) == (b.verdict, &b.finding)
+}
+
+/// Checks that were not tested for one reason.
+fn of_alike(text: &mut String, checks: &[Check], first: &Check) {
+    let names: Vec<_> = checks.iter().map(|check| check.name).collect();
+    let line = format!("{}: {}", first.finding, names.join(", "));
+    let head = format!("  {:<17} {:<10}", "…", first.verdict.word());
+    for (n, line) in wrapped(&line).iter().enumerate() {
+        let before = if n == 0 { head.as_str() } else { "" };
+        let _ = writeln!(text, "{before:<INDENT$}{line}");
+    }
 }
 
 fn of_check(text: &mut String, check: &Check) {
@@ -75,6 +95,20 @@ fn wrapped(text: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_not_tested_for_one_reason_is_told_once() {
+        let mut report = Report::of(None);
+        let none = |name| Check::not_tested(name, "no device");
+        let checks = ["idle", "clocks", "noise"].map(none).into();
+        report.add(Group {
+            name: "board",
+            checks,
+        });
+        let text = of(&report);
+        assert_eq!(text.matches("no device").count(), 1, "{text}");
+        assert!(text.contains("no device: idle, clocks, noise"), "{text}");
+    }
 
     #[test]
     fn what_failed_says_what_to_do_and_lines_fit() {

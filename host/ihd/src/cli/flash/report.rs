@@ -1,0 +1,181 @@
+//! What `ihd flash` shows.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use ihd_flash::install::{Installed, Step};
+use ihd_flash::options::Deviation;
+use ihd_flash::{Image, Progress};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::cli::output;
+
+/// The report for programs.
+#[derive(Serialize)]
+struct Report<'a> {
+    image: Flashed<'a>,
+    #[serde(flatten)]
+    installed: &'a Installed,
+    took_s: f64,
+}
+
+#[derive(Serialize)]
+struct Flashed<'a> {
+    path: Option<&'a std::path::Path>,
+    build: &'a str,
+    build_id: ihd_flash::BuildId,
+    protocol: (u16, u16),
+    bytes: u32,
+    crc: u32,
+}
+
+/// The terminal.
+pub struct Screen {
+    bar: ProgressBar,
+    json: bool,
+}
+
+impl Screen {
+    /// With `json` nothing but the report is written.
+    ///
+    /// # Errors
+    /// None that a user could cause.
+    pub fn new(json: bool) -> Result<Self> {
+        let bar = ProgressBar::new(0);
+        let style =
+            ProgressStyle::with_template("{msg:12} {bar:40} {bytes}/{total_bytes}, {eta} left");
+        bar.set_style(style.context("progress bar")?);
+        Ok(Self { bar, json })
+    }
+
+    /// The way and the image, before the chip is looked at.
+    ///
+    /// # Errors
+    /// When standard output cannot be written.
+    pub fn begin(&self, way: &str, image: &Image) -> Result<()> {
+        if self.json {
+            return Ok(());
+        }
+        let from = image
+            .path
+            .as_ref()
+            .map_or("part of this program".into(), |path| {
+                path.display().to_string()
+            });
+        say!("through    {way}")?;
+        say!(
+            "image      {}, {} bytes, {from}",
+            image.describe(),
+            image.bytes
+        )
+    }
+
+    /// A step. What cannot be shown is not a reason to stop half-way.
+    pub fn on(&mut self, step: &Step<'_>) {
+        if self.json {
+            return;
+        }
+        let shown = match step {
+            Step::Found(chip, before) => say!(
+                "chip       STM32G474, {} KiB\nreplaces   {}",
+                chip.flash_kib,
+                before.describe()
+            ),
+            Step::Options(deviations, set) => deviations
+                .iter()
+                .try_for_each(|one| say!("{}", told(one, *set))),
+            Step::Flash(progress) => {
+                self.advance(*progress);
+                Ok(())
+            }
+            Step::Waiting => {
+                self.bar.finish_and_clear();
+                say!("verified; the board starts")
+            }
+        };
+        drop(shown);
+    }
+
+    fn advance(&self, progress: Progress) {
+        let (what, done, total) = match progress {
+            Progress::Erasing { done, total } => ("erasing", done, total),
+            Progress::Programming { done, total } => ("programming", done, total),
+            Progress::Verifying { done, total } => ("verifying", done, total),
+        };
+        self.bar.set_message(what);
+        self.bar.set_length(total.into());
+        self.bar.set_position(done.into());
+    }
+
+    /// The report.
+    ///
+    /// # Errors
+    /// When standard output cannot be written.
+    pub fn end(&self, image: &Image, installed: &Installed, took: Duration) -> Result<()> {
+        self.bar.finish_and_clear();
+        if self.json {
+            return output::json(&Report {
+                image: Flashed {
+                    path: image.path.as_deref(),
+                    build: &image.build,
+                    build_id: image.build_id,
+                    protocol: image.protocol,
+                    bytes: image.bytes,
+                    crc: image.crc,
+                },
+                installed,
+                took_s: took.as_secs_f64(),
+            });
+        }
+        output::text(&text(installed, took))
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn told(one: &Deviation, set: bool) -> String {
+    let then = match (set, one.needed) {
+        (true, _) => "is set now".into(),
+        (false, true) => format!(
+            "the board does not heat without (fault 16): --set-option-bytes sets it; {}",
+            one.why
+        ),
+        (false, false) => format!("--set-option-bytes sets it; {}", one.why),
+    };
+    format!(
+        "option     {} is {}, should be {}: {then}",
+        one.name, one.is, one.wanted
+    )
+}
+
+fn text(done: &Installed, took: Duration) -> String {
+    let lookup = if done.lookup_kept {
+        "the learned lookup was kept"
+    } else {
+        "the whole chip was erased, the learned lookup too"
+    };
+    let mut text = format!("flashed    in {:.1} s; {lookup}\n", took.as_secs_f64());
+    match (&done.heard, &done.silence) {
+        (Some(heard), _) => {
+            text += &format!(
+                "heard      {} on {}: it is this image\n",
+                heard.build, heard.link
+            );
+            if let Some((number, name)) = &heard.fault {
+                text += &format!("fault      {number}, {name}: docs/board.md says what it wants\n");
+            }
+        }
+        (None, why) => {
+            let why = why.as_deref().unwrap_or("no link");
+            text += &format!(
+                "not heard  ({why}); name the board's link with --device usb or serial:PATH to have its hello compared\n"
+            );
+        }
+    }
+    text
+}
