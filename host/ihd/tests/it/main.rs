@@ -2,6 +2,7 @@
 
 #[cfg(feature = "pinn")]
 mod command_line;
+mod completions_and_man;
 mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
