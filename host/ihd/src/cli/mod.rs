@@ -142,7 +142,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if let Some(code) = device::exit_code(error) {
         return code;
     }
-    if error.is::<ihd_flash::install::InstallError>() || error.is::<ihd_flash::ProgramError>() {
+    if error.is::<ihd_flash::install::InstallError>()
+        || error.is::<ihd_flash::ProgramError>()
+        || error.is::<ihd_flash::dfu::EnterError>()
+    {
         return 3;
     }
     if error.is::<replay::Differs>() {

@@ -1,6 +1,7 @@
 //! `ihd flash`: the firmware's image onto a board.
 
 mod board_link;
+mod dfu;
 mod report;
 
 use std::path::PathBuf;
@@ -19,7 +20,7 @@ use super::usage::Usage;
 /// From reset to hello a board takes 65 ms, and its USB a second or two to be known to the system.
 const HEARD_WITHIN: Duration = Duration::from_secs(10);
 
-/// Put the firmware on a board, through a debug probe.
+/// Put the firmware on a board, through a debug probe or the chip's own USB.
 ///
 /// The chip is identified, what is on it is named, and nothing is written while it heats. The image is written, read back and
 /// compared, the board is reset, and its hello has to be that of the image. The learned lookup stays, unless --erase-all. What
@@ -30,6 +31,7 @@ const HEARD_WITHIN: Duration = Duration::from_secs(10);
     ihd flash --set-option-bytes                 (a new board: RAM parity, brown-out level)\n  \
     ihd flash --image target/firmware/images/stm32g474.elf --device serial:/dev/ttyACM0\n  \
     ihd flash --probe 0483:374e:004200343137510D39383538 --json\n  \
+    ihd flash --dfu                              (no probe: USB at the chip's own pins)\n  \
     ihd flash --erase-all                        (lookup as well: back to the built-in one)\n\n\
     Exit codes: 0 flashed, verified and heard (or no link found: the report says so), 1 no fit image, 2 wrong usage,\n\
     3 probe, chip or link, or the board heats")]
@@ -41,6 +43,10 @@ pub struct FlashArgs {
     /// The debug probe, as VID:PID or VID:PID:SERIAL; without it the only one
     #[arg(long, value_name = "PROBE")]
     probe: Option<String>,
+    /// Through the chip's own bootloader over USB instead of a probe: the one that is plugged in (0483:df11), or the one with this
+    /// serial number; where there is none, the board's firmware is sent there first
+    #[arg(long, value_name = "SERIAL", num_args = 0..=1, require_equals = true, conflicts_with = "probe")]
+    dfu: Option<Option<String>>,
     /// The board's link, on which its hello is waited for: usb, usb:SERIAL or serial:PATH; without it USB and the probe's own
     /// serial port are tried
     #[arg(long, value_name = "DEVICE")]
@@ -67,7 +73,13 @@ impl FlashArgs {
             "--device names a simulated hob, which has no flash; a board's link is usb, usb:SERIAL or serial:PATH"
         );
         let image = Image::choose(self.image.as_deref())?;
-        let (mut programmer, serial) = self.programmer()?;
+        let (mut programmer, serial) = match &self.dfu {
+            Some(serial) => (
+                dfu::programmer(serial.as_deref(), self.device.as_ref())?,
+                None,
+            ),
+            None => self.programmer()?,
+        };
         let plan = Plan {
             image: &image,
             erase: if self.erase_all {
