@@ -90,7 +90,18 @@ fn an_image_is_flashed_verified_and_started_and_the_lookup_stays() {
     );
     let resets = desk.with(|chip| chip.resets);
     programmer.reset().unwrap();
-    desk.with(|chip| assert_eq!(chip.resets, resets + 1));
+    desk.with(|chip| {
+        assert_eq!(chip.resets, resets + 1);
+        assert_eq!(
+            ihd_debug_port::Target::stopped(chip),
+            None,
+            "the program runs"
+        );
+    });
+    // What is waited for afterwards is not disturbed.
+    let halts = desk.with(|chip| chip.halts);
+    drop(programmer);
+    desk.with(|chip| assert_eq!(chip.halts, halts));
 }
 
 #[test]
@@ -117,10 +128,11 @@ fn what_is_on_the_chip_is_named() {
     );
 }
 
-/// Attaching neither resets nor halts, and reading works while the program runs.
+/// Looking neither resets nor halts: nobody protects a bridge that switches while the core stands.
 #[test]
-fn a_running_chip_is_read_and_goes_on() {
+fn a_running_chip_is_read_and_not_halted() {
     let desk = desk();
+    desk.with(|chip| (chip.timer_clocked, chip.outputs) = (true, 0b11));
     put(&desk, FLASH_ADDRESS + 0x1_0001, b"unaligned");
     let mut programmer = attach(&desk).unwrap();
     let mut found = [0; 9];
@@ -128,9 +140,11 @@ fn a_running_chip_is_read_and_goes_on() {
         .read(FLASH_ADDRESS + 0x1_0001, &mut found)
         .unwrap();
     assert_eq!(&found, b"unaligned");
+    programmer.identify().unwrap();
+    assert_eq!(programmer.is_switching().unwrap(), Some(true));
     drop(programmer);
     desk.with(|chip| {
-        assert_eq!(chip.resets, 0);
+        assert_eq!((chip.resets, chip.halts), (0, 0));
         assert_eq!(ihd_debug_port::Target::stopped(chip), None);
     });
 }
@@ -141,7 +155,7 @@ fn a_bridge_that_switches_is_seen() {
     desk.with(|chip| (chip.timer_clocked, chip.outputs) = (true, 0b11));
     let why = flash(&desk, plan(&image)).unwrap_err();
     assert!(matches!(why, InstallError::Heats { .. }), "{why}");
-    desk.with(|chip| assert_eq!((chip.resets, chip.outputs), (0, 0b11)));
+    desk.with(|chip| assert_eq!((chip.resets, chip.halts, chip.outputs), (0, 0, 0b11)));
     // Without its clock the timer reads as nothing.
     desk.with(|chip| chip.timer_clocked = false);
     flash(&desk, plan(&image)).unwrap();
@@ -171,7 +185,7 @@ fn protections_are_told_before_anything_is_erased() {
         let desk = desk();
         desk.with(|chip| chip.flash = std::mem::take(&mut chip.flash).with_options(optr, wrp));
         let why = flash(&desk, plan(&image)).unwrap_err();
-        desk.with(|chip| assert_eq!(chip.flash.erased, []));
+        desk.with(|chip| assert!(chip.flash.erased.is_empty()));
         why.to_string()
     };
     let why = with(0xFEEF_FCBB, none);
@@ -454,5 +468,11 @@ fn a_log_is_read_while_the_program_runs_and_survives_resets_and_plugs() {
         source.read(&mut log).unwrap();
         assert_eq!(log, b"after the cable\0");
     }
-    desk.with(|chip| assert_eq!(chip.resets, 2, "the button, and the supply"));
+    desk.with(|chip| {
+        assert_eq!(
+            (chip.resets, chip.halts),
+            (2, 0),
+            "the button, and the supply"
+        )
+    });
 }
