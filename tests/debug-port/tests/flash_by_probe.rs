@@ -303,6 +303,18 @@ fn a_loss_of_power_is_told_and_a_second_run_mends_it() {
     }
 }
 
+/// The vectors come last: a chip that was cut off does not begin with half a program.
+#[test]
+fn half_a_program_does_not_start() {
+    // Before the last page of 1 KiB: 11 252 double words are programmed in all, filled up to whole pages of the algorithm.
+    for after in [43, 44, 1_000, 11_000, 44 + 88 * 128 - 2 * 128] {
+        let desk = desk();
+        desk.with(|chip| chip.mishap = Some((after, Mishap::PowerLost)));
+        flash(&desk, plan(&image())).unwrap_err();
+        assert_eq!(in_flash(&desk, FLASH_ADDRESS, 8), [0xFF; 8], "{after}");
+    }
+}
+
 #[test]
 fn a_controller_that_stays_busy_is_told() {
     let why = mishap(10, Mishap::Stuck);
@@ -346,7 +358,8 @@ fn a_bit_that_stays_is_found_and_its_place_is_told() {
     else {
         panic!("{why}");
     };
-    assert_eq!(*address, FLASH_ADDRESS + 8_003);
+    // The first page comes last.
+    assert_eq!(*address, FLASH_ADDRESS + PAGE_BYTES + 8_003);
     assert_eq!(wanted[0] ^ found[0], 0x10);
 }
 
@@ -475,4 +488,22 @@ fn a_log_is_read_while_the_program_runs_and_survives_resets_and_plugs() {
             "the button, and the supply"
         )
     });
+}
+
+/// The firmware itself, where `cargo xtask firmware` has built it.
+#[test]
+fn the_firmwares_own_image_is_flashed_and_named() {
+    let Some(image) = Image::of_checkout() else {
+        eprintln!("skipped: no image was built here");
+        return;
+    };
+    let (desk, image) = (desk(), image.unwrap());
+    flash(&desk, plan(&image)).unwrap();
+    let again = flash(&desk, plan(&image)).unwrap();
+    assert_eq!(again.before.describe(), image.describe());
+    let Before::Firmware(found) = again.before else {
+        panic!("{:?}", again.before);
+    };
+    assert!(found.whole);
+    assert_eq!(found.build_id, Some(image.build_id));
 }
