@@ -7,6 +7,7 @@ mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
 mod exit_codes;
+mod flash;
 mod identify;
 mod identify_accuracy;
 mod inspect;
