@@ -10,6 +10,8 @@ mod exit_codes;
 mod identify;
 mod identify_accuracy;
 mod inspect;
+#[cfg(all(feature = "log", unix))]
+mod log;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]
