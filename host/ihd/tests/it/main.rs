@@ -11,6 +11,8 @@ mod flash;
 mod identify;
 mod identify_accuracy;
 mod inspect;
+#[cfg(all(feature = "log", unix))]
+mod log;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]
