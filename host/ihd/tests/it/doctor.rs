@@ -2,7 +2,7 @@
 //! or not: nothing here depends on it.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStdout, Command, Output, Stdio};
 
 use serde_json::Value;
 
@@ -129,13 +129,16 @@ fn a_device_that_is_not_there_exits_with_3_and_a_whole_report() {
     }
 }
 
-/// A hob in a process of its own, ended with the test.
-struct Hob(Child);
+/// A hob in a process of its own, ended with the test. Whoever reads its lines stays: without a reader it ends.
+struct Hob {
+    child: Child,
+    _lines: BufReader<ChildStdout>,
+}
 
 impl Drop for Hob {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -143,11 +146,13 @@ fn hob(args: &str) -> (Hob, String) {
     let mut command = ihd(&format!("hob --listen 127.0.0.1:0 {args}"));
     let mut child = command.stdout(Stdio::piped()).spawn().expect("ihd runs");
     let stdout = child.stdout.take().expect("its output");
+    let mut stdout = BufReader::new(stdout);
     let mut line = String::new();
-    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    stdout.read_line(&mut line).expect("a line");
     let (_, address) = line.split_once("tcp:").expect("an address");
     let address = address.split(';').next().unwrap_or_default().to_owned();
-    (Hob(child), address)
+    let _lines = stdout;
+    (Hob { child, _lines }, address)
 }
 
 #[test]
@@ -172,7 +177,7 @@ fn a_hob_that_goes_away_leaves_a_report() {
     .spawn()
     .expect("ihd runs");
     std::thread::sleep(std::time::Duration::from_millis(400));
-    hob.0.kill().expect("it is killed");
+    hob.child.kill().expect("it is killed");
     let output = doctor.wait_with_output().expect("it ends");
     let report: Value = serde_json::from_slice(&output.stdout).expect("a document");
     assert_eq!(output.status.code(), Some(3), "{report:#}");
