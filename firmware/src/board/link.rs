@@ -4,6 +4,7 @@
 //! port that was heard last is the one that is answered.
 
 use embassy_futures::select::{Either, Either3, select, select3};
+use embassy_futures::yield_now;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::Access;
 use ihd_shared::wire::frame::MAX_ENCODED;
@@ -136,6 +137,9 @@ pub async fn run(
                 housekeeping.poll(&mut path);
                 tick(housekeeping, &mut path);
                 crash::note_fault(path.with(|rt| rt.fault()).number());
+                // Where a turn takes longer than a block, nothing above ever waits: the executor's other tasks would get no
+                // turn at all.
+                yield_now().await;
             }
         }
     }

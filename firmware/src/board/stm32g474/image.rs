@@ -50,5 +50,5 @@ const fn version() -> [u8; VERSION_BYTES] {
 /// The build id that the linker has written; none where it was not asked to.
 pub fn own_build_id() -> Option<[u8; 20]> {
     // SAFETY: the linker's note, in flash.
-    build_id(unsafe { &*(&raw const __build_id_note) })
+    build_id(unsafe { &__build_id_note })
 }
