@@ -38,6 +38,6 @@ fn main() {
 
 fn write(path: &Path, text: &str) {
     if let Err(why) = fs::write(path, text) {
-        println!("cargo:error=cannot write {}: {why}", path.display());
+        println!("cargo::error=cannot write {}: {why}", path.display());
     }
 }

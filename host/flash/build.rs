@@ -19,7 +19,7 @@ fn main() {
         .unwrap_or_default();
     if let Err(why) = fs::copy(&image, out.join("stm32g474.elf")) {
         println!(
-            "cargo:error=feature `image`: cannot take {}: {why}; build it with `cargo xtask firmware`, or name one with IHD_IMAGE",
+            "cargo::error=feature `image`: cannot take {}: {why}; build it with `cargo xtask firmware`, or name one with IHD_IMAGE",
             image.display()
         );
     }

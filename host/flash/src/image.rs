@@ -428,39 +428,53 @@ mod tests {
 
     #[test]
     fn what_belongs_elsewhere_is_refused() {
-        let mut sample = SampleImage::default();
-        sample.place = 0;
+        let place = 0;
+        let sample = SampleImage {
+            place,
+            ..Default::default()
+        };
         assert!(matches!(
             parse(&sample.elf()),
             Err(ImageError::Outside { address: 0, .. })
         ));
-        let mut sample = SampleImage::default();
-        // One double word into the first page of the lookup.
-        sample.bytes = (LOOKUP_ADDRESS - FLASH_ADDRESS) as usize + 8;
+        // One double word into the first page of the lookup, and up to it.
+        let room = (LOOKUP_ADDRESS - FLASH_ADDRESS) as usize;
+        let of = |bytes| SampleImage {
+            bytes,
+            ..Default::default()
+        };
         assert!(matches!(
-            parse(&sample.elf()),
+            parse(&of(room + 8).elf()),
             Err(ImageError::Outside { .. })
         ));
-        sample.bytes -= 8;
-        assert_eq!(parse(&sample.elf()).unwrap().bytes, 508 * 1024);
+        assert_eq!(parse(&of(room).elf()).unwrap().bytes, 508 * 1024);
     }
 
     #[test]
     fn what_is_no_firmware_of_ours_is_refused() {
-        let mut sample = SampleImage::default();
-        sample.magic = *b"NOPE";
+        let magic = *b"NOPE";
+        let sample = SampleImage {
+            magic,
+            ..Default::default()
+        };
         assert!(matches!(
             parse(&sample.elf()),
             Err(ImageError::NoHeader { .. })
         ));
         assert!(matches!(parse(b"\x7fELF"), Err(ImageError::NotElf { .. })));
         assert!(matches!(parse(b""), Err(ImageError::NotElf { .. })));
-        let mut sample = SampleImage::default();
-        sample.entry = 0x0800_0300;
+        let entry = 0x0800_0300;
+        let sample = SampleImage {
+            entry,
+            ..Default::default()
+        };
         let even = parse(&sample.elf()).unwrap_err();
         assert!(matches!(even, ImageError::Vectors { .. }), "{even}");
-        let mut sample = SampleImage::default();
-        sample.machine = 62;
+        let machine = 62;
+        let sample = SampleImage {
+            machine,
+            ..Default::default()
+        };
         assert!(matches!(
             parse(&sample.elf()),
             Err(ImageError::NotElf { .. })
@@ -469,8 +483,11 @@ mod tests {
 
     #[test]
     fn a_gap_is_refused() {
-        let mut sample = SampleImage::default();
-        sample.gap = 8;
+        let gap = 8;
+        let sample = SampleImage {
+            gap,
+            ..Default::default()
+        };
         assert!(matches!(parse(&sample.elf()), Err(ImageError::Gap { .. })));
     }
 

@@ -161,6 +161,16 @@ fn a_bridge_that_switches_is_seen() {
     flash(&desk, plan(&image)).unwrap();
 }
 
+/// A program that begins to switch after it was looked at is not halted with its bridge on.
+#[test]
+fn the_bridge_is_opened_before_the_core_is_halted() {
+    let (desk, image) = (desk(), image());
+    let mut programmer = attach(&desk).unwrap();
+    desk.with(|chip| (chip.timer_clocked, chip.outputs) = (true, 0b01));
+    programmer.flash(&image, Erase::Image, &mut |_| ()).unwrap();
+    desk.with(|chip| assert!(chip.halts > 0 && !chip.halted_switching));
+}
+
 /// probe-rs attaches to an STM32G431 all the same.
 #[test]
 fn another_chip_is_refused() {

@@ -49,6 +49,7 @@ impl ProbeProgrammer {
     /// For what changes the chip: the core is halted.
     pub(super) fn session(&mut self) -> Result<&mut Session, ProgramError> {
         if !matches!(self.connection, Connection::Session(_)) {
+            self.open_bridge()?;
             // A probe is opened once at a time.
             self.detach();
             let session = self.probes.session(&self.found)?;
@@ -57,6 +58,21 @@ impl ProbeProgrammer {
         match &mut self.connection {
             Connection::Session(session) => Ok(session),
             _ => unreachable!("it was just made"),
+        }
+    }
+
+    /// Switches the timer's outputs off. Whoever comes here has seen them off, but a program that runs may have begun since,
+    /// and a session halts it with what is on left on.
+    fn open_bridge(&mut self) -> Result<(), ProgramError> {
+        if self.word(Doing::Attaching, reg::APB2ENR)? & reg::HRTIM1EN == 0 {
+            return Ok(());
+        }
+        match &mut self.connection {
+            Connection::Quiet(quiet) => {
+                let opened = quiet.set_word(reg::ODISR, reg::OUTPUTS);
+                opened.map_err(|why| errors::access(Doing::Attaching, &why))
+            }
+            _ => Ok(()),
         }
     }
 

@@ -66,7 +66,7 @@ impl Quiet {
         self.with(|memory| memory.read_word_32(address.into()))
     }
 
-    /// Writes a word of RAM.
+    /// Writes a word of RAM or a register.
     pub fn set_word(&mut self, address: u32, value: u32) -> Result<(), Error> {
         self.with(|memory| memory.write_word_32(address.into(), value))
     }

@@ -17,6 +17,8 @@ pub const APB2ENR: u32 = 0x4002_1060;
 pub const HRTIM1EN: u32 = 1 << 26;
 /// `HRTIM_OENR`, 27.5.60: the outputs that are on, bits 11:0.
 pub const OENR: u32 = 0x4001_6B94;
+/// `HRTIM_ODISR`, 27.5.61: ones switch outputs off, which are low then.
+pub const ODISR: u32 = 0x4001_6B98;
 /// Bits of the outputs.
 pub const OUTPUTS: u32 = 0xFFF;
 

@@ -13,13 +13,12 @@ const VARIABLES: std::ops::Range<u32> = 0x2000_4000..0x2001_7FE0;
 /// What a control block begins with.
 const MAGIC: [u8; 16] = *b"SEGGER RTT\0\0\0\0\0\0";
 
-/// Where in the block the number of rings to the host stands; the rings follow behind that of those from the host.
-const UP_RINGS: u32 = 16;
-const FIRST_RING: u32 = 24;
-/// Name, buffer, size, written, read, flags: words of a ring.
-const RING_WORDS: usize = 6;
-/// Where in a ring the host says how far it has read.
-const READ: u32 = 16;
+/// Words of a block up to the end of the first ring: the magic, the numbers of rings to and from the host, then of the ring
+/// name, buffer, size, written, read, flags.
+const BLOCK_WORDS: usize = 12;
+
+/// Where in the block the host says how far it has read.
+const READ: u32 = 40;
 
 /// Largest ring that is believed: the RAM has no more.
 const MOST_BYTES: u32 = 64 << 10;
@@ -45,8 +44,12 @@ struct Ring {
 }
 
 impl Ring {
-    fn of(words: [u32; RING_WORDS]) -> Option<Self> {
-        let [_, buffer, bytes, written, read, _] = words;
+    fn of(block: &[u32; BLOCK_WORDS]) -> Option<Self> {
+        let [m0, m1, m2, m3, rings, _, _, buffer, bytes, written, read, _] = *block;
+        let magic = [m0, m1, m2, m3].map(u32::to_le_bytes);
+        if magic.as_flattened() != MAGIC || rings == 0 {
+            return None;
+        }
         let lies_in_ram = buffer >= VARIABLES.start
             && bytes <= MOST_BYTES
             && buffer
@@ -108,7 +111,7 @@ fn find(quiet: &mut Quiet, named: Option<u32>) -> Result<Option<u32>, probe_rs::
     if let Some(named) = named {
         let mut magic = [0; MAGIC.len()];
         quiet.read(named, &mut magic)?;
-        return Ok((magic == MAGIC).then_some(named));
+        return Ok((magic == MAGIC && named.is_multiple_of(4)).then_some(named));
     }
     let mut ram = vec![0; VARIABLES.len()];
     quiet.read(VARIABLES.start, &mut ram)?;
@@ -124,14 +127,10 @@ fn drain(
     block: u32,
     out: &mut Vec<u8>,
 ) -> Result<Option<usize>, probe_rs::Error> {
-    let mut magic = [0; MAGIC.len()];
-    quiet.read(block, &mut magic)?;
-    if magic != MAGIC || quiet.word(block + UP_RINGS)? == 0 {
-        return Ok(None);
-    }
-    let mut words = [0; RING_WORDS];
-    quiet.read_words(block + FIRST_RING, &mut words)?;
-    let Some(ring) = Ring::of(words) else {
+    // In one go, as each has a cost of its own: this is asked fifty times a second.
+    let mut words = [0; BLOCK_WORDS];
+    quiet.read_words(block, &mut words)?;
+    let Some(ring) = Ring::of(&words) else {
         return Ok(None);
     };
     let mut bytes = Vec::new();
@@ -143,7 +142,7 @@ fn drain(
         bytes.extend(stretch);
     }
     if !bytes.is_empty() {
-        quiet.set_word(block + FIRST_RING + READ, ring.written)?;
+        quiet.set_word(block + READ, ring.written)?;
     }
     out.extend_from_slice(&bytes);
     Ok(Some(bytes.len()))
@@ -190,11 +189,25 @@ impl LogSource for RttSource {
 mod tests {
     use super::*;
 
-    const SANE: [u32; RING_WORDS] = [0x0800_1000, 0x2000_5000, 1_024, 10, 4, 0];
+    /// `SEGGER RTT` in words, one ring to the host, none from it, the ring.
+    const SANE: [u32; BLOCK_WORDS] = [
+        0x4747_4553,
+        0x5220_5245,
+        0x0000_5454,
+        0,
+        1,
+        0,
+        0x0800_1000,
+        0x2000_5000,
+        1_024,
+        10,
+        4,
+        0,
+    ];
 
     #[test]
     fn what_is_unread_goes_round_the_rings_end() {
-        let ring = Ring::of(SANE).unwrap();
+        let ring = Ring::of(&SANE).unwrap();
         assert_eq!(ring.unread(), [(0x2000_5004, 6), (0x2000_5000, 0)]);
         let round = Ring {
             written: 3,
@@ -211,16 +224,19 @@ mod tests {
         let with = |at: usize, value| {
             let mut words = SANE;
             words[at] = value;
-            Ring::of(words)
+            Ring::of(&words)
         };
         for (at, value) in [
-            (1, 0),
-            (1, 0x2001_7F00),
-            (1, u32::MAX),
-            (2, 0),
-            (2, u32::MAX),
-            (3, 1_024),
-            (4, 1_024),
+            (0, 0),
+            (3, 1),
+            (4, 0),
+            (7, 0),
+            (7, 0x2001_7F00),
+            (7, u32::MAX),
+            (8, 0),
+            (8, u32::MAX),
+            (9, 1_024),
+            (10, 1_024),
         ] {
             assert_eq!(with(at, value), None, "{at} {value:#x}");
         }

@@ -23,6 +23,7 @@ const IDCODE: u32 = 0xE004_2000;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const APB2ENR: u32 = 0x4002_1060;
 const OENR: u32 = 0x4001_6B94;
+const ODISR: u32 = 0x4001_6B98;
 const UNIQUE_ID: u32 = 0x1FFF_7590;
 const FLASH_SIZE: u32 = 0x1FFF_75E0;
 
@@ -58,6 +59,8 @@ pub struct Chip {
     pub resets: u32,
     /// How often the core was halted while it ran.
     pub halts: u32,
+    /// Whether outputs were on at one of them.
+    pub halted_switching: bool,
     ram: Vec<u8>,
     ccm: Vec<u8>,
     debug_control: u32,
@@ -81,6 +84,7 @@ impl Default for Chip {
             mishap: None,
             resets: 0,
             halts: 0,
+            halted_switching: false,
             ram: vec![0; RAM.len()],
             ccm: vec![0; CCM.len()],
             debug_control: 0,
@@ -210,6 +214,7 @@ impl Target for Chip {
         }
         match address {
             DBGMCU_CR => self.debug_control = value,
+            ODISR => self.outputs &= !value,
             at if CONTROLLER.contains(&at) => {
                 self.flash.set_register(at, value)?;
                 if self.flash.wants_reset() {
@@ -242,6 +247,7 @@ impl Target for Chip {
     fn halt(&mut self) {
         if self.stop.is_none() {
             self.halts += 1;
+            self.halted_switching |= self.outputs != 0;
         }
         if self.stop.is_none() || self.stop == Some(Stop::LockedUp) {
             self.stop = Some(Stop::Asked);
