@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Block, Drive, RealTime};
+use ihd_firmware::service::NoFacilities;
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
@@ -145,6 +146,8 @@ impl DeskHob {
         self.blocks += 1;
         if self.blocks.is_multiple_of(self.turn_every) {
             self.housekeeping.poll(&mut *self.realtime);
+            self.housekeeping
+                .serve(&mut *self.realtime, &mut NoFacilities);
         }
         self.exchange();
     }

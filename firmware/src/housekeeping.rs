@@ -22,14 +22,16 @@ use crate::realtime::{Access, RealTime};
 use crate::replay::{Replay, Replayed};
 use crate::request::PanelEvent;
 use crate::self_test::guarded::GuardedLookup;
+use crate::service::Service;
 use crate::temperature::TemperatureCodes;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
     deframer: Deframer,
-    queue: TransmitQueue,
+    pub(crate) queue: TransmitQueue,
     control: Control,
+    pub(crate) service: Service,
     paired: bool,
     telemetry_every: u8,
     active: GuardedLookup,
@@ -50,6 +52,7 @@ impl Housekeeping {
             deframer: Deframer::new(),
             queue: TransmitQueue::new(hello),
             control: Control::default(),
+            service: Service::default(),
             paired: false,
             telemetry_every: 0,
             active: GuardedLookup::new(prior()),
@@ -139,6 +142,7 @@ impl Housekeeping {
                         None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
                     }
                 }
+                Ok(AnyMessage::LinkData(data)) if self.paired => self.service.take_link_data(&data),
                 Ok(AnyMessage::Hello(theirs)) => self.pair(access, &theirs),
                 _ if !self.paired => self.reply(id, Outcome::NotPaired, 0),
                 Ok(AnyMessage::SetPower(m)) => self.set_power(access, &m),
@@ -165,6 +169,11 @@ impl Housekeeping {
                     let mode = self.replay.end(access);
                     self.answer_replay_mode(mode);
                 }
+                Ok(AnyMessage::Restart(m)) => self.ask_restart(m.into),
+                Ok(AnyMessage::GetBoard(_)) => self.queue.answer(Answer::Board),
+                Ok(AnyMessage::TestBoard(m)) => self.ask_board_test(m.test),
+                Ok(AnyMessage::TestLink(m)) => self.test_link(&m),
+                Ok(AnyMessage::StreamLog(m)) => self.stream_log(m.on),
                 Ok(_) | Err(DecodeError::UnknownId { .. }) => {
                     self.reply(id, Outcome::UnknownMessage, 0);
                 }
@@ -176,7 +185,7 @@ impl Housekeeping {
         bytes.len()
     }
 
-    fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
+    pub(crate) fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
         self.queue.answer(Answer::Reply(Reply {
             to,
             outcome,
@@ -186,11 +195,13 @@ impl Housekeeping {
 
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
-        self.paired = check(self.queue.hello(), theirs).is_ok();
+        let fits = check(self.queue.hello(), theirs).is_ok();
+        self.paired = fits && !self.service.is_leaving();
         let minor = self.queue.hello().protocol_minor.min(theirs.protocol_minor);
         let asks_again = self.paired && minor >= RESEND_MINOR;
         self.queue.restart(access, asks_again);
         self.replay.forget_sequence();
+        self.forget_service(access);
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was reported to somebody before.
         self.reported_fault = Fault::NONE;
@@ -201,6 +212,12 @@ impl Housekeeping {
         } else {
             self.reply(Hello::ID, Outcome::NotPaired, 0);
         }
+    }
+
+    /// Nobody is talked to until the next hello.
+    pub(crate) fn unpair(&mut self) {
+        self.paired = false;
+        self.telemetry_every = 0;
     }
 
     fn set_power(&mut self, access: &mut impl Access, m: &SetPower) {
@@ -231,6 +248,9 @@ impl Housekeeping {
 
     /// A person touches the panel.
     pub fn panel(&mut self, access: &mut impl Access, event: PanelEvent) {
+        if self.service.is_leaving() {
+            return;
+        }
         let action = self.control.panel(event);
         self.act(access, action);
     }

@@ -18,6 +18,7 @@
 extern crate std;
 
 pub mod burst;
+pub mod channels;
 pub mod control;
 pub mod demod;
 pub mod drive;
@@ -28,6 +29,7 @@ pub mod health;
 pub mod housekeeping;
 pub mod impedance;
 pub mod limits;
+pub mod log_ring;
 pub mod mains;
 pub mod nonvolatile;
 pub mod plausibility;
@@ -43,6 +45,7 @@ pub mod reset;
 pub mod restart;
 pub mod ring;
 pub mod self_test;
+pub mod service;
 pub mod soft_limit;
 pub mod temperature;
 pub mod transmit_queue;

@@ -62,6 +62,8 @@ pub struct Counters {
 /// The recorder and its one slot.
 pub struct Recorder {
     stage: Stage,
+    /// What is recorded is no half-cycle, but pairs for whoever reads them meanwhile.
+    raw: bool,
     header: Header,
     counters: Counters,
     /// Time of the current block's first pair since the window's zero crossing.
@@ -85,6 +87,7 @@ impl Recorder {
         };
         Self {
             stage: Stage::Free,
+            raw: false,
             header: Header {
                 seq: 0,
                 half_cycle: 0,
@@ -167,7 +170,7 @@ impl Recorder {
 
     /// The half-cycle is over.
     pub fn end(&mut self, half_cycle_ns: u32) {
-        if self.stage == Stage::Recording {
+        if self.stage == Stage::Recording && !self.raw {
             self.stage = Stage::Tail;
             self.header.half_cycle_ns = half_cycle_ns;
         }
@@ -206,6 +209,7 @@ impl Recorder {
     pub fn interrupt(&mut self) {
         match self.stage {
             Stage::Tail => self.complete(),
+            Stage::Recording if self.raw => self.end_raw(),
             Stage::Recording => {
                 self.stage = Stage::Free;
                 self.counters.dropped = self.counters.dropped.wrapping_add(1);
@@ -266,8 +270,35 @@ impl Recorder {
         }
     }
 
+    /// Takes pairs from the next block on, whatever the half-cycle, until the slot is full. [`Recorder::read_pairs`]
+    /// reads them meanwhile. Only while the bridge is open, as nothing else is recorded then. False where a window has
+    /// the slot.
+    pub fn begin_raw(&mut self) -> bool {
+        let free = self.stage == Stage::Free;
+        if free {
+            self.raw = true;
+            self.stage = Stage::Recording;
+            self.header = Header::default();
+        }
+        free
+    }
+
+    /// Whether pairs are being taken by [`Recorder::begin_raw`].
+    pub fn is_raw(&self) -> bool {
+        self.raw
+    }
+
+    /// Frees the slot if pairs are in it and no window.
+    pub fn end_raw(&mut self) {
+        if self.raw {
+            self.raw = false;
+            self.stage = Stage::Free;
+        }
+    }
+
     /// Frees the slot whatever is in it: who asked for the window is gone.
     pub fn abandon(&mut self) {
+        self.end_raw();
         if matches!(self.stage, Stage::Recording | Stage::Tail) {
             self.counters.dropped = self.counters.dropped.wrapping_add(1);
         }
@@ -307,6 +338,29 @@ mod tests {
             r: MicroOhm(k),
             l: PicoHenry(-k),
         }
+    }
+
+    #[test]
+    fn raw_pairs_are_taken_through_crossings_and_are_no_window() {
+        let mut recorder = Box::new(Recorder::new());
+        assert!(recorder.begin_raw() && !recorder.begin_raw());
+        let pair = |v| Pair { v, i: 7 };
+        recorder.push(&[pair(1), pair(2)], true);
+        recorder.end(10_000_000);
+        recorder.push(&[pair(3)], true);
+        let mut raw = [0; 16];
+        assert_eq!(recorder.read_pairs(1, &mut raw), 2);
+        assert_eq!(raw[..4], pair(2).to_le_bytes());
+        assert!(recorder.is_raw() && recorder.ready().is_none());
+        // The bridge begins to switch, and a window is due.
+        recorder.interrupt();
+        assert!(!recorder.is_raw());
+        recorder.begin(1, 45_000, 0, 0);
+        assert!(!recorder.begin_raw());
+        recorder.end_raw();
+        recorder.push(&[pair(4)], true);
+        assert_eq!(recorder.read_pairs(0, &mut raw), 1);
+        assert_eq!(recorder.counters().dropped, 0);
     }
 
     #[test]

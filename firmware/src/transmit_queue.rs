@@ -1,7 +1,9 @@
 //! The transmit queue, the link's outgoing side: what waits, in which order it leaves, and what is
 //! counted.
 //!
-//! Nothing waits for the link. Answers go first, then faults, telemetry and windows. Telemetry and
+//! Nothing waits for the link. Answers go first, then faults, telemetry, the log, windows and the bytes of a test of the
+//! link. The log before windows: its frames are rare and short, and on a slow link a stream of windows would never let it
+//! pass; a flood of it is dropped where it is kept ([`LogSource`]), not here. Telemetry and
 //! windows take their sequence number before they look for room, so that what is dropped shows as
 //! a gap at the host. A window that was sent stays for a while, for a host that asks for pieces again.
 
@@ -10,23 +12,29 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::sampling::{CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES};
 use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
+use ihd_shared::wire::link_test::fill;
 use ihd_shared::wire::messages::{
-    FaultEvent, FrontEnd, Hello, LookupBlob, Message, Outcome, Piece, Raw, ReplayMode, Reply,
-    ResendWindow, Status, Telemetry, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd,
-    WindowStart,
+    Board, Channels, Clocks, Comparators, FaultEvent, FrontEnd, Hello, LinkData, LinkTested, Log,
+    LookupBlob, Message, Outcome, Piece, Raw, ReplayMode, Reply, ResendWindow, Status, Telemetry,
+    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::timing::WINDOW_KEPT_HALF_CYCLES;
 
+use crate::log_ring::LogSource;
 use crate::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
 use crate::realtime::Access;
 use crate::recorder::Header;
 use crate::replay::Estimates;
+use crate::service::Identity;
 
 /// Answers that may wait for the link. When they are all taken, no more bytes are accepted.
 const ANSWERS: usize = 8;
 
 /// Telemetry messages that may wait.
 const TELEMETRY: usize = 4;
+
+/// Bytes of log in one message: all that is kept, as a frame of it is sent whole.
+pub const LOG_BYTES: usize = 512;
 
 /// An answer that waits.
 pub enum Answer {
@@ -50,6 +58,24 @@ pub enum Answer {
     ReplayEstimates(Estimates),
     /// A piece of a window once more.
     Piece(ResendWindow),
+    /// What the device is.
+    Board,
+    /// What the measuring channels show.
+    Channels(Channels),
+    /// Whether the trip in hardware works.
+    Comparators(Comparators),
+    /// The clocks against each other.
+    Clocks(Clocks),
+    /// What came of a test of the link.
+    LinkTested(LinkTested),
+}
+
+/// Bytes of a test of the link that are still to be sent.
+#[derive(Clone, Copy, Default)]
+struct TestData {
+    seq: u32,
+    frames: u16,
+    bytes: u16,
 }
 
 /// What the codes of this firmware's channels stand for.
@@ -93,6 +119,12 @@ pub struct TransmitQueue {
     host_asks_again: bool,
     /// Half-cycles for which a window that was sent is still kept.
     kept_half_cycles: u8,
+    identity: Identity,
+    log: Option<&'static dyn LogSource>,
+    log_on: bool,
+    /// Bytes of log that were sent.
+    log_sent: u32,
+    test_data: TestData,
 }
 
 impl TransmitQueue {
@@ -108,12 +140,42 @@ impl TransmitQueue {
             cursor: None,
             host_asks_again: false,
             kept_half_cycles: 0,
+            identity: Identity::default(),
+            log: None,
+            log_on: false,
+            log_sent: 0,
+            test_data: TestData::default(),
         }
     }
 
     /// Our hello.
     pub fn hello(&self) -> &Hello {
         &self.hello
+    }
+
+    /// What the device is.
+    pub fn set_identity(&mut self, identity: Identity) {
+        self.identity = identity;
+    }
+
+    /// Where the log is kept until it is sent.
+    pub fn set_log(&mut self, log: &'static dyn LogSource) {
+        self.log = Some(log);
+    }
+
+    /// Sends the log from now on, or no more; false where there is none.
+    pub fn stream_log(&mut self, on: bool) -> bool {
+        self.log_on = on && self.log.is_some();
+        self.log.is_some()
+    }
+
+    /// Sends so many frames of a test of the link, in place of those that were left of another.
+    pub fn send_link_data(&mut self, frames: u16, bytes: u16) {
+        self.test_data = TestData {
+            seq: 0,
+            frames,
+            bytes,
+        };
     }
 
     /// Sets or clears one of the hello's capabilities.
@@ -159,6 +221,8 @@ impl TransmitQueue {
         self.answers.clear();
         self.telemetry.clear();
         self.cursor = None;
+        self.log_on = false;
+        self.test_data = TestData::default();
         self.host_asks_again = host_asks_again;
         access.with(|rt| rt.recorder().abandon());
     }
@@ -217,10 +281,18 @@ impl TransmitQueue {
                     self.frame(&estimates.message(&mut raw), out)
                 }
                 Answer::Piece(m) => self.piece(&m, access, out),
+                Answer::Board => self.board(out),
+                Answer::Channels(m) => self.frame(&m, out),
+                Answer::Comparators(m) => self.frame(&m, out),
+                Answer::Clocks(m) => self.frame(&m, out),
+                Answer::LinkTested(m) => self.frame(&m, out),
             };
         }
         if let Some(telemetry) = self.telemetry.pop_front() {
             return self.frame(&telemetry, out);
+        }
+        if let Some(length) = self.logged(out) {
+            return length;
         }
         if self.cursor.is_none() {
             let header = access.with(|rt| rt.recorder().ready().copied());
@@ -230,10 +302,61 @@ impl TransmitQueue {
                 digest: CRC32.digest(),
             });
         }
-        match self.cursor.take() {
+        let length = match self.cursor.take() {
             Some(cursor) => self.window_frame(cursor, access, out),
             None => 0,
+        };
+        match length {
+            0 => self.link_data(out),
+            length => length,
         }
+    }
+
+    fn board(&mut self, out: &mut [u8; MAX_ENCODED]) -> usize {
+        let id = self.identity;
+        let message = Board {
+            id_code: id.id_code,
+            flash_kib: id.flash_kib,
+            option_bytes: id.option_bytes,
+            reset_flags: id.reset_flags,
+            starts: id.starts,
+            image_bytes: id.image_bytes,
+            image_crc: id.image_crc,
+            sealed_crc: id.sealed_crc,
+            build_id: Raw(id.build_id.as_ref().map_or(&[], |id| id.as_slice())),
+            chip: Raw(id.chip.as_ref().map_or(&[], |id| id.as_slice())),
+        };
+        self.frame(&message, out)
+    }
+
+    /// The oldest of the log that was not sent, if the host wants it and there is any.
+    #[inline(never)]
+    fn logged(&mut self, out: &mut [u8; MAX_ENCODED]) -> Option<usize> {
+        let log = self.log.filter(|_| self.log_on)?;
+        let mut raw = [0; LOG_BYTES];
+        let length = log.take(&mut raw);
+        let data = raw.get(..length).filter(|data| !data.is_empty())?;
+        let seq = self.log_sent;
+        self.log_sent = seq.wrapping_add(length as u32);
+        let (dropped, data) = (log.dropped(), Raw(data));
+        Some(self.frame(&Log { seq, dropped, data }, out))
+    }
+
+    /// The next frame of a test of the link.
+    #[inline(never)]
+    fn link_data(&mut self, out: &mut [u8; MAX_ENCODED]) -> usize {
+        if self.test_data.frames == 0 {
+            return 0;
+        }
+        self.test_data.frames -= 1;
+        let seq = self.test_data.seq;
+        self.test_data.seq = seq.wrapping_add(1);
+        let mut raw = [0; CHUNK_BYTES];
+        let length = usize::from(self.test_data.bytes).min(CHUNK_BYTES);
+        let data = &mut raw[..length];
+        fill(seq, data);
+        let data = Raw(data);
+        self.frame(&LinkData { seq, data }, out)
     }
 
     fn window_frame(

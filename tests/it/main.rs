@@ -17,6 +17,7 @@ mod link_windows;
 mod protocol_doc;
 mod regression;
 mod replay;
+mod service;
 mod session_file;
 mod window_damage;
 mod wire_golden;

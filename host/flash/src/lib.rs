@@ -4,6 +4,7 @@ pub mod dfu;
 pub mod fake;
 pub mod image;
 pub mod install;
+pub mod log;
 pub mod log_source;
 pub mod options;
 #[cfg(feature = "probe")]

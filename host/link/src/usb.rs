@@ -105,7 +105,7 @@ impl UsbTransport {
             .collect();
         let (serial, info) = choose(found, serial, |(serial, _)| serial)?;
         let device = format!("usb ({serial})");
-        let hint = "; on Linux, does the udev rule of docs/99-ihd.rules apply?";
+        let hint = "; on Linux, does the udev rule of docs/70-ihd.rules apply?";
         let opened = info.open().wait();
         let opened = opened.and_then(|device| device.claim_interface(0).wait());
         let interface = opened.map_err(|e| failed(hint, e.into()))?;

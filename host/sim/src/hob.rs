@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use ihd_firmware::channels::{Reference, SlowCodes};
 use ihd_firmware::drive::Bridge;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
@@ -14,12 +15,15 @@ use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::protection::TRIP_CODE;
 use ihd_firmware::realtime::{Block, RealTime};
 pub use ihd_firmware::request::PanelEvent;
+use ihd_firmware::reset::Reason;
+use ihd_firmware::service::{Facilities, Identity};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::{Clocks, Comparators, Program};
 use ihd_signal::truth::Truth;
 
 use super::adc::{Adc, Noise};
@@ -53,6 +57,13 @@ const LINK_BUFFER: usize = 64 * 1024;
 /// The board's watchdog bites when it has not been fed for this long, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
 
+/// Secondary of the transformer that feeds the mains' detector on a bench, in volt rms.
+pub const BENCH_TRANSFORMER_V: f64 = 24.0;
+
+/// FLASH_OPTR of a board whose option bytes are as they should be: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA)
+/// with SRAM_PE, bit 24, cleared.
+const OPTION_BYTES: u32 = 0xFEEF_F8AA;
+
 /// What is simulated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HobConfig {
@@ -62,6 +73,9 @@ pub struct HobConfig {
     pub mains_v: f64,
     /// Bus capacitance in farad; 0: the bus is the rectified mains.
     pub bus_capacitance_f: f64,
+    /// DC voltage of a bench supply that feeds the bus in place of the mains, in volt, as in docs/first-power-up.md: the
+    /// mains' detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
+    pub bench_supply_v: Option<f64>,
     /// What stands on the coil at the start.
     pub pot: Pot,
     /// Temperature around the hob, in °C.
@@ -95,6 +109,7 @@ impl Default for HobConfig {
             mains_hz: 50.0,
             mains_v: 230.0,
             bus_capacitance_f: 0.0,
+            bench_supply_v: None,
             ambient_c: AMBIENT_C,
             ntc: true,
             dc_link: false,
@@ -126,6 +141,54 @@ impl HobConfig {
     }
 }
 
+fn booted_realtime() -> Box<RealTime> {
+    let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+    Box::new(RealTime::new(r, l))
+}
+
+fn booted_housekeeping(boot_id: u32, reason: Reason, starts: u8) -> Housekeeping {
+    let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
+    let mut hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
+    hello.reset_reason = reason as u8;
+    let mut housekeeping = Housekeeping::new(hello);
+    housekeeping.set_identity(Identity {
+        option_bytes: OPTION_BYTES,
+        starts,
+        ..Identity::default()
+    });
+    housekeeping
+}
+
+/// What a host may ask of a board that is simulated: it has converters and a program that begins anew.
+struct Board {
+    slow: SlowCodes,
+    restarts: bool,
+}
+
+impl Facilities for Board {
+    fn has_program(&self, into: Program) -> bool {
+        into == Program::Firmware
+    }
+    fn restart(&mut self, _: Program) {
+        self.restarts = true;
+    }
+    fn slow_codes(&mut self) -> Option<SlowCodes> {
+        Some(self.slow)
+    }
+    fn reference(&mut self) -> Option<Reference> {
+        None
+    }
+    fn comparators(&mut self) -> Option<Comparators> {
+        None
+    }
+    fn begin_clocks(&mut self) -> bool {
+        false
+    }
+    fn clocks(&mut self) -> Option<Clocks> {
+        None
+    }
+}
+
 /// The hob.
 pub struct SimHob {
     plant: Plant,
@@ -133,6 +196,8 @@ pub struct SimHob {
     zero_crossing: ZeroCrossing,
     realtime: Box<RealTime>,
     housekeeping: Housekeeping,
+    boot_id: u32,
+    starts: u8,
     heartbeat: Heartbeat,
     fed_s: f64,
     watchdog_bites: u32,
@@ -167,15 +232,19 @@ impl SimHob {
     /// # Errors
     /// When there is no model of the pot, or no such bus capacitor.
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
-        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-        let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
         let boot_id = config.boot.unwrap_or(config.seed as u32);
-        let hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
-        let mains = Mains::new(config.mains_hz).changed(0.0, config.mains_v, config.mains_hz);
+        let mains_v = match config.bench_supply_v {
+            Some(_) => BENCH_TRANSFORMER_V,
+            None => config.mains_v,
+        };
+        let mains = Mains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
         let bus_f = config.bus_capacitance_f;
         let mut plant = Plant::assemble(mains, config.pot, config.load, bus_f, adc)?;
         plant.set_comparator(COMPARATOR_A);
+        if let Some(supply_v) = config.bench_supply_v {
+            plant.set_bench_supply(supply_v);
+        }
         if config.warming {
             plant.enable_warming();
         }
@@ -183,8 +252,10 @@ impl SimHob {
             plant,
             slow_adc: SlowAdc::new(config.seed),
             zero_crossing: ZeroCrossing::default(),
-            realtime: Box::new(RealTime::new(r, l)),
-            housekeeping: Housekeeping::new(hello),
+            realtime: booted_realtime(),
+            housekeeping: booted_housekeeping(boot_id, Reason::PowerOn, 1),
+            boot_id,
+            starts: 1,
             heartbeat: Heartbeat::default(),
             fed_s: 0.0,
             watchdog_bites: 0,
@@ -239,7 +310,31 @@ impl SimHob {
         }
         self.run_link(end_s - start_s);
         self.housekeeping.poll(&mut *self.realtime);
+        let mut board = Board {
+            slow: SlowCodes {
+                bus: bus_code,
+                mains: mains_code as i16,
+            },
+            restarts: false,
+        };
+        self.housekeeping.serve(&mut *self.realtime, &mut board);
         self.after_block();
+        if board.restarts {
+            self.restart();
+        }
+    }
+
+    /// The controller begins anew, as after a reset, and forgets what was on the link; pot, mains and temperatures go on.
+    fn restart(&mut self) {
+        self.starts = self.starts.saturating_add(1);
+        self.boot_id = self.boot_id.wrapping_add(1);
+        self.realtime = booted_realtime();
+        self.housekeeping = booted_housekeeping(self.boot_id, Reason::Software, self.starts);
+        self.heartbeat = Heartbeat::default();
+        self.zero_crossing = ZeroCrossing::default();
+        self.inbound.clear();
+        self.outbound.clear();
+        self.plant.set_drive(self.realtime.drive());
     }
 
     /// A block of samples, and the truth beside it.

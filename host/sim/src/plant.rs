@@ -171,6 +171,11 @@ impl Plant {
         self.inverter.bus.set_mains(mains);
     }
 
+    /// A bench supply of so many volt feeds the bus from now on; the mains is left to its detector.
+    pub fn set_bench_supply(&mut self, supply_v: f64) {
+        self.inverter.bus.set_supply(supply_v);
+    }
+
     /// Bus voltage in volt.
     pub fn bus_v(&self) -> f64 {
         self.inverter.bus.v()

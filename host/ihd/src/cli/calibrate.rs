@@ -41,7 +41,7 @@ pub struct CalibrateArgs {
 }
 
 /// Reads `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
-fn reference(text: &str) -> Result<Reference> {
+pub(super) fn reference(text: &str) -> Result<Reference> {
     let (mut no_pot, mut r_ohm, mut l_h) = (false, None, None);
     for word in text.split(',').map(str::trim) {
         if word == "no-pot" {

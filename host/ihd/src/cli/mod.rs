@@ -7,17 +7,22 @@ pub mod usage;
 
 pub mod calibrate;
 pub mod capture_args;
+pub mod completions;
 #[cfg(feature = "daemon")]
 pub mod configured;
 pub mod convert;
 #[cfg(feature = "daemon")]
 pub mod device;
+pub mod doctor;
 pub mod flash;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
 pub mod inspect;
 pub mod interrupt;
+#[cfg(feature = "log")]
+pub mod log;
+pub mod man;
 #[cfg(feature = "daemon")]
 pub mod opener;
 pub mod record;
@@ -58,13 +63,18 @@ enum Command {
     Calibrate(Box<calibrate::CalibrateArgs>),
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
+    Completions(completions::CompletionsArgs),
     Convert(Box<convert::ConvertArgs>),
     #[cfg(feature = "daemon")]
     Device(Box<device::DeviceArgs>),
+    Doctor(doctor::DoctorArgs),
     Flash(flash::FlashArgs),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
+    #[cfg(feature = "log")]
+    Log(log::LogArgs),
+    Man(man::ManArgs),
     Record(Box<record::RecordArgs>),
     Replay(Box<replay::ReplayArgs>),
     Scenario(scenario::ScenarioArgs),
@@ -84,13 +94,18 @@ impl Cli {
             Command::Calibrate(args) => args.run(),
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(),
+            Command::Completions(args) => args.run(),
             Command::Convert(args) => args.run(),
             #[cfg(feature = "daemon")]
             Command::Device(args) => args.run(),
+            Command::Doctor(args) => args.run(),
             Command::Flash(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
+            #[cfg(feature = "log")]
+            Command::Log(args) => args.run(),
+            Command::Man(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Replay(args) => args.run(),
             Command::Scenario(args) => args.run(),
@@ -142,6 +157,9 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if let Some(code) = device::exit_code(error) {
         return code;
     }
+    if let Some(unwell) = error.downcast_ref::<doctor::Unwell>() {
+        return unwell.exit_code();
+    }
     if error.is::<ihd_flash::install::InstallError>()
         || error.is::<ihd_flash::ProgramError>()
         || error.is::<ihd_flash::dfu::EnterError>()
@@ -150,6 +168,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if error.is::<replay::Differs>() {
         return 6;
+    }
+    #[cfg(feature = "log")]
+    if error.is::<ihd_flash::log::follow::LogError>() {
+        return 3;
     }
     let empty = matches!(
         error.downcast_ref(),

@@ -26,6 +26,10 @@ pub struct SimulatedHobArgs {
     /// Mains frequency in hertz.
     #[arg(long, value_name = "HZ", default_value_t = 50.0)]
     mains: f64,
+    /// A bench supply of so many volt DC feeds the bus, and a transformer of 24 V the mains' detector, as for a first
+    /// switching on a desk (docs/first-power-up.md, section E); without it the mains of 230 V.
+    #[arg(long, value_name = "V")]
+    bench_supply: Option<f64>,
     /// White noise on both channels as a signal-to-noise ratio in decibel at 45 kHz and full
     /// power (179 V, 27.7 A rms); without it half an ADC step.
     #[arg(long, value_name = "DB")]
@@ -68,6 +72,12 @@ impl SimulatedHobArgs {
             "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
             self.anti_alias
         );
+        if let Some(supply_v) = self.bench_supply {
+            ensure_usage!(
+                (5.0..=400.0).contains(&supply_v),
+                "--bench-supply is {supply_v} V, but must lie between 5 and 400"
+            );
+        }
         let noise = match self.snr {
             None => HobConfig::default().noise,
             Some(db) => {
@@ -80,6 +90,7 @@ impl SimulatedHobArgs {
         };
         Ok(HobConfig {
             mains_hz: self.mains,
+            bench_supply_v: self.bench_supply,
             pot: self.pot,
             load: self.load.into(),
             warming: self.warming,

@@ -2,13 +2,18 @@
 
 #[cfg(feature = "pinn")]
 mod command_line;
+mod completions_and_man;
 mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
+mod doctor;
 mod exit_codes;
+mod flash;
 mod identify;
 mod identify_accuracy;
 mod inspect;
+#[cfg(all(feature = "log", unix))]
+mod log;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]

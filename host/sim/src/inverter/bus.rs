@@ -10,12 +10,14 @@ const SOURCE_R_OHM: f64 = 0.2;
 /// (ω dt)²/8 = 5e-8 of the peak.
 const MAINS_STEP_S: f64 = 2e-6;
 
-/// Bus voltage over time. Without capacitance it is the rectified mains; with it, the rectifier
+/// Bus voltage over time. With a bench supply that is it, whatever the mains. Without capacitance it is the rectified mains; with it, the rectifier
 /// charges the capacitor through the source resistance and the inverter discharges it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bus {
     mains: Mains,
     capacitance_f: f64,
+    /// DC voltage of a bench supply in place of the rectifier, in volt.
+    supply_v: Option<f64>,
     v: f64,
     /// Number of the present piece of the mains, and the voltage at its ends.
     piece: (f64, f64, f64),
@@ -36,9 +38,16 @@ impl Bus {
         Ok(Self {
             mains,
             capacitance_f,
+            supply_v: None,
             v: mains.bus_v(t_s),
             piece: (-1.0, 0.0, 0.0),
         })
+    }
+
+    /// A bench supply of so many volt feeds the bus from now on, and the rectifier does not.
+    pub fn set_supply(&mut self, supply_v: f64) {
+        self.supply_v = Some(supply_v);
+        self.v = supply_v;
     }
 
     /// The mains behind it.
@@ -60,7 +69,10 @@ impl Bus {
     /// Moves to time `t_s`, `dt_s` later, while the bridge draws `i_a`; returns the new voltage.
     /// The diode is decided by the old voltage, the rest is implicit: stable for any step.
     pub fn advance(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
-        let rectified = self.rectified_v(t_s);
+        let rectified = match self.supply_v {
+            Some(supply_v) => supply_v,
+            None => self.rectified_v(t_s),
+        };
         self.v = if self.capacitance_f == 0.0 {
             rectified
         } else {
@@ -101,6 +113,16 @@ mod tests {
         for t_s in [3e-3, 3.0001e-3, 9.9999e-3, 10.0001e-3] {
             let v = bus.advance(t_s, 20e-9, 40.0);
             assert!((v - mains.bus_v(t_s)).abs() < 1e-6 * mains.peak_v, "{t_s}");
+        }
+    }
+
+    #[test]
+    fn a_bench_supply_is_the_bus_whatever_the_mains() {
+        let mut bus = Bus::new(Mains::new(50.0), 0.0, 0.0).unwrap();
+        bus.set_supply(40.0);
+        assert_eq!(bus.v(), 40.0);
+        for t_s in [0.0, 3e-3, 10e-3] {
+            assert_eq!(bus.advance(t_s, 20e-9, 30.0), 40.0);
         }
     }
 

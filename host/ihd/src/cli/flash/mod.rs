@@ -10,11 +10,13 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use clap::Args;
 use ihd_flash::install::{Plan, install};
+use ihd_flash::log::kept::Kept;
 use ihd_flash::{Erase, Image, Programmer};
 use ihd_link::DeviceSpec;
 
 use self::board_link::BoardLink;
 use self::report::Screen;
+use super::output::complain;
 use super::usage::Usage;
 
 /// From reset to hello a board takes 65 ms, and its USB a second or two to be known to the system.
@@ -94,6 +96,7 @@ impl FlashArgs {
         let mut link = BoardLink::new(self.device.clone(), serial.as_deref());
         let mut screen = Screen::new(self.json)?;
         screen.begin(&programmer.describe(), &image)?;
+        keep(&image);
         let begun = Instant::now();
         let done = install(&mut *programmer, Some(&mut link), plan, &mut |step| {
             screen.on(&step)
@@ -113,6 +116,19 @@ impl FlashArgs {
     #[cfg(not(feature = "probe"))]
     fn programmer(&self) -> Result<(Box<dyn Programmer>, Option<String>)> {
         Err(no_probes().into())
+    }
+}
+
+/// Keeps a copy by build id, in which `ihd log` finds the texts of what the board logs.
+fn keep(image: &Image) {
+    let Some(kept) = Kept::of_user() else {
+        return;
+    };
+    if let Err(why) = kept.keep(image) {
+        complain(format_args!(
+            "warning: no copy of the image in {} ({why}): `ihd log` will want it as --image",
+            kept.folder().display()
+        ));
     }
 }
 

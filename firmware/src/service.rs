@@ -1,0 +1,299 @@
+//! Service: what a host asks of the controller besides heating. What the device is, tests of the board with the bridge
+//! open, a test of the link, a new beginning.
+//!
+//! ```text
+//! Housekeeping::receive ─► Service: one order at a time ─► Housekeeping::serve, after each block
+//!                                                          │ asks the board's [`Facilities`]
+//!                              transmit queue ◄── answer ──┘
+//! ```
+
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::link_test::Received;
+use ihd_shared::wire::messages::{
+    BoardTest, Clocks, Comparators, LinkData, Message, Outcome, Program, Restart, State, StreamLog,
+    TestBoard, TestLink,
+};
+use ihd_shared::wire::timing::RESTART_AFTER_MS;
+
+use crate::channels::{Measuring, Reference, SlowCodes};
+use crate::drive::Bridge;
+use crate::housekeeping::Housekeeping;
+use crate::log_ring::LogSource;
+use crate::realtime::Access;
+use crate::transmit_queue::Answer;
+
+/// How long clocks are counted at most before the test is given up, in milliseconds.
+const CLOCKS_WITHIN_MS: u32 = 900;
+
+/// What the device is, as far as its chip and its program know.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Identity {
+    /// DBGMCU_IDCODE; 0 where there is no chip.
+    pub id_code: u32,
+    /// Flash, in KiB.
+    pub flash_kib: u16,
+    /// FLASH_OPTR.
+    pub option_bytes: u32,
+    /// RCC_CSR as the program found it.
+    pub reset_flags: u32,
+    /// Starts since power came on, this one included; 255 for that many or more.
+    pub starts: u8,
+    /// Bytes of the program in flash before its CRC.
+    pub image_bytes: u32,
+    /// Their CRC-32 as worked out at start.
+    pub image_crc: u32,
+    /// The CRC-32 that the program was sealed with.
+    pub sealed_crc: u32,
+    /// GNU build id.
+    pub build_id: Option<[u8; 20]>,
+    /// The chip's unique number.
+    pub chip: Option<[u8; 12]>,
+}
+
+/// What only the board can do. Whatever it has not got, it says so and is not asked again for that order.
+pub trait Facilities {
+    /// Whether [`Facilities::restart`] leads there.
+    fn has_program(&self, into: Program) -> bool;
+    /// Ends the program, outputs open, for `into`. A board does not come back; a simulated hob begins anew.
+    fn restart(&mut self, into: Program);
+    /// Codes of bus and mains now.
+    fn slow_codes(&mut self) -> Option<SlowCodes>;
+    /// The chip's reference voltage, as converted last.
+    fn reference(&mut self) -> Option<Reference>;
+    /// Trips both comparators by their thresholds. The bridge is open and nothing asks for it.
+    fn comparators(&mut self) -> Option<Comparators>;
+    /// Begins to count the clocks; false where there are none.
+    fn begin_clocks(&mut self) -> bool;
+    /// What was counted, once it is enough.
+    fn clocks(&mut self) -> Option<Clocks>;
+}
+
+/// A device that is a processor alone.
+pub struct NoFacilities;
+
+impl Facilities for NoFacilities {
+    fn has_program(&self, _: Program) -> bool {
+        false
+    }
+    fn restart(&mut self, _: Program) {}
+    fn slow_codes(&mut self) -> Option<SlowCodes> {
+        None
+    }
+    fn reference(&mut self) -> Option<Reference> {
+        None
+    }
+    fn comparators(&mut self) -> Option<Comparators> {
+        None
+    }
+    fn begin_clocks(&mut self) -> bool {
+        false
+    }
+    fn clocks(&mut self) -> Option<Clocks> {
+        None
+    }
+}
+
+/// What is under way.
+enum Order {
+    /// Asked for and not looked at.
+    Restart(Program),
+    /// The answer is leaving; since when, in milliseconds.
+    Leaving(Program, u32),
+    Test(BoardTest),
+    Channels(Measuring),
+    /// Since when, in milliseconds.
+    Clocks(u32),
+}
+
+impl Order {
+    /// The test it is, if it is one.
+    fn test(&self) -> Option<BoardTest> {
+        match self {
+            Self::Restart(_) | Self::Leaving(..) => None,
+            Self::Test(test) => Some(*test),
+            Self::Channels(_) => Some(BoardTest::Channels),
+            Self::Clocks(_) => Some(BoardTest::Clocks),
+        }
+    }
+}
+
+/// The order under way, and the count of the link's test.
+#[derive(Default)]
+pub struct Service {
+    order: Option<Order>,
+    received: Received,
+}
+
+impl Service {
+    /// Counts what came for a test of the link.
+    pub fn take_link_data(&mut self, frame: &LinkData<'_>) {
+        self.received.take(frame);
+    }
+
+    /// Whether the device is about to go: nobody is paired with it any more, and nothing is heated.
+    pub fn is_leaving(&self) -> bool {
+        matches!(self.order, Some(Order::Leaving(..)))
+    }
+
+    /// Forgets what a host that is gone has asked for.
+    fn forget(&mut self) {
+        if !self.is_leaving() {
+            self.order = None;
+        }
+        self.received = Received::NONE;
+    }
+}
+
+impl Housekeeping {
+    /// What the device is, before a host asks.
+    pub fn set_identity(&mut self, identity: Identity) {
+        self.queue.set_identity(identity);
+    }
+
+    /// Where the log is kept until a host wants it.
+    pub fn set_log(&mut self, log: &'static dyn LogSource) {
+        self.queue.set_log(log);
+    }
+
+    /// A new host: it has asked for nothing yet.
+    pub(crate) fn forget_service(&mut self, access: &mut impl Access) {
+        access.with(|rt| rt.recorder().end_raw());
+        self.service.forget();
+    }
+
+    pub(crate) fn ask_restart(&mut self, into: Program) {
+        if self.service.order.is_some() {
+            self.reply(Restart::ID, Outcome::Busy, 0);
+        } else {
+            self.service.order = Some(Order::Restart(into));
+        }
+    }
+
+    pub(crate) fn ask_board_test(&mut self, test: BoardTest) {
+        match &self.service.order {
+            None => self.service.order = Some(Order::Test(test)),
+            // A repetition: it is answered once.
+            Some(order) if order.test() == Some(test) => {}
+            Some(_) => self.reply(TestBoard::ID, Outcome::Busy, 0),
+        }
+    }
+
+    pub(crate) fn test_link(&mut self, test: &TestLink) {
+        if usize::from(test.bytes) > CHUNK_BYTES {
+            return self.reply(TestLink::ID, Outcome::OutOfRange, 1);
+        }
+        let tested = core::mem::take(&mut self.service.received).counts();
+        self.queue.answer(Answer::LinkTested(tested));
+        self.queue.send_link_data(test.frames, test.bytes);
+    }
+
+    pub(crate) fn stream_log(&mut self, on: bool) {
+        let outcome = match self.queue.stream_log(on) {
+            true => Outcome::Ok,
+            false => Outcome::Unavailable,
+        };
+        self.reply(StreamLog::ID, outcome, 0);
+    }
+
+    /// To be called after each block, behind [`Housekeeping::poll`]: carries out what a host has asked the board
+    /// for, a step at a time.
+    #[inline(never)]
+    pub fn serve(&mut self, access: &mut impl Access, board: &mut impl Facilities) {
+        // A full queue would lose the answer.
+        if self.queue.is_full() {
+            return;
+        }
+        let Some(order) = self.service.order.take() else {
+            return;
+        };
+        let now_ms = access.with(|rt| rt.now_ms());
+        if let Order::Leaving(into, since_ms) = order {
+            if now_ms.wrapping_sub(since_ms) >= RESTART_AFTER_MS {
+                board.restart(into);
+            }
+            self.service.order = Some(order);
+            return;
+        }
+        if !self.is_off(access) {
+            access.with(|rt| rt.recorder().end_raw());
+            return match order.test() {
+                Some(_) => self.reply(TestBoard::ID, Outcome::NotIdle, 0),
+                None => self.reply(Restart::ID, Outcome::NotIdle, 0),
+            };
+        }
+        self.service.order = match order {
+            Order::Restart(into) => self.leave(into, now_ms, board),
+            Order::Test(test) => self.begin_test(test, now_ms, board),
+            Order::Channels(measuring) => self.measure(measuring, now_ms, access, board),
+            Order::Clocks(since_ms) => self.count(since_ms, now_ms, board),
+            Order::Leaving(..) => None,
+        };
+    }
+
+    /// Both switches open, nothing asks for anything else, and the samples are the ADC's.
+    fn is_off(&self, access: &mut impl Access) -> bool {
+        let asked = self.control().asked_w() > 0 && self.control().state() != State::LockedOut;
+        let open = access.with(|rt| {
+            let bridges = [rt.drive().bridge, rt.wanted().bridge];
+            bridges == [Bridge::Open; 2] && !rt.is_replaying()
+        });
+        open && !asked
+    }
+
+    fn leave(&mut self, into: Program, now_ms: u32, board: &mut impl Facilities) -> Option<Order> {
+        if !board.has_program(into) {
+            self.reply(Restart::ID, Outcome::Unavailable, 0);
+            return None;
+        }
+        self.reply(Restart::ID, Outcome::Ok, 0);
+        self.unpair();
+        Some(Order::Leaving(into, now_ms))
+    }
+
+    fn begin_test(
+        &mut self,
+        test: BoardTest,
+        now_ms: u32,
+        board: &mut impl Facilities,
+    ) -> Option<Order> {
+        match test {
+            BoardTest::Channels => return Some(Order::Channels(Measuring::begin(now_ms))),
+            BoardTest::Comparators => match board.comparators() {
+                Some(found) => self.queue.answer(Answer::Comparators(found)),
+                None => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
+            },
+            BoardTest::Clocks if board.begin_clocks() => return Some(Order::Clocks(now_ms)),
+            BoardTest::Clocks => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
+        }
+        None
+    }
+
+    fn measure(
+        &mut self,
+        mut measuring: Measuring,
+        now_ms: u32,
+        access: &mut impl Access,
+        board: &mut impl Facilities,
+    ) -> Option<Order> {
+        if !measuring.step(now_ms, access, board.slow_codes()) {
+            return Some(Order::Channels(measuring));
+        }
+        match measuring.result(board.reference()) {
+            Some(found) => self.queue.answer(Answer::Channels(found)),
+            // A window that nobody lets go of has the recorder.
+            None => self.reply(TestBoard::ID, Outcome::Busy, 0),
+        }
+        None
+    }
+
+    fn count(&mut self, since_ms: u32, now_ms: u32, board: &mut impl Facilities) -> Option<Order> {
+        match board.clocks() {
+            Some(found) => self.queue.answer(Answer::Clocks(found)),
+            None if now_ms.wrapping_sub(since_ms) < CLOCKS_WITHIN_MS => {
+                return Some(Order::Clocks(since_ms));
+            }
+            None => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
+        }
+        None
+    }
+}

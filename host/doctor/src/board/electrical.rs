@@ -1,0 +1,231 @@
+//! Clocks, channels, supply, comparators, temperatures: numbers beside their limits.
+
+use ihd_shared::sampling::CODE_HALF_RANGE;
+use ihd_shared::wire::messages::{Channels, Clocks, Comparators, FrontEnd, NO_SENSOR_C, Status};
+
+use crate::{Check, Evidence};
+
+/// What a code of a message is multiplied with.
+const PARTS: f64 = 256.0;
+
+/// Offset that docs/first-power-up.md D1 allows: 10 mV at the pin, in codes of 0.8 mV.
+pub(crate) const OFFSET_CODES: f64 = 12.0;
+
+/// Noise of a channel in codes rms. The converter's own is 0.9 (SNR of 64 dB, DS12288); 4 codes are 0.16 A, which over
+/// the 0.2 ms of the demodulator leave 1 % of a current of 1.5 A, the least that is judged.
+const NOISE_CODES: f64 = 4.0;
+
+/// Less is no converter but a channel that stands still.
+const LEAST_NOISE_CODES: f64 = 0.05;
+
+/// Nominal low-speed oscillator in hertz, and by how much the main clock's count in its periods may differ, in percent
+/// (docs/self-tests.md: both oscillators over temperature and supply, and some margin).
+const LSI_HZ: f64 = 32_000.0;
+const LSI_PCT: (f64, f64) = (-8.0, 9.8);
+
+/// HSI16 from 0 to 85 °C, in percent, seen by the crystal of a USB host.
+const HSI_PCT: f64 = 1.0;
+
+/// What USB full speed allows its clock: 0.25 % of 48 000 periods in a frame.
+const HSI48_PERIODS: f64 = 120.0;
+
+/// Analogue supply in millivolt: 3.3 V of a NUCLEO to 5 %. All scales are ratios to it.
+const VDDA_MV: (f64, f64) = (3_135.0, 3_465.0);
+
+/// What a cold board may have, in degrees.
+const TEMPERATURE_C: (f64, f64) = (-20.0, 85.0);
+
+/// The clocks against each other.
+pub(super) fn clocks(c: &Clocks) -> Check {
+    const NAME: &str = "clocks";
+    let remedy = "Another controller: one of the oscillators is off (docs/self-tests.md)";
+    if c.main_hz == 0 || c.lsi_periods == 0 {
+        return Check::fail(NAME, "the low-speed oscillator stands still", remedy);
+    }
+    let main_hz = f64::from(c.main_hz);
+    let off_pct =
+        |cycles: u32, seconds: f64| 100.0 * (f64::from(cycles) / (main_hz * seconds) - 1.0);
+    let periods = f64::from(c.lsi_periods);
+    let lsi_khz = periods * main_hz / f64::from(c.lsi_main_cycles.max(1)) * 1e-3;
+    let by_lsi = off_pct(c.lsi_main_cycles, periods / LSI_HZ);
+    let mut evidence = vec![
+        Evidence::between("main clock by LSI", by_lsi, "%", LSI_PCT.0, LSI_PCT.1),
+        Evidence::told("LSI", lsi_khz, "kHz"),
+    ];
+    if c.usb_frames > 0 {
+        let by_usb = off_pct(c.usb_main_cycles, f64::from(c.usb_frames) * 1e-3);
+        let off = f64::from(c.hsi48_off);
+        evidence.extend([
+            Evidence::between("main clock by USB", by_usb, "%", -HSI_PCT, HSI_PCT),
+            Evidence::between(
+                "HSI48 in a frame",
+                off,
+                "periods",
+                -HSI48_PERIODS,
+                HSI48_PERIODS,
+            ),
+            Evidence::told("HSI48 trim", c.hsi48_trim.into(), ""),
+        ]);
+    }
+    let finding = format!(
+        "{:.0} MHz; by LSI {by_lsi:+.1} %{}",
+        main_hz * 1e-6,
+        match c.usb_frames {
+            0 => "; no USB host to compare with a crystal",
+            _ => ", and by the USB host's crystal",
+        }
+    );
+    Check::measured(NAME, finding, evidence, remedy)
+}
+
+/// Means of the channels with no current and no voltage.
+pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
+    const NAME: &str = "channels";
+    if c.samples == 0 {
+        return Check::fail(
+            NAME,
+            "the converters delivered nothing",
+            "ihd log; press NRST",
+        );
+    }
+    let (v, i) = (f64::from(c.v_mean) / PARTS, f64::from(c.i_mean) / PARTS);
+    let code_mv = |full_scale: u32| f64::from(full_scale) / f64::from(CODE_HALF_RANGE) / 1e3;
+    let bus_v = bus_volt(c, scales);
+    let mains_v = f64::from(c.mains_rms) / PARTS * code_mv(scales.mains_full_scale_mv);
+    let evidence = vec![
+        Evidence::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
+        Evidence::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
+        Evidence::told("bus", bus_v, "V"),
+        Evidence::told("mains", mains_v, "V rms"),
+        Evidence::told("pairs", c.samples.into(), ""),
+    ];
+    let finding = format!(
+        "offsets {v:+.1} codes ({:+.2} V) and {i:+.1} codes ({:+.3} A); bus {bus_v:.1} V, mains {mains_v:.0} V",
+        v * code_mv(scales.v_full_scale_mv),
+        i * code_mv(scales.i_full_scale_ma)
+    );
+    Check::measured(
+        NAME,
+        finding,
+        evidence,
+        "PA0, PA1 belong at 1.650 V (VDDA/2) within 10 mV: measure them, then the amplifiers' reference (docs/wiring.md)",
+    )
+}
+
+/// Volt on the bus.
+pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
+    let codes = 2.0 * f64::from(CODE_HALF_RANGE);
+    f64::from(c.bus_mean) / PARTS / codes * f64::from(scales.bus_full_scale_mv) / 1e3
+}
+
+/// Noise of the fast channels.
+pub(super) fn noise(c: &Channels) -> Check {
+    let of = |name, rms: u32| {
+        let codes = f64::from(rms) / PARTS;
+        Evidence::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
+    };
+    let evidence = vec![of("coil voltage", c.v_rms), of("coil current", c.i_rms)];
+    let texts: Vec<_> = evidence.iter().map(Evidence::text).collect();
+    Check::measured(
+        "noise",
+        texts.join("; "),
+        evidence,
+        "Too much: ground of the front end, the anti-alias RC at PA0 and PA1, a switching supply nearby. None at all: \
+         the converter or its trigger stands still",
+    )
+}
+
+/// The analogue supply by the chip's own reference.
+pub(super) fn supply(c: &Channels) -> Check {
+    const NAME: &str = "supply";
+    if c.vdda_mv == 0 || c.reference == 0 {
+        return Check::not_tested(NAME, "the device did not measure its reference");
+    }
+    let vdda = f64::from(c.vdda_mv);
+    let evidence = vec![
+        Evidence::between("VDDA", vdda, "mV", VDDA_MV.0, VDDA_MV.1),
+        Evidence::told("reference", c.reference.into(), "codes"),
+    ];
+    Check::measured(
+        NAME,
+        format!("VDDA {:.3} V by the chip's reference", vdda / 1e3),
+        evidence,
+        "Measure 3V3; every scale and the trip level move with it",
+    )
+}
+
+/// The trip in hardware.
+pub(super) fn comparators(c: &Comparators) -> Check {
+    const NAME: &str = "comparators";
+    let seen = [
+        (
+            c.positive_tripped,
+            "COMP1 (PA1, positive current) did not reach its fault input",
+        ),
+        (
+            c.positive_quiet,
+            "COMP1 (PA1, positive current) stays tripped",
+        ),
+        (
+            c.negative_tripped,
+            "COMP2 (PA7, negative current) did not reach its fault input",
+        ),
+        (
+            c.negative_quiet,
+            "COMP2 (PA7, negative current) stays tripped",
+        ),
+    ];
+    let bad: Vec<_> = seen
+        .iter()
+        .filter(|(good, _)| !good)
+        .map(|(_, text)| *text)
+        .collect();
+    match bad.is_empty() {
+        true => Check::pass(
+            NAME,
+            "both tripped through their DAC, reached the fault inputs, and are quiet again",
+        ),
+        false => Check::fail(
+            NAME,
+            bad.join("; "),
+            "Nothing would stop an over-current: do not put voltage on the bus. Stays tripped: PA1, PA7 belong at 1.650 V",
+        ),
+    }
+}
+
+/// Heat sink, glass, coil.
+pub(super) fn temperatures(status: &Status) -> Check {
+    const NAME: &str = "temperatures";
+    let all = [
+        ("heat sink", status.heat_sink_c),
+        ("glass", status.glass_c),
+        ("coil", status.coil_c),
+    ];
+    let there = all.iter().filter(|(_, c)| *c != NO_SENSOR_C);
+    let evidence: Vec<_> = there
+        .map(|(name, c)| {
+            Evidence::between(name, f64::from(*c), "°C", TEMPERATURE_C.0, TEMPERATURE_C.1)
+        })
+        .collect();
+    let missing: Vec<_> = all
+        .iter()
+        .filter(|(_, c)| *c == NO_SENSOR_C)
+        .map(|(name, _)| *name)
+        .collect();
+    if evidence.is_empty() {
+        return Check::not_tested(
+            NAME,
+            "no sensor is fitted: nothing but you watches the heat sink",
+        );
+    }
+    let mut finding: Vec<_> = evidence.iter().map(Evidence::text).collect();
+    if !missing.is_empty() {
+        finding.push(format!("no sensor: {}", missing.join(", ")));
+    }
+    Check::measured(
+        NAME,
+        finding.join("; "),
+        evidence,
+        "Let it cool down; else the NTC or its wiring (docs/wiring.md)",
+    )
+}

@@ -1,0 +1,130 @@
+//! What the link carries, how long an answer takes, and how busy the processor is.
+
+use std::time::Duration;
+
+use ihd_link::{Client, LinkError, LinkTest};
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::messages::{LinkTested, Utilisation};
+
+use crate::{Check, Evidence};
+
+/// Questions whose answers are waited for.
+const QUESTIONS: usize = 100;
+
+/// An answer later than this may be taken for that of the next question, in milliseconds.
+const P99_MS: f64 = 50.0;
+const P50_MS: f64 = 10.0;
+
+/// Frames each way: a second on the slowest link.
+const FRAMES: u16 = 100;
+
+/// What a link must carry, in kB/s. From the device: a window of 57 kB every 1.5 s; its serial port could 92. To it: a lookup.
+const FROM_DEVICE_KB_S: f64 = 40.0;
+const TO_DEVICE_KB_S: f64 = 5.0;
+
+/// A rate is not worked out of less time: in process no time passes while bytes are sent.
+const SHORTEST: Duration = Duration::from_millis(10);
+
+/// Longest time in which the watchdog may not be fed is 60 ms: half of it.
+const LONGEST_GAP_MS: f64 = 30.0;
+
+/// Largest share of the processor's time for a block of samples, in percent: the budget of docs/board.md.
+const WORST_PCT: f64 = 80.0;
+
+const CABLE: &str = "Another cable, no hub, a shorter way; over a serial port the ST-LINK's firmware. docs/protocol.md says what a frame loses";
+
+/// How long each of a hundred answers took, on the transport's clock.
+pub(super) fn waits(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
+    (0..QUESTIONS)
+        .map(|_| {
+            let begin = client.clock();
+            client.status()?;
+            Ok(client.clock().saturating_sub(begin))
+        })
+        .collect()
+}
+
+/// The median, and what one of a hundred exceeds.
+pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
+    waits.sort();
+    let at = |share: f64| {
+        let k = (share * waits.len() as f64).ceil() as usize;
+        let wait = waits.get(k.saturating_sub(1)).copied();
+        wait.map_or(f64::NAN, |wait| wait.as_secs_f64() * 1e3)
+    };
+    let (p50, p99) = (at(0.5), at(0.99));
+    Check::measured(
+        "latency",
+        format!(
+            "p50 {p50:.2} ms, p99 {p99:.2} ms of {} answers",
+            waits.len()
+        ),
+        vec![
+            Evidence::at_most("p50", p50, "ms", P50_MS),
+            Evidence::at_most("p99", p99, "ms", P99_MS),
+        ],
+        CABLE,
+    )
+}
+
+/// Bytes that are known, both ways.
+pub(super) fn test(client: &mut Client) -> Result<LinkTest, LinkError> {
+    client.test_link(FRAMES, CHUNK_BYTES as u16)
+}
+
+/// Towards the device.
+pub(super) fn to_device(test: &LinkTest) -> Check {
+    direction(
+        "link_to_device",
+        &test.to_device,
+        test.to_device_took,
+        TO_DEVICE_KB_S,
+    )
+}
+
+/// From the device.
+pub(super) fn from_device(test: &LinkTest) -> Check {
+    direction(
+        "link_from_device",
+        &test.from_device,
+        test.from_device_took,
+        FROM_DEVICE_KB_S,
+    )
+}
+
+fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s: f64) -> Check {
+    let kb_s = f64::from(tested.bytes) / took.max(SHORTEST).as_secs_f64() * 1e-3;
+    let sent = f64::from(FRAMES);
+    let evidence = vec![
+        Evidence::at_least("rate", kb_s, "kB/s", least_kb_s),
+        Evidence::between("frames", tested.frames.into(), "", sent, sent),
+        Evidence::at_most("lost", tested.lost.into(), "", 0.0),
+        Evidence::at_most("bad", tested.bad.into(), "", 0.0),
+    ];
+    let at_least = if took < SHORTEST { "at least " } else { "" };
+    let finding = format!("{at_least}{kb_s:.0} kB/s, none of {FRAMES} frames lost or damaged");
+    Check::measured(name, finding, evidence, CABLE)
+}
+
+/// How busy the processor was.
+pub(super) fn processor(used: &Utilisation) -> Check {
+    const NAME: &str = "processor";
+    let gap_ms = f64::from(used.longest_gap_us) * 1e-3;
+    if used.blocks == 0 {
+        return Check::not_tested(NAME, "the device does not measure it");
+    }
+    let (mean, worst) = (
+        f64::from(used.mean_permille) / 10.0,
+        f64::from(used.worst_permille) / 10.0,
+    );
+    Check::measured(
+        NAME,
+        format!("a block of samples takes {mean:.1} % on average, {worst:.1} % at worst"),
+        vec![
+            Evidence::told("mean", mean, "%"),
+            Evidence::at_most("worst", worst, "%", WORST_PCT),
+            Evidence::at_most("longest gap", gap_ms, "ms", LONGEST_GAP_MS),
+        ],
+        "Report it with ihd log's output: samples are lost next",
+    )
+}

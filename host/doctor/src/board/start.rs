@@ -1,0 +1,147 @@
+//! How it started, and what it is.
+
+use ihd_flash::OptionBytes;
+use ihd_link::BoardFacts;
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Hello, Status};
+
+use crate::{Check, Evidence};
+
+/// DEV_ID of DBGMCU_IDCODE: STM32G47x and G48x (RM0440, 47.6.1).
+const G474: u32 = 0x469;
+
+/// KiB of flash that the image and its lookups are laid out for.
+const FLASH_KIB: u16 = 512;
+
+/// Why it started, and what was wrong before.
+pub(super) fn reset_cause(hello: &Hello) -> Check {
+    const NAME: &str = "reset_cause";
+    let before = Fault::from_number(hello.fault_before_reset);
+    let words = match before {
+        Fault::NONE => String::new(),
+        fault => format!(", before it fault {}", fault),
+    };
+    let (reason, remedy) = match hello.reset_reason {
+        0 => ("power-on", None),
+        4 => ("NRST", None),
+        5 => ("software, or a debugger", None),
+        1 => (
+            "the watchdog",
+            Some("A task stood still. Keep the image, read ihd log, report it"),
+        ),
+        2 => ("a panic", Some("Keep the image, read ihd log, report it")),
+        3 => (
+            "a brown-out",
+            Some("Look at the supply: 3.3 V must not fall below 2.9 V"),
+        ),
+        6 => (
+            "a stack overflow",
+            Some("Keep the image, read ihd log, report it"),
+        ),
+        _ => (
+            "a reason that this host does not know",
+            Some("A newer host knows it"),
+        ),
+    };
+    match remedy {
+        None => Check::pass(NAME, format!("started by {reason}{words}")),
+        Some(remedy) => Check::fail(NAME, format!("started by {reason}{words}"), remedy),
+    }
+}
+
+/// What is wrong now.
+pub(super) fn fault(status: &Status) -> Check {
+    const NAME: &str = "fault";
+    match status.fault {
+        Fault::NONE => Check::pass(NAME, "none"),
+        // Right on a bench without mains, and no fault of the board.
+        Fault::MAINS_LOST => {
+            Check::not_tested(NAME, "10, no mains: nothing else is seen before there is")
+                .with_remedy(
+                    "On a bench: 24 V~ on L and N, or a generator on PB0 (docs/bring-up.md)",
+                )
+        }
+        fault => Check::fail(
+            NAME,
+            fault.to_string(),
+            "docs/first-power-up.md has the table of faults",
+        ),
+    }
+}
+
+/// Which chip.
+pub(super) fn chip(facts: &BoardFacts) -> Check {
+    const NAME: &str = "chip";
+    if facts.id_code == 0 {
+        return Check::not_tested(NAME, "the device has no chip: it is simulated");
+    }
+    let number: String = facts
+        .chip
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    let finding = format!(
+        "id {:#05x}, revision {:#06x}, {} KiB of flash, number {}",
+        facts.id_code & 0xFFF,
+        facts.id_code >> 16,
+        facts.flash_kib,
+        number
+    );
+    let told = vec![
+        Evidence::told("starts since power-on", facts.starts.into(), ""),
+        Evidence::told("image", facts.image_bytes.into(), "bytes"),
+    ];
+    if facts.id_code & 0xFFF == G474 && facts.flash_kib == FLASH_KIB {
+        return Check::pass(NAME, finding).with_evidence(told);
+    }
+    let remedy = "The firmware is for an STM32G474 with 512 KiB; what runs on another is untested";
+    Check::fail(NAME, finding, remedy).with_evidence(told)
+}
+
+/// FLASH_OPTR against what the firmware wants.
+pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
+    const NAME: &str = "option_bytes";
+    // Write protection is not in what the device tells: 0 would be page 0 of each bank.
+    let options = OptionBytes {
+        optr: facts.option_bytes,
+        ..OptionBytes::default()
+    };
+    let deviations = options.deviations();
+    let text = |needed: bool| -> Vec<String> {
+        let of = deviations.iter().filter(|d| d.needed == needed);
+        of.map(|d| format!("{} is {} instead of {} ({})", d.name, d.is, d.wanted, d.why))
+            .collect()
+    };
+    let (needed, wanted) = (text(true), text(false));
+    let finding = format!("FLASH_OPTR {:#010x}", facts.option_bytes);
+    let remedy = "ihd flash --set-option-bytes";
+    match (needed.is_empty(), wanted.is_empty()) {
+        (true, true) => Check::pass(NAME, format!("{finding}, as the firmware wants them")),
+        (true, false) => Check::pass(
+            NAME,
+            format!("{finding}; with less margin: {}", wanted.join("; ")),
+        )
+        .with_remedy(remedy),
+        _ => Check::fail(NAME, [needed, wanted].concat().join("; "), remedy),
+    }
+}
+
+/// The program in flash against its own CRC.
+pub(super) fn flash_crc(facts: &BoardFacts) -> Check {
+    const NAME: &str = "flash_crc";
+    if facts.image_bytes == 0 {
+        return Check::not_tested(NAME, "the device has no program in flash: it is simulated");
+    }
+    let finding = format!(
+        "{:#010x} over {} bytes, sealed with {:#010x}",
+        facts.image_crc, facts.image_bytes, facts.sealed_crc
+    );
+    match facts.image_crc == facts.sealed_crc {
+        true => Check::pass(NAME, finding),
+        false => Check::fail(
+            NAME,
+            finding,
+            "ihd flash; comes it back, another controller",
+        ),
+    }
+}

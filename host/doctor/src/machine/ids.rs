@@ -1,0 +1,102 @@
+//! What a device on USB is, by its ids and its name.
+
+use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
+
+use super::UsbDevice;
+
+/// What matters here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// An ihd controller on its own USB socket.
+    Board,
+    /// The bootloader in the chip's ROM, of this or any other STM32.
+    Bootloader,
+    /// ST's debug probe, as on a NUCLEO.
+    StLink,
+    /// A debug probe that speaks CMSIS-DAP.
+    CmsisDap,
+    /// SEGGER's debug probe.
+    JLink,
+}
+
+impl Kind {
+    /// In words.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Board => "ihd controller",
+            Self::Bootloader => "STM32 bootloader",
+            Self::StLink => "ST-LINK",
+            Self::CmsisDap => "CMSIS-DAP probe",
+            Self::JLink => "J-Link",
+        }
+    }
+
+    /// Whether it is a debug probe.
+    pub fn is_probe(self) -> bool {
+        matches!(self, Self::StLink | Self::CmsisDap | Self::JLink)
+    }
+}
+
+/// ST's vendor id, SEGGER's.
+const ST: u16 = 0x0483;
+const SEGGER: u16 = 0x1366;
+
+/// What a device is; `None` for what does not matter here.
+pub fn kind(device: &UsbDevice) -> Option<Kind> {
+    match (device.vendor, device.product) {
+        // pid.codes' id of prototypes is shared: the name decides where there is one.
+        (VENDOR_ID, PRODUCT_ID) => {
+            let ours = device.name.is_empty() || device.name.starts_with(PRODUCT);
+            ours.then_some(Kind::Board)
+        }
+        (ST, 0xDF11) => Some(Kind::Bootloader),
+        (ST, 0x3742..=0x374F | 0x3750..=0x375F) => Some(Kind::StLink),
+        (SEGGER, 0x0101..=0x01FF | 0x1001..=0x10FF) => Some(Kind::JLink),
+        _ if device.name.contains("CMSIS-DAP") => Some(Kind::CmsisDap),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn device(vendor: u16, product: u16, name: &str) -> UsbDevice {
+        UsbDevice {
+            vendor,
+            product,
+            name: name.into(),
+            ..UsbDevice::default()
+        }
+    }
+
+    #[test]
+    fn probes_boards_and_bootloaders_are_known() {
+        for (vendor, product, name, expected) in [
+            (0x1209, 1, "ihd induction-hob controller", Some(Kind::Board)),
+            (0x1209, 1, "", Some(Kind::Board)),
+            (0x1209, 1, "somebody else's prototype", None),
+            (0x0483, 0xDF11, "STM32  BOOTLOADER", Some(Kind::Bootloader)),
+            (0x0483, 0x3748, "STM32 STLink", Some(Kind::StLink)),
+            (0x0483, 0x374B, "STM32 STLink", Some(Kind::StLink)),
+            (0x0483, 0x374E, "STLINK-V3", Some(Kind::StLink)),
+            (0x0483, 0x3752, "", Some(Kind::StLink)),
+            (0x0483, 0x3754, "", Some(Kind::StLink)),
+            (0x0483, 0x5740, "STM32 Virtual ComPort", None),
+            (0x1366, 0x0105, "J-Link", Some(Kind::JLink)),
+            (
+                0x2E8A,
+                0x000C,
+                "Debug Probe (CMSIS-DAP)",
+                Some(Kind::CmsisDap),
+            ),
+            (0x046D, 0xC52B, "USB Receiver", None),
+        ] {
+            assert_eq!(
+                kind(&device(vendor, product, name)),
+                expected,
+                "{vendor:04x}:{product:04x}"
+            );
+        }
+    }
+}

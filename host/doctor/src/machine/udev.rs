@@ -1,0 +1,137 @@
+//! The udev rule: whether it is there, is this one, and comes early enough; and its installation.
+
+use std::fs;
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use super::{Os, System};
+use crate::Check;
+
+/// The rule. Its one home is docs/.
+pub const RULE: &str = include_str!("../../../../docs/70-ihd.rules");
+
+/// The name of its file. Tags are acted on by 73-seat-late.rules: a later rule has no effect.
+pub const RULE_NAME: &str = "70-ihd.rules";
+
+/// What a rule's file name must be before, to have an effect.
+const TOO_LATE: &str = "73-seat-late.rules";
+
+/// Where rules of the machine's owner are.
+const RULES: &str = "etc/udev/rules.d";
+
+/// A rule that says what ours says: comments and blank lines aside.
+fn says_the_same(content: &str) -> bool {
+    let lines = |text: &str| -> Vec<String> {
+        let lines = text.lines().map(str::trim);
+        let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+        lines.map(str::to_owned).collect()
+    };
+    lines(content) == lines(RULE)
+}
+
+/// Whether the rule is installed, is this one, and has an effect.
+pub(super) fn is_current(system: &dyn System) -> bool {
+    system.rules().is_ok_and(|rules| {
+        let mut rules = rules.iter();
+        rules.any(|(name, content)| name.as_str() < TOO_LATE && says_the_same(content))
+    })
+}
+
+/// The rule, as a check.
+pub(super) fn check(system: &dyn System) -> Check {
+    const NAME: &str = "udev_rule";
+    if system.os() != Os::Linux {
+        return Check::not_tested(NAME, "only Linux has udev");
+    }
+    if !system.has_udev() {
+        return Check::not_tested(NAME, "udev does not run here (a container?)");
+    }
+    let rules = match system.rules() {
+        Ok(rules) => rules,
+        Err(why) => return Check::fail(NAME, format!("cannot be read: {why}"), system.as_root()),
+    };
+    if is_current(system) {
+        let names: Vec<_> = rules.iter().map(|(name, _)| name.as_str()).collect();
+        return Check::pass(NAME, format!("installed and current: {}", names.join(", ")));
+    }
+    let finding = match rules.last() {
+        None => "not installed".to_owned(),
+        Some((name, _)) if name.as_str() >= TOO_LATE => {
+            format!("{name} is read after {TOO_LATE}, which acts on its tag: it has no effect")
+        }
+        Some((name, _)) => format!("{name} is not that of this version"),
+    };
+    Check::fail(NAME, finding, system.as_root())
+}
+
+/// Why the rule could not be installed.
+#[derive(Debug, thiserror::Error)]
+pub enum FixError {
+    /// A file could not be written or removed.
+    #[error("cannot write {path}: {source}; run as root: {as_root}")]
+    Write {
+        /// Which file.
+        path: PathBuf,
+        /// What the operating system reports.
+        source: io::Error,
+        /// The command line that may.
+        as_root: String,
+    },
+    /// The rule is there, and udev was not told.
+    #[error(
+        "the rule is written, but {command} failed: {source}; unplug the board and plug it in again"
+    )]
+    Reload {
+        /// What was run.
+        command: String,
+        /// What the operating system reports.
+        source: io::Error,
+    },
+}
+
+/// Installs the rule under `root` (`/`), and has `run` tell udev: a program and its arguments. Rules of ours under a
+/// name that has no effect are removed. Returns the rule's path. Interrupted anywhere it leaves the old rule or the new.
+///
+/// # Errors
+/// [`FixError`] with what to do.
+pub fn install(
+    root: &Path,
+    as_root: &str,
+    run: &mut dyn FnMut(&str, &[&str]) -> io::Result<()>,
+) -> Result<PathBuf, FixError> {
+    let folder = root.join(RULES);
+    let path = folder.join(RULE_NAME);
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |source| FixError::Write {
+            path,
+            source,
+            as_root: as_root.to_owned(),
+        }
+    };
+    // udev reads what ends in .rules alone.
+    let new = folder.join(format!("{RULE_NAME}.new"));
+    let written = fs::create_dir_all(&folder).and_then(|()| {
+        let mut file = fs::File::create(&new)?;
+        file.write_all(RULE.as_bytes())?;
+        file.sync_all()
+    });
+    written.map_err(failed(&new))?;
+    fs::rename(&new, &path).map_err(failed(&path))?;
+    let old = folder.join("99-ihd.rules");
+    match fs::remove_file(&old) {
+        Ok(()) => {}
+        Err(e) if e.kind() == ErrorKind::NotFound => {}
+        Err(e) => return Err(failed(&old)(e)),
+    }
+    for arguments in [
+        &["control", "--reload"][..],
+        &["trigger", "--subsystem-match=usb", "--subsystem-match=tty"],
+    ] {
+        run("udevadm", arguments).map_err(|source| FixError::Reload {
+            command: format!("udevadm {}", arguments.join(" ")),
+            source,
+        })?;
+    }
+    Ok(path)
+}

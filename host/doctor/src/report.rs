@@ -1,0 +1,339 @@
+//! What was found: groups of checks, each with its verdict, its evidence and what to do.
+
+use ihd_signal::printable;
+use serde::Serialize;
+
+/// What became of a check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// As it should be.
+    Pass,
+    /// Not as it should be.
+    Fail,
+    /// It could not be seen here; the finding says why.
+    NotTested,
+}
+
+impl Verdict {
+    /// As the report shows it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::NotTested => "not tested",
+        }
+    }
+}
+
+/// A measured number beside its limits.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evidence {
+    /// What was measured.
+    pub name: &'static str,
+    /// The number.
+    pub value: f64,
+    /// Its unit; empty for a count.
+    pub unit: &'static str,
+    /// Least that passes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min: Option<f64>,
+    /// Most that passes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max: Option<f64>,
+}
+
+impl Evidence {
+    /// A number without limits: it decides nothing.
+    pub fn told(name: &'static str, value: f64, unit: &'static str) -> Self {
+        Self {
+            name,
+            value,
+            unit,
+            min: None,
+            max: None,
+        }
+    }
+
+    /// A number that must lie between two, both included.
+    pub fn between(name: &'static str, value: f64, unit: &'static str, min: f64, max: f64) -> Self {
+        Self {
+            min: Some(min),
+            max: Some(max),
+            ..Self::told(name, value, unit)
+        }
+    }
+
+    /// A number that must be no more than another.
+    pub fn at_most(name: &'static str, value: f64, unit: &'static str, max: f64) -> Self {
+        Self {
+            max: Some(max),
+            ..Self::told(name, value, unit)
+        }
+    }
+
+    /// A number that must be no less than another.
+    pub fn at_least(name: &'static str, value: f64, unit: &'static str, min: f64) -> Self {
+        Self {
+            min: Some(min),
+            ..Self::told(name, value, unit)
+        }
+    }
+
+    /// Whether it lies within its limits; what is no number does not.
+    pub fn is_good(&self) -> bool {
+        self.value.is_finite()
+            && self.min.is_none_or(|min| self.value >= min)
+            && self.max.is_none_or(|max| self.value <= max)
+    }
+
+    /// Number, unit and limits in words.
+    pub fn text(&self) -> String {
+        let unit = match self.unit {
+            "" | "%" => self.unit.to_owned(),
+            unit => format!(" {unit}"),
+        };
+        let value = format!("{} {}{unit}", self.name, number(self.value));
+        match (self.min, self.max) {
+            (Some(min), Some(max)) => format!("{value} ({} to {})", number(min), number(max)),
+            (Some(min), None) => format!("{value} (at least {})", number(min)),
+            (None, Some(max)) => format!("{value} (at most {})", number(max)),
+            (None, None) => value,
+        }
+    }
+}
+
+/// Four digits, and no more than the number has.
+fn number(x: f64) -> String {
+    let digits = match x.abs() {
+        a if a >= 1000.0 || a == 0.0 || a.fract() == 0.0 => 0,
+        a if a >= 100.0 => 1,
+        a if a >= 10.0 => 2,
+        _ => 3,
+    };
+    let text = format!("{x:.digits$}");
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Check {
+    /// Its stable name: `clocks`.
+    pub name: &'static str,
+    /// What became of it.
+    pub verdict: Verdict,
+    /// What was found, in words; printable.
+    pub finding: String,
+    /// The numbers it rests on.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub evidence: Vec<Evidence>,
+    /// What to do, where something is to be done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remedy: Option<String>,
+}
+
+impl Check {
+    fn new(name: &'static str, verdict: Verdict, finding: impl AsRef<str>) -> Self {
+        Self {
+            name,
+            verdict,
+            finding: printable(finding.as_ref()).to_string(),
+            evidence: Vec::new(),
+            remedy: None,
+        }
+    }
+
+    /// As it should be.
+    pub fn pass(name: &'static str, finding: impl AsRef<str>) -> Self {
+        Self::new(name, Verdict::Pass, finding)
+    }
+
+    /// Not as it should be, and what to do about it.
+    pub fn fail(name: &'static str, finding: impl AsRef<str>, remedy: impl AsRef<str>) -> Self {
+        Self::new(name, Verdict::Fail, finding).with_remedy(remedy)
+    }
+
+    /// Not seen, and why.
+    pub fn not_tested(name: &'static str, why: impl AsRef<str>) -> Self {
+        Self::new(name, Verdict::NotTested, why)
+    }
+
+    /// Passed where every number lies within its limits; else it failed, and this is what to do.
+    pub fn measured(
+        name: &'static str,
+        finding: impl AsRef<str>,
+        evidence: Vec<Evidence>,
+        remedy: impl AsRef<str>,
+    ) -> Self {
+        let bad: Vec<_> = evidence.iter().filter(|e| !e.is_good()).collect();
+        let check = match bad.as_slice() {
+            [] => Self::pass(name, finding),
+            bad => {
+                let texts: Vec<_> = bad.iter().map(|e| e.text()).collect();
+                Self::fail(name, texts.join("; "), remedy)
+            }
+        };
+        Self { evidence, ..check }
+    }
+
+    /// The same with something to do.
+    pub fn with_remedy(self, remedy: impl AsRef<str>) -> Self {
+        Self {
+            remedy: Some(printable(remedy.as_ref()).to_string()),
+            ..self
+        }
+    }
+
+    /// The same with numbers that decide nothing.
+    pub fn with_evidence(self, evidence: Vec<Evidence>) -> Self {
+        Self { evidence, ..self }
+    }
+}
+
+/// Checks that belong together.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Group {
+    /// Its stable name: machine, firmware, board, first_switching.
+    pub name: &'static str,
+    /// In the order in which they were made.
+    pub checks: Vec<Check>,
+}
+
+/// How many checks ended how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// As it should be.
+    pub pass: usize,
+    /// Not as it should be.
+    pub fail: usize,
+    /// Not seen.
+    pub not_tested: usize,
+}
+
+/// Everything that was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Version of this document; names and meanings stay within it.
+    pub format: u32,
+    /// The device that was examined, as on the command line.
+    pub device: Option<String>,
+    /// Groups of checks.
+    pub groups: Vec<Group>,
+    /// How many ended how.
+    pub counts: Counts,
+    /// What ended the examination before its end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ended_by: Option<String>,
+}
+
+impl Report {
+    /// A report of nothing yet.
+    pub fn of(device: Option<String>) -> Self {
+        Self {
+            format: 1,
+            device: device.map(|d| printable(&d).to_string()),
+            groups: Vec::new(),
+            counts: Counts::default(),
+            ended_by: None,
+        }
+    }
+
+    /// Adds a group.
+    pub fn add(&mut self, group: Group) {
+        for check in &group.checks {
+            match check.verdict {
+                Verdict::Pass => self.counts.pass += 1,
+                Verdict::Fail => self.counts.fail += 1,
+                Verdict::NotTested => self.counts.not_tested += 1,
+            }
+        }
+        self.groups.push(group);
+    }
+
+    /// The check of this name, in whatever group.
+    pub fn check(&self, name: &str) -> Option<&Check> {
+        let mut checks = self.groups.iter().flat_map(|group| &group.checks);
+        checks.find(|check| check.name == name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_decide_and_a_verdict_follows() {
+        let limits = |value| vec![Evidence::between("offset", value, "codes", -12.0, 12.0)];
+        let verdict = |value| Check::measured("offset", "x", limits(value), "turn it").verdict;
+        for good in [-12.0, 0.0, 12.0] {
+            assert_eq!(verdict(good), Verdict::Pass, "{good}");
+        }
+        for bad in [-12.001, 12.001, f64::NAN, f64::INFINITY] {
+            assert_eq!(verdict(bad), Verdict::Fail, "{bad}");
+        }
+        let failed = Check::measured("offset", "x", limits(13.5), "turn it");
+        assert_eq!(failed.finding, "offset 13.5 codes (-12 to 12)");
+        assert_eq!(failed.remedy.as_deref(), Some("turn it"));
+    }
+
+    #[test]
+    fn what_only_is_told_decides_nothing() {
+        let told = vec![Evidence::told("rate", 3.0, "kB/s")];
+        assert_eq!(Check::measured("r", "x", told, "").verdict, Verdict::Pass);
+    }
+
+    #[test]
+    fn a_device_s_strings_are_escaped_wherever_they_come_in() {
+        let check = Check::fail("a", "\u{1b}[2J", "do \u{7}");
+        let report = Report::of(Some("usb:\u{1b}]0;x".into()));
+        let all = format!("{check:?} {report:?}");
+        assert!(!all.chars().any(char::is_control), "{all}");
+    }
+
+    #[test]
+    fn the_document_is_pinned() {
+        let mut report = Report::of(Some("sim".into()));
+        report.add(Group {
+            name: "board",
+            checks: vec![
+                Check::measured(
+                    "clocks",
+                    "fine",
+                    vec![Evidence::between("lsi", 32.0, "kHz", 29.5, 34.0)],
+                    "",
+                ),
+                Check::not_tested("noise", "no board"),
+            ],
+        });
+        assert_eq!(
+            serde_json::to_value(&report).unwrap(),
+            serde_json::json!({
+                "format": 1,
+                "device": "sim",
+                "groups": [{"name": "board", "checks": [
+                    {"name": "clocks", "verdict": "pass", "finding": "fine", "evidence":
+                        [{"name": "lsi", "value": 32.0, "unit": "kHz", "min": 29.5, "max": 34.0}]},
+                    {"name": "noise", "verdict": "not_tested", "finding": "no board"},
+                ]}],
+                "counts": {"pass": 1, "fail": 0, "not_tested": 1},
+            })
+        );
+    }
+
+    #[test]
+    fn numbers_have_four_digits_at_most() {
+        for (x, text) in [
+            (0.0, "0"),
+            (12.0, "12"),
+            (0.5004, "0.5"),
+            (31.9999, "32"),
+            (1234.56, "1235"),
+            (-3.14159, "-3.142"),
+        ] {
+            assert_eq!(number(x), text);
+        }
+    }
+}

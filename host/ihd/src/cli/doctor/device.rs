@@ -1,0 +1,70 @@
+//! Which device, and the way to it.
+
+use anyhow::Result;
+use ihd_link::{Client, DeviceSpec, Transport};
+use ihd_sim::hob::SimHob;
+use ihd_sim::transport::SharedHob;
+
+use crate::cli::simulated::SimulatedHobArgs;
+use crate::cli::usage::Usage;
+
+/// A device that is to be examined.
+pub(super) enum Wanted {
+    /// By its address.
+    Spec(DeviceSpec),
+    /// By its name in a configuration.
+    #[cfg(feature = "daemon")]
+    Configured {
+        config: Box<ihd_daemon::config::Config>,
+        address: Box<ihd_daemon::config::Address>,
+    },
+}
+
+/// The device of an address, or of a name of the configuration.
+#[cfg(feature = "daemon")]
+pub(super) fn of_name(name: &str, config: Option<&std::path::Path>) -> Result<Wanted> {
+    let of_spec = name.parse::<DeviceSpec>();
+    if let (Ok(spec), None) = (&of_spec, config) {
+        return Ok(Wanted::Spec(spec.clone()));
+    }
+    let mut config = crate::cli::configured::config(config)?;
+    // Also checks the simulated hobs' options, and marks whose they are.
+    crate::cli::opener::opener(&mut config)?;
+    let named = config.devices.iter().find(|device| device.name == name);
+    match (named, of_spec) {
+        (Some(device), _) => Ok(Wanted::Configured {
+            address: Box::new(device.address.clone()),
+            config: Box::new(config),
+        }),
+        (None, Ok(spec)) => Ok(Wanted::Spec(spec)),
+        (None, Err(error)) => Err(Usage(format!("{error}, or a name of the configuration")).into()),
+    }
+}
+
+/// The device of an address.
+#[cfg(not(feature = "daemon"))]
+pub(super) fn of_name(name: &str) -> Result<Wanted> {
+    Ok(Wanted::Spec(name.parse().map_err(Usage::of)?))
+}
+
+impl Wanted {
+    /// Connects.
+    pub(super) fn connect(self, simulated: &SimulatedHobArgs) -> Result<Client> {
+        match self {
+            Self::Spec(spec) => {
+                let config = simulated.config()?;
+                let sim =
+                    || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
+                Ok(Client::connect(spec.open(sim)?)?)
+            }
+            #[cfg(feature = "daemon")]
+            Self::Configured {
+                mut config,
+                address,
+            } => {
+                let open = crate::cli::opener::opener(&mut config)?;
+                Ok(Client::connect(open(&address)?)?)
+            }
+        }
+    }
+}

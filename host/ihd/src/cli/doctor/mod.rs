@@ -1,0 +1,332 @@
+//! `ihd doctor`: what is wrong with a board, and with the machine it is plugged into.
+
+mod device;
+mod text;
+
+use std::io::{BufRead, IsTerminal, stdin};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use ihd_doctor::machine::{self, Here, System};
+use ihd_doctor::{Check, Group, Report, board, firmware, first_switching};
+use ihd_flash::{Image, ImageError};
+use ihd_link::Client;
+use ihd_survey::calibration::Reference;
+
+use super::output::complain;
+use super::simulated::SimulatedHobArgs;
+use super::{interrupt, output};
+
+/// Find out what is wrong with a board, and with the machine it is plugged into.
+///
+/// DEV is an address, tcp:HOST:PORT, usb, usb:SERIAL, serial:PATH or sim, or a name of the configuration. Without DEV
+/// the machine is looked at, and the one board that is found there. Nothing is switched on without --first-switching.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd doctor\n  \
+    ihd doctor serial:/dev/ttyACM0 --json\n  \
+    sudo ihd doctor --fix                        (installs the udev rule)\n  \
+    ihd doctor usb --first-switching             (30 to 60 V, limit 1 A, on the DC link; asks before)\n  \
+    ihd doctor sim                               (what it says of the simulated hob)\n\n\
+    Every check passes, fails, or is not tested and says why: docs/doctor.md.\n\
+    Exit codes: 0 nothing failed, 1 a check failed, 2 wrong usage, 3 no device, or it was lost")]
+pub struct DoctorArgs {
+    /// The device
+    #[arg(value_name = "DEV")]
+    device: Option<String>,
+    /// Install the udev rule that lets you use boards and probes without being root, and have udev read it
+    #[arg(long)]
+    fix: bool,
+    /// Switch for some seconds with the least power from a current-limited bench supply, and look at the samples
+    #[arg(long)]
+    first_switching: bool,
+    /// Do not ask before the first switching
+    #[arg(long, requires = "first_switching")]
+    yes: bool,
+    /// What is known of the load, for the skew of the channels: r=OHM,l=HENRY, or no-pot,r=OHM
+    #[arg(long, value_name = "REF", value_parser = super::calibrate::reference, requires = "first_switching")]
+    reference: Option<Reference>,
+    /// The image that should run; without one what this program carries, or the checkout's
+    #[arg(long, value_name = "ELF")]
+    image: Option<PathBuf>,
+    /// The daemon's configuration, whose names DEV may be
+    #[cfg(feature = "daemon")]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    simulated: SimulatedHobArgs,
+}
+
+/// What ends the command with another exit code than 0, once the report is printed.
+#[derive(Debug, thiserror::Error)]
+pub enum Unwell {
+    /// Exit code 1.
+    #[error("{0} of the checks failed")]
+    Failed(usize),
+    /// Exit code 3.
+    #[error("{0}")]
+    NoDevice(String),
+}
+
+impl Unwell {
+    /// The exit code.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Failed(_) => 1,
+            Self::NoDevice(_) => 3,
+        }
+    }
+}
+
+impl DoctorArgs {
+    /// Looks, and reports.
+    ///
+    /// # Errors
+    /// [`Unwell`] where something failed or no device was found; wrong usage; what `--fix` could not do.
+    pub fn run(&self) -> Result<()> {
+        // Before anything is looked at: an image that was asked for is there, and DEV is a device.
+        let image = match &self.image {
+            Some(path) => Image::read(path).map_err(anyhow::Error::from).map(Ok)?,
+            None => Image::choose(None).map_err(|why| match why {
+                ImageError::None => {
+                    "no image at hand (--image, or cargo xtask firmware)".to_owned()
+                }
+                why => why.to_string(),
+            }),
+        };
+        let wanted = self.wanted()?;
+        let here = Here::new(as_root());
+        if self.fix {
+            fix(&here, self.json)?;
+        }
+        if self.first_switching && !self.yes && !confirmed(self.json)? {
+            return Ok(());
+        }
+        let stop = interrupt::flag().context("cannot catch ^C")?;
+        let found = match &wanted {
+            Some(_) => Vec::new(),
+            None => machine::boards(&here),
+        };
+        let name = self.device.clone().or_else(|| match found.as_slice() {
+            [one] => Some(one.clone()),
+            _ => None,
+        });
+        let mut report = Report::of(name.clone());
+        report.add(Group {
+            name: "machine",
+            checks: machine::checks(&here),
+        });
+        let none = self.examine(&mut report, wanted, &found, &image, stop);
+        self.print(&report)?;
+        if let Some(why) = none {
+            return Err(Unwell::NoDevice(why).into());
+        }
+        match report.counts.fail {
+            0 => Ok(()),
+            failed => Err(Unwell::Failed(failed).into()),
+        }
+    }
+
+    /// The groups of the device; why there is none, or why it is no more.
+    fn examine(
+        &self,
+        report: &mut Report,
+        wanted: Option<device::Wanted>,
+        found: &[String],
+        image: &Result<Image, String>,
+        stop: &AtomicBool,
+    ) -> Option<String> {
+        let wanted = match (wanted, found) {
+            (Some(wanted), _) => Ok(wanted),
+            (None, [one]) => one
+                .parse()
+                .map(device::Wanted::Spec)
+                .map_err(|e| format!("{e}")),
+            (None, []) => Err("no board was found: ihd doctor DEV names one".to_owned()),
+            (None, all) => Err(format!(
+                "more than one board: ihd doctor DEV, with one of {}",
+                all.join(", ")
+            )),
+        };
+        let connected = wanted.and_then(|wanted| {
+            let connected = wanted.connect(&self.simulated);
+            connected.map_err(|error| super::message(&error))
+        });
+        let mut client = match connected {
+            Ok(client) => client,
+            Err(why) => {
+                self.not_connected(report, &why);
+                return Some(why);
+            }
+        };
+        let examined = board::examine(&mut client);
+        let facts = examined.facts.as_ref().map_err(String::as_str);
+        let mut checks = vec![Check::pass("connection", client.describe())];
+        checks.extend(firmware::checks(
+            &client,
+            facts,
+            image.as_ref().map_err(String::as_str),
+        ));
+        report.add(Group {
+            name: "firmware",
+            checks,
+        });
+        report.add(Group {
+            name: "board",
+            checks: examined.checks,
+        });
+        let mut lost = examined.lost.filter(|why| why != board::HEATS);
+        if self.first_switching {
+            lost = self.switch(report, &mut client, lost, stop);
+        }
+        report.ended_by.clone_from(&lost);
+        lost
+    }
+
+    /// The first switching, unless something speaks against it.
+    fn switch(
+        &self,
+        report: &mut Report,
+        client: &mut Client,
+        lost: Option<String>,
+        stop: &AtomicBool,
+    ) -> Option<String> {
+        let needed = ["idle", "comparators", "flash_crc", "option_bytes", "clocks"];
+        let failed = needed.into_iter().find(|name| {
+            let check = report.check(name);
+            check.is_some_and(|check| check.verdict == ihd_doctor::Verdict::Fail)
+        });
+        let against = match (&lost, failed) {
+            (Some(lost), _) => Some(lost.clone()),
+            (None, Some(name)) => Some(format!("the check `{name}` failed")),
+            (None, None) => None,
+        };
+        let (checks, ended) = match against {
+            Some(why) => {
+                let none = |name| Check::not_tested(name, &why);
+                (first_switching::NAMES.into_iter().map(none).collect(), lost)
+            }
+            None => first_switching::run(client, self.reference, stop),
+        };
+        report.add(Group {
+            name: "first_switching",
+            checks,
+        });
+        ended
+    }
+
+    /// What would have been asked of the device.
+    fn not_connected(&self, report: &mut Report, why: &str) {
+        let connection = match self.device.is_some() || report.device.is_some() {
+            true => Check::fail(
+                "connection",
+                why,
+                "The checks of the machine say more. Where the daemon has the device: stop it, or ask it (ihd device)",
+            ),
+            false => Check::not_tested("connection", why),
+        };
+        let mut checks = vec![connection];
+        let none = |name| Check::not_tested(name, "no device");
+        checks.extend(["protocol", "version", "image"].map(none));
+        report.add(Group {
+            name: "firmware",
+            checks,
+        });
+        report.add(Group {
+            name: "board",
+            checks: board::NAMES.map(none).into(),
+        });
+        if self.first_switching {
+            report.add(Group {
+                name: "first_switching",
+                checks: first_switching::NAMES.map(none).into(),
+            });
+        }
+    }
+
+    fn wanted(&self) -> Result<Option<device::Wanted>> {
+        let Some(name) = &self.device else {
+            return Ok(None);
+        };
+        #[cfg(feature = "daemon")]
+        let wanted = device::of_name(name, self.config.as_deref())?;
+        #[cfg(not(feature = "daemon"))]
+        let wanted = device::of_name(name)?;
+        Ok(Some(wanted))
+    }
+
+    fn print(&self, report: &Report) -> Result<()> {
+        match self.json {
+            true => output::json(report),
+            false => output::text(&text::of(report)),
+        }
+    }
+}
+
+/// What a person runs as root to have the rule installed: `sudo` finds no program of a person's own folder.
+fn as_root() -> String {
+    let program = std::env::current_exe();
+    let program = program.map_or_else(|_| "ihd".to_owned(), |path| path.display().to_string());
+    format!("sudo {program} doctor --fix")
+}
+
+fn fix(here: &Here, json: bool) -> Result<()> {
+    ensure_usage!(
+        here.os() == machine::Os::Linux,
+        "--fix installs a udev rule, which only Linux has; `ihd doctor` says what else to do"
+    );
+    let mut run = |program: &str, arguments: &[&str]| {
+        let status = Command::new(program).args(arguments).status()?;
+        match status.success() {
+            true => Ok(()),
+            false => Err(std::io::Error::other(status.to_string())),
+        }
+    };
+    let path = machine::install(Path::new("/"), &here.as_root(), &mut run)?;
+    let text = format!(
+        "installed {}; plug boards and probes in again",
+        path.display()
+    );
+    match json {
+        // What is printed there is one document.
+        true => complain(format_args!("ihd: {text}")),
+        false => say!("{text}")?,
+    }
+    Ok(())
+}
+
+/// What must be so before a bridge switches for the first time.
+const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with the least power, at 80 kHz.\n\
+    \n  \
+    - DC supply of 30 to 60 V, limit 1 A, isolated output, on DC+ and DC-; not the mains, F1 out\n  \
+    - 24 V~ on L and N for the zero crossings\n  \
+    - coil, and a ferromagnetic pot on it; nothing else near the coil\n  \
+    - USB isolator between the board and this computer\n  \
+    - sections A to D of docs/first-power-up.md are done\n\n\
+    ^C switches off. Type `switch` to go on: ";
+
+/// Whether a person says that it may switch.
+fn confirmed(json: bool) -> Result<bool> {
+    ensure_usage!(
+        stdin().is_terminal() && !json,
+        "--first-switching asks before it switches, and nobody can answer here: add --yes where all of docs/bring-up.md is \
+         done"
+    );
+    output::text(BEFORE)?;
+    let mut line = String::new();
+    stdin()
+        .lock()
+        .read_line(&mut line)
+        .context("cannot read the answer")?;
+    if line.trim() == "switch" {
+        return Ok(true);
+    }
+    say!("nothing was switched")?;
+    Ok(false)
+}
