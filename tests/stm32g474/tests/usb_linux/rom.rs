@@ -61,7 +61,7 @@ fn the_image_goes_through_the_bootloader_over_usb() {
 fn a_cable_pulled_while_flashing_is_told_and_the_next_run_mends_it() {
     let (mut desk, rom) = plugged_in();
     rom.lock().unwrap().expect(Fault::PowerLost {
-        after_operations: 20,
+        after_operations: 100,
     });
     let lost = desk.guest.run(FLASH_COMMAND, MINUTES).unwrap();
     assert_eq!(lost.status, DEVICE, "{}", lost.text);
