@@ -82,7 +82,12 @@ fn a_bootloader_that_is_not_there_is_told_with_what_to_do() {
     let (code, told) = flash(&["--dfu=NONE", "--image", image.to_str().unwrap()]);
     assert_eq!(code, Some(3), "{told}");
     let words = ["0483:df11", "PA11", "BOOT0"];
-    let here = told.contains("no bootloader has the serial number NONE");
+    // Another bootloader may be plugged in here, and a container has no USB at all.
+    let others = [
+        "no bootloader has the serial number NONE",
+        "is USB available here?",
+    ];
+    let here = others.iter().any(|other| told.contains(other));
     assert!(
         here || words.iter().all(|word| told.contains(word)),
         "{told}"
