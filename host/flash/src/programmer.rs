@@ -245,13 +245,13 @@ pub enum ProgramError {
         why: String,
     },
     /// What else the bootloader in ROM does.
-    #[error("{} failed at {address:#010x}: the bootloader {why}; {}. Hold BOOT0 high, press reset, and run this again: it begins anew", doing.words(), doing.left())]
+    #[error("{} failed at {address:#010x}: {why}; {}. Hold BOOT0 high, press reset, and run this again: it begins anew", doing.words(), doing.left())]
     Bootloader {
         /// When.
         doing: Doing,
         /// Where.
         address: u32,
-        /// What it did.
+        /// What it did, or USB.
         why: String,
     },
     /// A chip that restarted, as it had to, and is not in its bootloader any more.

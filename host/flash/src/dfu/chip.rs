@@ -54,9 +54,8 @@ impl<IO: Rom> Dfu<IO> {
     }
 
     fn block_bytes(&self) -> Result<usize, ProgramError> {
-        let why = || "names no length of a block that could be used";
         let bytes = self.protocol.block_bytes();
-        bytes.ok_or_else(|| self.other(why()))
+        bytes.ok_or_else(|| self.other("names no length of a block that could be used"))
     }
 
     /// It is another chip's bootloader, or none.
@@ -113,7 +112,7 @@ impl<IO: Rom> Dfu<IO> {
             let index = if part.len() < block { 0 } else { index as u16 };
             let bytes = self.protocol.read_block(index, part).map_err(fails(done))?;
             if bytes != part.len() {
-                let why = format!("gave {bytes} bytes of {}", part.len());
+                let why = format!("the bootloader gave {bytes} bytes of {}", part.len());
                 return Err(failed(Doing::Reading, place(done), Trouble::Strange(why)));
             }
             done += bytes;
@@ -136,7 +135,7 @@ impl<IO: Rom> Dfu<IO> {
         bytes.truncate(read / DOUBLE_WORD * DOUBLE_WORD);
         if bytes.len() < OPTION_BYTES_NEEDED {
             return Err(fails(Trouble::Strange(format!(
-                "gave {read} option bytes, of which {OPTION_BYTES_NEEDED} are needed"
+                "the bootloader gave {read} option bytes, of which {OPTION_BYTES_NEEDED} are needed"
             ))));
         }
         Ok(bytes)
@@ -418,7 +417,10 @@ fn failed(doing: Doing, address: u32, trouble: Trouble) -> ProgramError {
                 why,
             };
         }
-        Trouble::Stuck(time) => format!("is still busy after {:.0} s", time.as_secs_f64()),
+        Trouble::Stuck(time) => format!(
+            "the bootloader is still busy after {:.0} s",
+            time.as_secs_f64()
+        ),
         Trouble::Strange(why) => why,
     };
     ProgramError::Bootloader {

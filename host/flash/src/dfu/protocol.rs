@@ -81,8 +81,8 @@ impl From<Refusal> for Trouble {
     fn from(refusal: Refusal) -> Self {
         match refusal {
             Refusal::Gone(why) => Self::Gone(why),
-            Refusal::Stalled => Self::Strange("it refused the request".to_owned()),
-            Refusal::Failed(why) => Self::Strange(why),
+            Refusal::Stalled => Self::Strange("the bootloader refused the request".to_owned()),
+            Refusal::Failed(why) => Self::Strange(format!("USB: {why}")),
         }
     }
 }
@@ -173,12 +173,18 @@ impl<IO: Rom> Protocol<IO> {
                 State::DfuDnloadSync | State::DfuManifestSync => {}
                 State::DfuError => self.send(CLRSTATUS, 0, &[])?,
                 State::DfuDnloadIdle | State::DfuUploadIdle => self.send(ABORT, 0, &[])?,
-                state => return Err(Trouble::Strange(format!("it is in the state {state:?}"))),
+                state => {
+                    return Err(Trouble::Strange(format!(
+                        "the bootloader is in the state {state:?}"
+                    )));
+                }
             }
             tries += u32::from(told.state != State::DfuDnbusy);
             if tries == TRIES_TO_IDLE {
                 let state = told.state;
-                return Err(Trouble::Strange(format!("it stays in the state {state:?}")));
+                return Err(Trouble::Strange(format!(
+                    "the bootloader stays in the state {state:?}"
+                )));
             }
         }
     }
@@ -207,7 +213,11 @@ impl<IO: Rom> Protocol<IO> {
                     self.clear()?;
                     return Err(Trouble::Refused(told.status));
                 }
-                state => return Err(Trouble::Strange(format!("it is in the state {state:?}"))),
+                state => {
+                    return Err(Trouble::Strange(format!(
+                        "the bootloader is in the state {state:?}"
+                    )));
+                }
             }
         }
     }
@@ -227,7 +237,9 @@ impl<IO: Rom> Protocol<IO> {
         let read = self.io.read_control(FROM_DEVICE, GETSTATUS, 0, &mut bytes);
         let length = read.map_err(IO::refusal)?;
         if length < STATUS_BYTES {
-            return Err(Trouble::Strange(format!("{length} bytes of status")));
+            return Err(Trouble::Strange(format!(
+                "the bootloader gave {length} bytes of status"
+            )));
         }
         let [status, low, middle, high, state, _] = bytes;
         let poll = u32::from_le_bytes([low, middle, high, 0]);

@@ -26,8 +26,8 @@ pub enum EnterError {
     Link(#[from] LinkError),
 }
 
-/// The bootloader that is meant: the one that is plugged in, or that with the serial number. Where there is none, the
-/// firmware behind `device`, or on USB, is sent there; where `device` is named and answers, always that.
+/// The bootloader that is meant: the one that is plugged in, or that with the serial number. Where there is none and none
+/// was named, the firmware on USB is sent there. Where `device` is named and answers, always that is.
 ///
 /// # Errors
 /// [`EnterError`]; a board that heats refuses.
@@ -35,8 +35,8 @@ pub fn reach(serial: Option<&str>, device: Option<&DeviceSpec>) -> Result<Dfu<Us
     let present = usb::found()?;
     match device {
         None if !present.is_empty() => Ok(usb::open(serial)?),
-        // What there is not is told with what to do.
-        None if ihd_link::usb::boards()?.is_empty() => Ok(usb::open(serial)?),
+        // What there is not is told with what to do. A serial number is a bootloader's: no board is sent away for it.
+        None if serial.is_some() || ihd_link::usb::boards()?.is_empty() => Ok(usb::open(serial)?),
         None => enter(&DeviceSpec::Usb(None)),
         Some(device) => match enter(device) {
             // Nothing answers there: it may be in its bootloader already.

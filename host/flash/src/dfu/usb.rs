@@ -175,7 +175,7 @@ impl Found {
 fn remedy(kind: ErrorKind) -> &'static str {
     match kind {
         ErrorKind::PermissionDenied if cfg!(target_os = "linux") => {
-            " (the udev rule of docs/99-ihd.rules gives it to you: `ihd doctor --fix`, then plug it in again)"
+            " (the udev rule of docs/70-ihd.rules gives it to you: `ihd doctor --fix`, then plug it in again)"
         }
         ErrorKind::Unsupported | ErrorKind::NotFound if cfg!(windows) => {
             " (Windows needs the driver WinUSB for \"DFU in FS Mode\": Zadig binds it, and STM32CubeProgrammer brings one)"

@@ -1,6 +1,7 @@
 //! The chip's USB bootloader, by its model: what is flashed is there, what goes wrong is told, and a second run mends it.
 
 mod desk;
+mod liar;
 
 use desk::{Desk, GIVEN_TIME};
 use ihd_flash::fake::SampleImage;
@@ -9,6 +10,7 @@ use ihd_flash::{Erase, Image, OptionBytes, ProgramError, Programmer};
 use ihd_rom_bootloader::chip::{FACTORY_OPTR, FLASH, PAGE};
 use ihd_rom_bootloader::{Fault, Left};
 use ihd_shared::image::LOOKUP_ADDRESS;
+use liar::Liar;
 
 /// One of several blocks, with a short last one of 5 double words.
 fn image() -> Image {
@@ -357,4 +359,21 @@ fn it_waits_as_long_as_the_bootloader_asks_for() {
     let took = desk.now().as_millis();
     assert!(took >= least && took < least + 100, "{took} ms");
     assert!(desk.now() > GIVEN_TIME);
+}
+
+proptest::proptest! {
+    /// Nothing that a device answers makes it panic, go on for ever, or believe that the image is there.
+    #[test]
+    fn a_device_that_lies_is_not_believed(
+        answers in proptest::collection::vec(proptest::collection::vec(0u8..12, 0..8), 1..40),
+        transfer in proptest::prelude::any::<u16>(),
+    ) {
+        let liar = Liar::new(answers, transfer);
+        let mut dfu = ihd_flash::dfu::Dfu::new(liar, Box::new(|_| Ok(None)));
+        let _ = dfu.identify();
+        let _ = dfu.set_option_bytes(&OptionBytes::default().as_wanted());
+        let flashed = dfu.flash(&image(), Erase::Image, &mut |_| {});
+        proptest::prop_assert!(flashed.is_err());
+        let _ = dfu.reset();
+    }
 }

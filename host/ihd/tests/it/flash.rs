@@ -73,3 +73,27 @@ fn a_simulated_hob_has_no_flash() {
     let (code, _) = flash(&["--probe", "yellow", "--device", "sun"]);
     assert_eq!(code, Some(2));
 }
+
+/// A serial number that no bootloader has: none that is plugged in here is written, and no board is sent into it.
+#[test]
+fn a_bootloader_that_is_not_there_is_told_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = image(folder.path());
+    let (code, told) = flash(&["--dfu=NONE", "--image", image.to_str().unwrap()]);
+    assert_eq!(code, Some(3), "{told}");
+    let words = ["0483:df11", "PA11", "BOOT0"];
+    // Another bootloader may be plugged in here, and a container has no USB at all.
+    let others = [
+        "no bootloader has the serial number NONE",
+        "is USB available here?",
+    ];
+    let here = others.iter().any(|other| told.contains(other));
+    assert!(
+        here || words.iter().all(|word| told.contains(word)),
+        "{told}"
+    );
+    let (code, told) = flash(&["--dfu", "--probe", NO_PROBE]);
+    assert_eq!(code, Some(2), "{told}");
+    let (code, told) = flash(&["--dfu", "--device", "sim"]);
+    assert_eq!(code, Some(2), "{told}");
+}

@@ -5,8 +5,8 @@ use ihd_flash::Programmer;
 use ihd_flash::dfu::reach;
 use ihd_link::DeviceSpec;
 
-/// The bootloader that is plugged in, or the one with the serial number; where there is none, the board's firmware is sent
-/// there, behind `device` or on USB.
+/// The bootloader that is plugged in, or the one with the serial number; where there is none, the firmware of the board on
+/// USB is sent there, and that behind `device` always.
 ///
 /// # Errors
 /// [`ihd_flash::dfu::EnterError`].

@@ -46,7 +46,7 @@ pub struct FlashArgs {
     #[arg(long, value_name = "PROBE")]
     probe: Option<String>,
     /// Through the chip's own bootloader over USB instead of a probe: the one that is plugged in (0483:df11), or the one with this
-    /// serial number; where there is none, the board's firmware is sent there first
+    /// serial number; where there is none, the firmware of the board on USB is sent there first, and that behind --device always
     #[arg(long, value_name = "SERIAL", num_args = 0..=1, require_equals = true, conflicts_with = "probe")]
     dfu: Option<Option<String>>,
     /// The board's link, on which its hello is waited for: usb, usb:SERIAL or serial:PATH; without it USB and the probe's own
