@@ -1,5 +1,6 @@
 //! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
 
+mod archive;
 mod board;
 mod budget;
 mod call_graph;
@@ -78,6 +79,22 @@ enum Chore {
     Run {
         /// The image, as cargo has linked it
         image: PathBuf,
+    },
+    /// Pack a release's archive: the program, manual pages, completions, udev rule, service, licences.
+    ///
+    /// The program runs here, as it writes its own pages and completions.
+    #[command(after_help = "Example:\n  \
+        cargo xtask archive --program target/full/ihd --name ihd-v1.0.0-x86_64-unknown-linux-musl")]
+    Archive {
+        /// The program
+        #[arg(long, value_name = "PATH")]
+        program: PathBuf,
+        /// The archive's name, without what it ends in
+        #[arg(long, value_name = "NAME")]
+        name: String,
+        /// The folder it goes to
+        #[arg(long, value_name = "DIR", default_value = "target/archives")]
+        out: PathBuf,
     },
     /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
     ///
@@ -184,6 +201,9 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Setup => session.set_up(),
         Chore::Firmware => session.images(),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
+        Chore::Archive { program, name, out } => {
+            archive::pack(&session.workspace, &program, &name, &out)
+        }
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::Board => session.board(),

@@ -90,7 +90,18 @@ fn an_image_is_flashed_verified_and_started_and_the_lookup_stays() {
     );
     let resets = desk.with(|chip| chip.resets);
     programmer.reset().unwrap();
-    desk.with(|chip| assert_eq!(chip.resets, resets + 1));
+    desk.with(|chip| {
+        assert_eq!(chip.resets, resets + 1);
+        assert_eq!(
+            ihd_debug_port::Target::stopped(chip),
+            None,
+            "the program runs"
+        );
+    });
+    // What is waited for afterwards is not disturbed.
+    let halts = desk.with(|chip| chip.halts);
+    drop(programmer);
+    desk.with(|chip| assert_eq!(chip.halts, halts));
 }
 
 #[test]
@@ -117,10 +128,11 @@ fn what_is_on_the_chip_is_named() {
     );
 }
 
-/// Attaching neither resets nor halts, and reading works while the program runs.
+/// Looking neither resets nor halts: nobody protects a bridge that switches while the core stands.
 #[test]
-fn a_running_chip_is_read_and_goes_on() {
+fn a_running_chip_is_read_and_not_halted() {
     let desk = desk();
+    desk.with(|chip| (chip.timer_clocked, chip.outputs) = (true, 0b11));
     put(&desk, FLASH_ADDRESS + 0x1_0001, b"unaligned");
     let mut programmer = attach(&desk).unwrap();
     let mut found = [0; 9];
@@ -128,9 +140,11 @@ fn a_running_chip_is_read_and_goes_on() {
         .read(FLASH_ADDRESS + 0x1_0001, &mut found)
         .unwrap();
     assert_eq!(&found, b"unaligned");
+    programmer.identify().unwrap();
+    assert_eq!(programmer.is_switching().unwrap(), Some(true));
     drop(programmer);
     desk.with(|chip| {
-        assert_eq!(chip.resets, 0);
+        assert_eq!((chip.resets, chip.halts), (0, 0));
         assert_eq!(ihd_debug_port::Target::stopped(chip), None);
     });
 }
@@ -141,7 +155,7 @@ fn a_bridge_that_switches_is_seen() {
     desk.with(|chip| (chip.timer_clocked, chip.outputs) = (true, 0b11));
     let why = flash(&desk, plan(&image)).unwrap_err();
     assert!(matches!(why, InstallError::Heats { .. }), "{why}");
-    desk.with(|chip| assert_eq!((chip.resets, chip.outputs), (0, 0b11)));
+    desk.with(|chip| assert_eq!((chip.resets, chip.halts, chip.outputs), (0, 0, 0b11)));
     // Without its clock the timer reads as nothing.
     desk.with(|chip| chip.timer_clocked = false);
     flash(&desk, plan(&image)).unwrap();
@@ -171,7 +185,7 @@ fn protections_are_told_before_anything_is_erased() {
         let desk = desk();
         desk.with(|chip| chip.flash = std::mem::take(&mut chip.flash).with_options(optr, wrp));
         let why = flash(&desk, plan(&image)).unwrap_err();
-        desk.with(|chip| assert_eq!(chip.flash.erased, []));
+        desk.with(|chip| assert!(chip.flash.erased.is_empty()));
         why.to_string()
     };
     let why = with(0xFEEF_FCBB, none);
@@ -289,6 +303,18 @@ fn a_loss_of_power_is_told_and_a_second_run_mends_it() {
     }
 }
 
+/// The vectors come last: a chip that was cut off does not begin with half a program.
+#[test]
+fn half_a_program_does_not_start() {
+    // Before the last page of 1 KiB: 11 252 double words are programmed in all, filled up to whole pages of the algorithm.
+    for after in [43, 44, 1_000, 11_000, 44 + 88 * 128 - 2 * 128] {
+        let desk = desk();
+        desk.with(|chip| chip.mishap = Some((after, Mishap::PowerLost)));
+        flash(&desk, plan(&image())).unwrap_err();
+        assert_eq!(in_flash(&desk, FLASH_ADDRESS, 8), [0xFF; 8], "{after}");
+    }
+}
+
 #[test]
 fn a_controller_that_stays_busy_is_told() {
     let why = mishap(10, Mishap::Stuck);
@@ -332,7 +358,8 @@ fn a_bit_that_stays_is_found_and_its_place_is_told() {
     else {
         panic!("{why}");
     };
-    assert_eq!(*address, FLASH_ADDRESS + 8_003);
+    // The first page comes last.
+    assert_eq!(*address, FLASH_ADDRESS + PAGE_BYTES + 8_003);
     assert_eq!(wanted[0] ^ found[0], 0x10);
 }
 
@@ -454,5 +481,29 @@ fn a_log_is_read_while_the_program_runs_and_survives_resets_and_plugs() {
         source.read(&mut log).unwrap();
         assert_eq!(log, b"after the cable\0");
     }
-    desk.with(|chip| assert_eq!(chip.resets, 2, "the button, and the supply"));
+    desk.with(|chip| {
+        assert_eq!(
+            (chip.resets, chip.halts),
+            (2, 0),
+            "the button, and the supply"
+        )
+    });
+}
+
+/// The firmware itself, where `cargo xtask firmware` has built it.
+#[test]
+fn the_firmwares_own_image_is_flashed_and_named() {
+    let Some(image) = Image::of_checkout() else {
+        eprintln!("skipped: no image was built here");
+        return;
+    };
+    let (desk, image) = (desk(), image.unwrap());
+    flash(&desk, plan(&image)).unwrap();
+    let again = flash(&desk, plan(&image)).unwrap();
+    assert_eq!(again.before.describe(), image.describe());
+    let Before::Firmware(found) = again.before else {
+        panic!("{:?}", again.before);
+    };
+    assert!(found.whole);
+    assert_eq!(found.build_id, Some(image.build_id));
 }

@@ -4,6 +4,7 @@
 use std::f64::consts::TAU;
 
 use ihd_link::Window;
+use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, ANTI_ALIAS_HZ};
 
 /// Phases of a period.
@@ -36,7 +37,7 @@ pub(crate) struct Period {
     pub(crate) i_a: [f64; PHASES],
 }
 
-/// An edge of the coil voltage.
+/// An edge of the bridge's node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Edge {
     /// Where it is half done, as a share of the period from the first sample.
@@ -95,35 +96,52 @@ impl Period {
         (mean(&self.v_v), mean(&self.i_a))
     }
 
-    /// The steepest rise and the steepest fall of the coil voltage; `None` where there is no edge to speak of.
+    /// The steepest rise and the steepest fall of the bridge's node; `None` where there is no edge to speak of.
     pub(crate) fn edges(&self) -> Option<[Edge; 2]> {
-        let slope = |k: usize| self.v(k + 1) - self.v(k);
+        let node = self.node_v();
+        let slope = |k: usize| at(&node, k + 1) - at(&node, k);
         let steepest = |sign: f64| {
             (0..PHASES).max_by(|&a, &b| (sign * slope(a)).total_cmp(&(sign * slope(b))))
         };
-        Some([self.edge(steepest(1.0)?)?, self.edge(steepest(-1.0)?)?])
+        Some([
+            self.edge(&node, steepest(1.0)?)?,
+            self.edge(&node, steepest(-1.0)?)?,
+        ])
     }
 
-    fn v(&self, k: usize) -> f64 {
-        self.v_v.get(k % PHASES).copied().unwrap_or(f64::NAN)
+    /// Voltage of the bridge's node about its mean: the coil's, and the resonance capacitor's by the current's integral,
+    /// which moves by more between two edges than an edge's level may.
+    fn node_v(&self) -> [f64; PHASES] {
+        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
+        let volt_per_ampere = self.resolution_s() / c_f;
+        let (_, mean_a) = self.means();
+        let mut capacitor_v = 0.0;
+        let mut before_a = at(&self.i_a, PHASES - 1) - mean_a;
+        std::array::from_fn(|k| {
+            let now_a = at(&self.i_a, k) - mean_a;
+            capacitor_v += 0.5 * (before_a + now_a) * volt_per_ampere;
+            before_a = now_a;
+            at(&self.v_v, k) + capacitor_v
+        })
     }
 
-    /// The edge that is steepest between samples `k` and `k` + 1.
-    fn edge(&self, k: usize) -> Option<Edge> {
+    /// The edge of the node that is steepest between samples `k` and `k` + 1.
+    fn edge(&self, node: &[f64; PHASES], k: usize) -> Option<Edge> {
         let k = k + PHASES;
         let level = |from: usize, to: usize| {
-            (from..=to).map(|n| self.v(n)).sum::<f64>() / (to + 1 - from) as f64
+            (from..=to).map(|n| at(node, n)).sum::<f64>() / (to + 1 - from) as f64
         };
         let before = level(k - LEVEL_TO, k - LEVEL_FROM);
         let after = level(k + 1 + LEVEL_FROM, k + 1 + LEVEL_TO);
         let step_v = after - before;
         // A share of the step at a sample.
-        let share = |n: usize| (self.v(n) - before) / step_v;
+        let share = |n: usize| (at(node, n) - before) / step_v;
         // Where a share is passed, between two samples around the edge.
         let passed = |wanted: f64| {
             let mut around = k - LEVEL_FROM..k + 1 + LEVEL_FROM;
             let n = around.find(|&n| share(n) < wanted && share(n + 1) >= wanted)?;
-            Some(n as f64 + (wanted - share(n)) / (share(n + 1) - share(n)))
+            let near = [n - 1, n, n + 1, n + 2].map(share);
+            Some(n as f64 + between(near, wanted))
         };
         let (from, middle, to) = (passed(0.1)?, passed(0.5)?, passed(0.9)?);
         let sampled_s = (to - from) * self.resolution_s();
@@ -157,6 +175,29 @@ impl Period {
             i_a,
         })
     }
+}
+
+/// Where the cubic through four equidistant values (Catmull and Rom's) passes a value between the second, which is
+/// below it, and the third: 0 to 1. A line would come late on what is left of an edge behind a filter.
+fn between([a, b, c, d]: [f64; 4], wanted: f64) -> f64 {
+    let cubic = |x: f64| {
+        let (p, q) = (3.0 * (b - c) + d - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
+        b + 0.5 * x * (c - a + x * (q + x * p))
+    };
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..32 {
+        let middle = 0.5 * (low + high);
+        match cubic(middle) < wanted {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    0.5 * (low + high)
+}
+
+/// Value at a phase, counted on beyond the period's end.
+fn at(of: &[f64; PHASES], k: usize) -> f64 {
+    of.get(k % PHASES).copied().unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
@@ -202,6 +243,33 @@ mod tests {
                 assert!((edge.step_v.abs() - 40.0).abs() < 0.4, "{}", edge.step_v);
             }
             assert!(rise.step_v > 0.0 && fall.step_v < 0.0);
+        }
+    }
+
+    #[test]
+    fn a_cubic_is_passed_where_it_is() {
+        let f = |x: f64| x * x + 3.0 * x + 1.0;
+        let values = [-1.0, 0.0, 1.0, 2.0].map(f);
+        for x in [0.1, 0.5, 0.99] {
+            assert!((between(values, f(x)) - x).abs() < 1e-6);
+        }
+    }
+
+    /// A current that swings the capacitor by 3.2 V takes nothing from an edge's height and time.
+    #[test]
+    fn the_capacitor_s_swing_is_no_part_of_an_edge() {
+        let (i_a, omega) = (1.73, TAU / T_S);
+        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
+        let phi = |k: usize| TAU * k as f64 / PHASES as f64 - 1.0;
+        let alone = period(0.5, 0.4e-6);
+        let with = Period {
+            v_v: std::array::from_fn(|k| at(&alone.v_v, k) - i_a / (omega * c_f) * phi(k).sin()),
+            i_a: std::array::from_fn(|k| i_a * phi(k).cos()),
+            ..alone
+        };
+        for edge in with.edges().unwrap() {
+            assert!((edge.step_v.abs() - 40.0).abs() < 0.4, "{}", edge.step_v);
+            assert!((edge.own_s - 0.4e-6).abs() < with.resolution_s());
         }
     }
 

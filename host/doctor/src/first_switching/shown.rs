@@ -45,7 +45,7 @@ const GAIN: (f64, f64) = (0.97, 1.03);
 pub(super) fn switching(seen: &Seen) -> Check {
     const NAME: &str = "switching";
     let finding = format!(
-        "{} windows; bus {:.1} V, current up to {:.2} A",
+        "windows of samples: {}; bus {:.1} V, current up to {:.2} A",
         seen.windows.len(),
         seen.bus_v,
         seen.i_a

@@ -6,7 +6,9 @@ mod completions_and_man;
 mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
+mod doctor;
 mod exit_codes;
+mod flash;
 mod identify;
 mod identify_accuracy;
 mod inspect;

@@ -56,7 +56,7 @@ impl Algorithm {
         ];
         Self {
             entries: entries
-                .map(|(name, routine)| (base + number(name) & !1, routine))
+                .map(|(name, routine)| ((base + number(name)) & !1, routine))
                 .to_vec(),
             code: base64(field("instructions")),
         }

@@ -307,7 +307,7 @@ impl Flash {
             self.status |= sr::PGSERR;
         } else if self.is_protected(page) {
             self.status |= sr::WRPERR;
-        } else if at % 8 != 0 {
+        } else if !at.is_multiple_of(8) {
             self.status |= sr::SIZERR;
         } else if self.bytes[at..at + 8] != [0xFF; 8] && value != [0; 8] {
             self.status |= sr::PROGERR;

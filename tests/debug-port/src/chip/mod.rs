@@ -56,6 +56,8 @@ pub struct Chip {
     pub mishap: Option<(u64, Mishap)>,
     /// How often it was reset.
     pub resets: u32,
+    /// How often the core was halted while it ran.
+    pub halts: u32,
     ram: Vec<u8>,
     ccm: Vec<u8>,
     debug_control: u32,
@@ -78,6 +80,7 @@ impl Default for Chip {
             unique_id: *b"model chip 1",
             mishap: None,
             resets: 0,
+            halts: 0,
             ram: vec![0; RAM.len()],
             ccm: vec![0; CCM.len()],
             debug_control: 0,
@@ -170,9 +173,8 @@ impl Chip {
             }
         };
         if let Some(result) = finished {
-            let [r0, .., pc] = [0, 15];
-            self.registers[r0] = result;
-            self.registers[pc] = self.registers[14] & !1;
+            self.registers[0] = result;
+            self.registers[15] = self.registers[14] & !1;
             self.stop = Some(Stop::Breakpoint);
         }
     }
@@ -238,6 +240,9 @@ impl Target for Chip {
     }
 
     fn halt(&mut self) {
+        if self.stop.is_none() {
+            self.halts += 1;
+        }
         if self.stop.is_none() || self.stop == Some(Stop::LockedUp) {
             self.stop = Some(Stop::Asked);
         }

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use ihd_doctor::machine::{self, Here, System};
 use ihd_doctor::{Check, Group, Report, board, firmware, first_switching};
-use ihd_flash::Image;
+use ihd_flash::{Image, ImageError};
 use ihd_link::Client;
 use ihd_survey::calibration::Reference;
 
@@ -93,7 +93,12 @@ impl DoctorArgs {
         // Before anything is looked at: an image that was asked for is there, and DEV is a device.
         let image = match &self.image {
             Some(path) => Image::read(path).map_err(anyhow::Error::from).map(Ok)?,
-            None => Image::choose(None).map_err(|why| why.to_string()),
+            None => Image::choose(None).map_err(|why| match why {
+                ImageError::None => {
+                    "no image at hand (--image, or cargo xtask firmware)".to_owned()
+                }
+                why => why.to_string(),
+            }),
         };
         let wanted = self.wanted()?;
         let here = Here::new(as_root());
