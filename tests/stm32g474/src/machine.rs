@@ -277,7 +277,8 @@ impl Machine {
             state.sleeping = !std::mem::take(&mut state.event);
             return Ok(());
         }
-        if self.meets_breakpoint(pc) {
+        // Unicorn stops at BKPT or behind it.
+        if error == uc_error::EXCEPTION && self.meets_breakpoint(&[pc, pc.wrapping_sub(2)]) {
             return Ok(());
         }
         let faulted = exceptions::fault(&mut self.cpu, pc);

@@ -176,6 +176,15 @@ impl Chip {
         self.file
             .set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
         self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
+        // As delivered: no page is write-protected, the first behind the last.
+        for protection in [
+            reg::flash::flash_wrp1ar::ADDRESS,
+            reg::flash::flash_wrp1br::ADDRESS,
+            reg::flash::flash_wrp2ar::ADDRESS,
+            reg::flash::flash_wrp2br::ADDRESS,
+        ] {
+            self.file.set_word(protection, 0x7F);
+        }
         let off_at = if was_on {
             Some(self.log.now)
         } else {

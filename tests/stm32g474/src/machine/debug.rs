@@ -106,7 +106,8 @@ impl Machine {
     pub fn step_once(&mut self) -> Result<(), MachineError> {
         self.go_on()?;
         let pc = self.pc();
-        if !self.meets_breakpoint(pc) {
+        if !self.meets_breakpoint(&[pc]) {
+            self.cpu.get_data_mut().run_until = Ticks::MAX;
             // What a step cannot do, the run behind it does or shows.
             let _ = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 1);
         }
@@ -195,11 +196,10 @@ impl Machine {
         state.pass(cycles);
     }
 
-    /// Whether it stands at a BKPT now, because there is a debugger.
-    pub(super) fn meets_breakpoint(&mut self, pc: u32) -> bool {
-        let at = [pc, pc.wrapping_sub(2)]
-            .into_iter()
-            .find(|&at| self.half(at) >> 8 == 0xBE);
+    /// Whether it stands at a BKPT in one of these places now, because there is a debugger.
+    pub(super) fn meets_breakpoint(&mut self, places: &[u32]) -> bool {
+        let is_breakpoint = |at: &&u32| self.half(**at) >> 8 == 0xBE;
+        let at = places.iter().find(is_breakpoint).copied();
         let Some(at) = at.filter(|_| self.debugger.attached) else {
             return false;
         };

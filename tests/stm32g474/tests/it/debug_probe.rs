@@ -47,7 +47,7 @@ fn flash(
         must_be_heard: false,
     };
     install(&mut programmer, None, plan, &mut |step| {
-        if let ihd_flash::install::Step::Progress(progress) = step {
+        if let ihd_flash::install::Step::Flash(progress) = step {
             on(progress);
         }
     })

@@ -69,10 +69,11 @@ fn assert_tells_the_start(found: &[Found]) {
             .position(|message| message.text.contains(text))
     };
     let order = [
+        "reset reason 0, fault before it 0; 170 MHz",
+        "no lookup in flash",
         "comparators on",
         "timers and ADCs run",
         "watchdog runs: ",
-        "no lookup in flash",
     ];
     let places = order.map(|text| place(text).unwrap_or_else(|| panic!("{text}: {messages:#?}")));
     assert!(places.is_sorted(), "{messages:#?}");
@@ -81,7 +82,7 @@ fn assert_tells_the_start(found: &[Found]) {
         let text = message.text.split(is_value).next().expect("a first part");
         assert!(line_of(message).contains(text.trim()), "{message:?}");
     }
-    let watchdog = &messages[places[2]];
+    let watchdog = &messages[places[4]];
     assert_eq!(watchdog.level, Some(Level::Info));
     let us = watchdog
         .text

@@ -32,6 +32,28 @@ fn a_daemon_heats_nothing_by_itself_and_is_seen() {
     assert_eq!(report["live"]["f_sw_hz"], 0, "{report:#}");
 }
 
+/// A link has one host: a log beside the daemon comes through a debug probe.
+#[test]
+#[cfg(feature = "log")]
+fn a_log_of_what_the_daemon_has_says_so() {
+    let kitchen = Kitchen::start();
+    let config = kitchen.dir.path().join("ihd.toml");
+    let place = format!("tcp:{}", kitchen.hob_address);
+    for device in ["bench", &place] {
+        let mut log = super::processes::ihd();
+        log.args(["log", device, "--config"]).arg(&config);
+        let output = log.output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(
+            stderr.contains("the daemon at http://") && stderr.contains("--probe"),
+            "{stderr}"
+        );
+    }
+    // The daemon's link goes on.
+    assert!(kitchen.report()["live"].is_object());
+}
+
 #[test]
 fn power_heats_for_its_time_and_is_off_after() {
     let kitchen = Kitchen::start();
