@@ -26,6 +26,8 @@ fn main() {
         write(&out.join("ccm.x"), IN_CCM);
         // Not in .cargo/config.toml: only an image that logs has this script on its path.
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+        // By it the host finds the ELF file that belongs to what is on a chip (firmware/ccm.x places it).
+        println!("cargo:rustc-link-arg-bins=--build-id=sha1");
     } else {
         write(&out.join("flash.x"), MPS2_AN386);
         write(&out.join("ccm.x"), "");

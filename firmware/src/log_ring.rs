@@ -32,6 +32,11 @@ pub struct Frame {
     fits: bool,
 }
 
+impl Frame {
+    /// None, which finds no room.
+    pub const NONE: Self = Self { at: 0, fits: false };
+}
+
 impl LogRing<'_> {
     fn size(&self) -> u32 {
         self.bytes.len() as u32

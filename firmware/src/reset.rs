@@ -39,6 +39,9 @@ pub const WORDS: usize = 4;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"last");
 
+/// Left beside the crash record, and its complement behind it, where the chip's bootloader is to run after the reset.
+pub const NEXT_BOOTLOADER: u32 = u32::from_le_bytes(*b"boot");
+
 /// What is left there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CrashRecord {

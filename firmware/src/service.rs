@@ -18,6 +18,7 @@ use ihd_shared::wire::timing::RESTART_AFTER_MS;
 use crate::channels::{Measuring, Reference, SlowCodes};
 use crate::drive::Bridge;
 use crate::housekeeping::Housekeeping;
+use crate::log_ring::LogSource;
 use crate::realtime::Access;
 use crate::transmit_queue::Answer;
 
@@ -147,6 +148,11 @@ impl Housekeeping {
     /// What the device is, before a host asks.
     pub fn set_identity(&mut self, identity: Identity) {
         self.queue.set_identity(identity);
+    }
+
+    /// Where the log is kept until a host wants it.
+    pub fn set_log(&mut self, log: &'static dyn LogSource) {
+        self.queue.set_log(log);
     }
 
     /// A new host: it has asked for nothing yet.

@@ -1,14 +1,14 @@
 //! The firmware's images: which there are, and how each is built.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 
 use crate::seal;
 use crate::toolchain::{FirmwareToolchain, TARGET};
-use crate::workspace::{Workspace, run};
+use crate::workspace::{Workspace, first_line, run};
 
 /// An image of the firmware.
 #[derive(Clone, Copy)]
@@ -24,6 +24,25 @@ pub const STM32G474: Image = Image::new("stm32g474", "stm32g474");
 pub const MPS2_AN386: Image = Image::new("mps2-an386", "mps2-an386");
 /// Counts instructions on the same machine, and ends.
 pub const COUNTS: Image = Image::new("instruction-counts", "mps2-an386,instruction-counts");
+
+/// Flashes a sealed copy of an image and shows its log, by probe-rs's own command.
+pub fn run_on_board(on: &Workspace, image: &Path) -> anyhow::Result<()> {
+    let images = on.target.join("firmware/images");
+    let sealed = images.join("run.elf");
+    fs::create_dir_all(&images).with_context(|| images.display().to_string())?;
+    fs::copy(image, &sealed).with_context(|| image.display().to_string())?;
+    seal::seal(&sealed)?;
+    let mut probe_rs = Command::new("probe-rs");
+    ensure!(
+        first_line(probe_rs.arg("--version")).is_some(),
+        "probe-rs is not installed: `cargo install probe-rs-tools --locked`; or without it `ihd flash --image {}`",
+        sealed.display()
+    );
+    let mut probe_rs = Command::new("probe-rs");
+    run(probe_rs
+        .args(["run", "--chip", "STM32G474RETx"])
+        .arg(&sealed))
+}
 
 impl Image {
     const fn new(name: &'static str, features: &'static str) -> Self {

@@ -87,6 +87,15 @@ enum Chore {
         #[arg(long, value_name = "DIR", default_value = "target/archives")]
         out: PathBuf,
     },
+    /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
+    ///
+    /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
+    #[command(after_help = "Example:\n  \
+        cd firmware && cargo run --target thumbv7em-none-eabihf --profile firmware --features stm32g474")]
+    Run {
+        /// The image, as cargo has linked it
+        image: PathBuf,
+    },
     /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
     ///
     /// Also shows that no call from the sampling path leads to a panic.
@@ -194,6 +203,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Archive { program, name, out } => {
             archive::pack(&session.workspace, &program, &name, &out)
         }
+        Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::Board => session.board(),

@@ -70,6 +70,8 @@ impl FirmwareToolchain {
         // Either would silently replace the linker arguments of .cargo/config.toml.
         command.env_remove("RUSTFLAGS");
         command.env_remove("CARGO_ENCODED_RUSTFLAGS");
+        // Without it defmt keeps errors alone, whatever docs/board.md says of the log's lines.
+        command.env("DEFMT_LOG", "info");
         if let Self::DebianWeb { linker } = self {
             command.args(["-Z", "build-std=core,alloc"]);
             // BOOTSTRAP: -Z on a stable compiler. The linker: Debian's compiler comes without rust-lld.

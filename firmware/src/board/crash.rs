@@ -9,9 +9,12 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-#[cfg(feature = "stm32g474")]
-use ihd_firmware::reset::Flags;
 use ihd_firmware::reset::{CrashRecord, Reason, WORDS};
+#[cfg(feature = "stm32g474")]
+use ihd_firmware::reset::{Flags, NEXT_BOOTLOADER};
+
+#[cfg(feature = "stm32g474")]
+use ihd_shared::wire::messages::Program;
 
 #[cfg(feature = "mps2-an386")]
 use super::mps2_an386::{outputs_off, stay};
@@ -25,6 +28,13 @@ static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
 /// How often in a row the program ended before it had run for a while, and its complement.
 #[unsafe(link_section = ".crash_record")]
 static ENDS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
+
+#[cfg(feature = "stm32g474")]
+unsafe extern "C" {
+    /// [`NEXT_BOOTLOADER`] and its complement where that is to run next: start-up looks for it (`start_up.rs`). The
+    /// linker's (memory.x), as a variable that no Rust reads is not written either.
+    static __next_program: [AtomicU32; 2];
+}
 
 /// So many are enough to have reported each; the next would be no different.
 const MOST_ENDS: u32 = 4;
@@ -98,6 +108,26 @@ fn write(record: CrashRecord) {
     for (kept, word) in CRASH_RECORD.iter().zip(record.to_words()) {
         kept.store(word, Ordering::Relaxed);
     }
+}
+
+/// Begins anew because a host has asked for it, outputs open.
+#[cfg(feature = "stm32g474")]
+pub fn restart(into: Program) -> ! {
+    outputs_off();
+    write(CrashRecord {
+        reason: Some(Reason::Software),
+        ..kept()
+    });
+    let words = match into {
+        Program::Firmware => [0; 2],
+        Program::Bootloader => [NEXT_BOOTLOADER, !NEXT_BOOTLOADER],
+    };
+    // SAFETY: two words of RAM that nobody else uses.
+    let next_program = unsafe { &__next_program };
+    for (kept, word) in next_program.iter().zip(words) {
+        kept.store(word, Ordering::Relaxed);
+    }
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 fn end(reason: Reason) -> ! {

@@ -1,8 +1,10 @@
 //! Puts the firmware's image on a board, and reads its log.
 
+pub mod dfu;
 pub mod fake;
 pub mod image;
 pub mod install;
+pub mod log;
 pub mod log_source;
 pub mod options;
 #[cfg(feature = "probe")]

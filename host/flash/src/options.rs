@@ -6,7 +6,7 @@ use serde::Serialize;
 pub const OPTION_BYTES_ADDRESS: u32 = 0x1FFF_7800;
 
 /// Distance of the second bank's option bytes.
-pub const SECOND_BANK: u32 = 0x1000;
+pub const SECOND_BANK: u32 = 0x8000;
 
 const BOR_LEV: u32 = 0b111 << 8;
 const BFB2: u32 = 1 << 20;

@@ -236,6 +236,32 @@ pub enum ProgramError {
         /// What to do.
         instead: &'static str,
     },
+    /// What is on USB is not the bootloader of an STM32G474.
+    #[error(
+        "this is no bootloader of an STM32G474: it {why}; nothing was written. Is this the right board?"
+    )]
+    OtherBootloader {
+        /// What it says of itself.
+        why: String,
+    },
+    /// What else the bootloader in ROM does.
+    #[error("{} failed at {address:#010x}: the bootloader {why}; {}. Hold BOOT0 high, press reset, and run this again: it begins anew", doing.words(), doing.left())]
+    Bootloader {
+        /// When.
+        doing: Doing,
+        /// Where.
+        address: u32,
+        /// What it did.
+        why: String,
+    },
+    /// A chip that restarted, as it had to, and is not in its bootloader any more.
+    #[error(
+        "the option bytes were written and the chip restarted with them, into its program and not its bootloader ({seconds} s). Run the same command again, where no program runs with BOOT0 held high through a reset: it reads what they are now and goes on"
+    )]
+    NotBack {
+        /// How long the bootloader was waited for.
+        seconds: u64,
+    },
     /// What else a probe reports.
     #[error("{} failed: {why}; {}. Run this again; if it comes back, unplug the probe and plug it in", doing.words(), doing.left())]
     Probe {

@@ -4,12 +4,15 @@ use std::collections::VecDeque;
 
 use ihd_firmware::drive;
 use ihd_firmware::mains::MAINS_FULL_SCALE_V;
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use ihd_shared::sampling::{
+    AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
+};
 use ihd_sim::adc::Adc;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::plant::Plant;
 
 use crate::chip::hrtim::Bridge;
+use crate::processor::REFERENCE_CALIBRATION;
 use crate::usb::host::HostController;
 
 /// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
@@ -63,6 +66,10 @@ pub struct Pins {
     pub dead_comparators: [bool; 2],
     /// Temperatures of heat sink, glass and coil in °C, at thermistors on PB12, PB14 and PB15.
     pub temperatures_c: [f64; 3],
+    /// The analogue supply, in volt; the other channels are ratios of it.
+    pub vdda_v: f64,
+    /// Added to every pair's codes: offsets of the two sensors.
+    pub offset: Pair,
     /// Added to what the current sensor shows, in ampere: a test's surge.
     pub surge_a: f64,
     /// Pairs that the converters find in place of the power stage's, while there are any.
@@ -84,6 +91,8 @@ impl Pins {
             above_s: [0.0; 2],
             dead_comparators: [false; 2],
             temperatures_c: [25.0; 3],
+            vdda_v: 3.3,
+            offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),
             wattmeter: (0.0, 0.0),
@@ -118,6 +127,11 @@ impl Pins {
         let ratio =
             ratio_at_25_c * (3950.0 * (inverse(self.temperatures_c[place]) - inverse(25.0))).exp();
         (CODES * ratio / (ratio + 1.0)).round().min(CODES - 1.0) as u32
+    }
+
+    /// The 12-bit code of the reference voltage, 1.2122 V, at this supply.
+    pub fn reference_code(&self) -> u32 {
+        (f64::from(REFERENCE_CALIBRATION) * 3.0 / self.vdda_v).round() as u32
     }
 
     /// What the bridge does.
@@ -159,7 +173,10 @@ impl Pins {
         self.wattmeter.0 +=
             f64::from(pair.v) * VOLT_PER_CODE * f64::from(pair.i) * AMPERE_PER_CODE * sampling_s;
         self.wattmeter.1 += sampling_s;
-        let pair = self.fed.pop_front().unwrap_or(pair);
+        let pair = self.fed.pop_front().unwrap_or(Pair {
+            v: (pair.v + self.offset.v).clamp(CODE_MIN, CODE_MAX),
+            i: (pair.i + self.offset.i).clamp(CODE_MIN, CODE_MAX),
+        });
         if let Some(taken) = &mut self.taken {
             taken.push(pair);
         }

@@ -23,6 +23,14 @@ pub(crate) const CCM_BYTES: usize = 32 * 1024;
 /// Device number, flash size and calibration values of the factory.
 const FACTORY: u64 = 0x1FFF_7000;
 
+/// System memory, where ST's bootloader begins (AN2606), and the stack pointer of what stands in for it.
+pub const BOOTLOADER: u64 = 0x1FFF_0000;
+/// See [`BOOTLOADER`].
+pub const BOOTLOADER_STACK: u32 = 0x2000_2000;
+
+/// Code of the reference voltage at 3.0 V: 1.212 V of it (DS12288: 1.182 to 1.232 V).
+pub const REFERENCE_CALIBRATION: u16 = 1_655;
+
 /// Writes to memory what the DMA has moved.
 pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
     if cpu.get_data().chip.transfers.is_empty() {
@@ -72,6 +80,11 @@ pub(crate) fn processor(
         b"\x12\x34\x56\x78\x9a\xbc\xde\xf0\x11\x22\x33\x44",
     )?;
     cpu.mem_write(FACTORY + 0x5E0, &512u16.to_le_bytes())?;
+    cpu.mem_write(FACTORY + 0x5AA, &REFERENCE_CALIBRATION.to_le_bytes())?;
+    // In place of ST's bootloader: a stack pointer, a first instruction, and that one for ever (B .).
+    cpu.mem_map(BOOTLOADER, 0x7000, Prot::READ | Prot::EXEC)?;
+    let words = [BOOTLOADER_STACK, BOOTLOADER as u32 + 9, 0xE7FE_E7FE];
+    cpu.mem_write(BOOTLOADER, &words.map(u32::to_le_bytes).concat())?;
     for (base, bytes) in [
         (0x4000_0000, 0x2_8000),
         (0x4800_0000, 0x2000),

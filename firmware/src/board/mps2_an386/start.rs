@@ -5,6 +5,7 @@ use embassy_executor::Executor;
 use embassy_executor::raw::TaskStorage;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::reset::{self, Flags};
+use ihd_firmware::service::NoFacilities;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
@@ -74,5 +75,8 @@ fn start_sampling(path: InterruptSide) {
 async fn link_task(hello: Hello, path: ThreadSide) -> ! {
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
     let ports = uart::start();
-    link::run(ports, (NoPort, NoPort), housekeeping, path, |_, _| {}).await
+    let tick = |housekeeping: &mut Housekeeping, path: &mut ThreadSide| {
+        housekeeping.serve(path, &mut NoFacilities);
+    };
+    link::run(ports, (NoPort, NoPort), housekeeping, path, tick).await
 }

@@ -7,6 +7,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
+use ihd_firmware::channels::SlowCodes;
 use ihd_firmware::mains::{ZeroCrossing, bus_dv};
 use ihd_firmware::pwm::Periods;
 use ihd_firmware::realtime::{Block, Bridge, Drive};
@@ -40,6 +41,23 @@ pub fn written_by_dma() -> [Range<usize>; 2] {
         pairs..pairs + size_of::<[u32; WORDS]>(),
         slow..slow + size_of::<[i16; 2]>(),
     ]
+}
+
+/// What bus and mains were converted to last.
+#[inline(always)]
+pub fn slow_codes() -> SlowCodes {
+    let codes = SLOW.0.get().cast::<i16>();
+    // SAFETY: both are inside SLOW, and a half-word is read as a whole.
+    let (bus, mains) = unsafe {
+        (
+            ptr::read_volatile(codes),
+            ptr::read_volatile(codes.wrapping_add(1)),
+        )
+    };
+    SlowCodes {
+        bus: bus.unsigned_abs(),
+        mains,
+    }
 }
 
 /// Cycles that all blocks which were taken should have lasted; wraps.
@@ -105,18 +123,6 @@ impl Adc {
         }
     }
 
-    fn slow(&self) -> (u16, i32) {
-        let codes = SLOW.0.get().cast::<i16>();
-        // SAFETY: both are inside SLOW, and a half-word is read as a whole.
-        let (bus, mains) = unsafe {
-            (
-                ptr::read_volatile(codes),
-                ptr::read_volatile(codes.wrapping_add(1)),
-            )
-        };
-        (bus_dv(bus.unsigned_abs()), i32::from(mains))
-    }
-
     fn apply(&mut self, drive: Drive) {
         if drive == self.drive {
             return;
@@ -156,11 +162,11 @@ impl SampleSource for Adc {
         // Nobody else writes it.
         let sampled = sampled_cycles().wrapping_add(self.block_cycles);
         SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
-        let (bus_dv, mains) = self.slow();
+        let slow = slow_codes();
         let drive = take(&Block {
             pairs: Pair::of_words(&self.pairs),
-            zero_crossing: self.mains.on_block(mains),
-            bus_dv,
+            zero_crossing: self.mains.on_block(slow.mains.into()),
+            bus_dv: bus_dv(slow.bus),
             dc_link_ma: None,
             lost: self.ring.take_lost(),
         });

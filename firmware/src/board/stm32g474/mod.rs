@@ -19,11 +19,15 @@
 //! It has run on an emulated STM32G474 (tests/stm32g474), not on hardware yet.
 
 mod adc;
+mod clock_count;
+mod image;
 mod led;
+mod log;
 mod nonvolatile;
 mod registers;
 mod self_test;
 mod serial;
+mod service;
 mod start;
 mod start_up;
 mod temperatures;

@@ -8,12 +8,14 @@ use embassy_stm32::Peri;
 use embassy_stm32::crc::{Config, Crc, InputReverseConfig, PolySize};
 use embassy_stm32::peripherals::CRC;
 use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::self_test::clock::ClockCheck;
+use ihd_firmware::self_test::clock::{Captured, ClockCheck};
 use ihd_firmware::self_test::flow::{Counts, Flow, ProgramFlow, Task};
 use ihd_firmware::self_test::image::{CopyCheck, Crc32, ImageCheck};
 use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::Clocks;
 
 use super::adc::{sampled_cycles, written_by_dma};
+use super::clock_count::Counting;
 use super::nonvolatile::{ASKED, answers};
 use super::registers::clocks::CORE_MHZ;
 use super::registers::low_speed;
@@ -83,8 +85,21 @@ impl Crc32 for Unit {
     }
 }
 
+/// The program's length and its CRC, as it should be and as it was found at start.
+#[derive(Clone, Copy, Default)]
+pub struct Sealed {
+    /// Bytes before the CRC.
+    pub bytes: u32,
+    /// As written there.
+    pub sealed_crc: u32,
+    /// As worked out.
+    pub crc: u32,
+}
+
 /// What is tested, and how far it has come.
 pub struct SelfTest {
+    sealed: Sealed,
+    counting: Option<Counting>,
     unit: Option<Unit>,
     image: ImageCheck,
     copies: [CopyCheck; 2],
@@ -114,6 +129,12 @@ impl SelfTest {
             (image, ptr::read_volatile(&raw const __image_crc), copies)
         };
         let mut this = Self {
+            sealed: Sealed {
+                bytes: size_of_val(image) as u32,
+                sealed_crc: crc,
+                crc: 0,
+            },
+            counting: None,
             unit: Unit::new(unit),
             image: ImageCheck::new(image, crc),
             copies,
@@ -126,6 +147,7 @@ impl SelfTest {
             ram_at: &raw const _stack_end as usize,
         };
         let whole = this.unit.as_mut().is_some_and(|unit| this.image.run(unit));
+        this.sealed.crc = this.unit.as_ref().map_or(0, Unit::value);
         low_speed::start();
         let agree = loop {
             let captured = low_speed::captured();
@@ -138,6 +160,25 @@ impl SelfTest {
             (!agree).then_some(Fault::CLOCK),
         ];
         (this, found)
+    }
+
+    /// The program's length and CRC.
+    pub fn sealed(&self) -> Sealed {
+        self.sealed
+    }
+
+    /// Begins to count the clocks, beside the tests.
+    pub fn begin_clocks(&mut self) {
+        self.counting = Some(Counting::begin(cycles::now()));
+    }
+
+    /// What was counted, once it is enough.
+    pub fn clocks(&mut self) -> Option<Clocks> {
+        let clocks = self.counting.as_ref()?.result(cycles::now());
+        if clocks.is_some() {
+            self.counting = None;
+        }
+        clocks
     }
 
     /// Blocks come from here on.
@@ -186,8 +227,17 @@ impl SelfTest {
     }
 
     fn each_second(&mut self, housekeeping: &Housekeeping, now: u32) -> Option<Fault> {
+        // What is captured is there once.
+        let wanted = self.looks_at_clock || self.counting.is_some();
+        let captured = match wanted {
+            true => low_speed::captured(),
+            false => Captured::Nothing,
+        };
+        if let Some(counting) = &mut self.counting {
+            counting.take(captured, now);
+        }
         if self.looks_at_clock {
-            let agree = self.clock.take(low_speed::captured(), PATIENCE)?;
+            let agree = self.clock.take(captured, PATIENCE)?;
             self.looks_at_clock = false;
             return (!agree).then_some(Fault::CLOCK);
         }

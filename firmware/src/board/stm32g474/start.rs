@@ -1,6 +1,5 @@
 //! Wires the board to the app.
 
-use defmt_rtt as _;
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
@@ -21,13 +20,15 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::{Hello, State};
+use ihd_shared::wire::messages::{Comparators, Hello, State};
 use static_cell::StaticCell;
 
 use super::adc::{Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
+use super::log::LinkLog;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::self_test::SelfTest;
+use super::service::{self, Asked};
 use super::temperatures::Temperatures;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
@@ -66,7 +67,7 @@ struct Board {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let (flags, watchdog_is_sound) = registers::supply::reset_flags();
+    let (flags, reset_flags, watchdog_is_sound) = registers::supply::reset_flags();
     let last = crash::read_crash_record();
     crash::count_start(flags);
     let p = registers::clocks::start();
@@ -88,7 +89,8 @@ fn main() -> ! {
         let hello = hello(flags, last);
         let watchdog_fault = (!watchdog_is_sound).then_some(Fault::WATCHDOG_TEST);
         let sides = (interrupt_side, thread_side);
-        start(spawner, p, hello, sides, watchdog_fault);
+        let before = (reset_flags, last);
+        start(spawner, p, hello, before, sides, watchdog_fault);
     })
 }
 
@@ -111,6 +113,7 @@ fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
+    (reset_flags, last): (u32, Option<reset::CrashRecord>),
     (interrupt_side, mut thread_side): (sampling::InterruptSide, ThreadSide),
     watchdog_fault: Option<Fault>,
 ) {
@@ -120,6 +123,8 @@ fn start(
         thread_side.with(|rt| rt.raise_standing(Fault::OPTION_BYTES));
     }
     let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
+    housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
+    housekeeping.set_log(&LinkLog);
     let pages = lookup_pages(p.FLASH, housekeeping);
     let led = Led::new(p.PA5, cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.
@@ -150,7 +155,7 @@ fn start(
         sampling_spawner.spawn(token);
     }
     defmt::info!("timers and ADCs run, faults armed");
-    if !registers::comparators::trip() {
+    if !is_sound(&registers::comparators::trip()) {
         thread_side.with(|rt| rt.raise_standing(Fault::COMPARATOR_TEST));
     }
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
@@ -178,6 +183,11 @@ fn start(
     if let Ok(token) = link_task(usb, uart, housekeeping, thread_side, board) {
         spawner.spawn(token);
     }
+}
+
+/// Each tripped, and neither still does.
+fn is_sound(found: &Comparators) -> bool {
+    found.positive_tripped && found.positive_quiet && found.negative_tripped && found.negative_quiet
 }
 
 /// What is tested at start, and goes on while the program runs.
@@ -312,6 +322,11 @@ impl Board {
         if let Some(fault) = found {
             path.with(|rt| rt.raise_standing(fault));
         }
+        let mut asked = Asked {
+            self_test: &mut self.self_test,
+            temperatures: &self.temperatures,
+        };
+        housekeeping.serve(path, &mut asked);
         let is_open = path.with(|rt| rt.drive().bridge == Bridge::Open);
         if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();

@@ -1,9 +1,9 @@
-//! Before `main`: the processor's registers are tested, the watchdog is tried, all RAM is tested and written once, code and constants go to where there are no
+//! Before `main`: another program's turn, if one was asked for; the processor's registers are tested, the watchdog is tried, all RAM is tested and written once, code and constants go to where there are no
 //! wait states.
 
 use core::arch::global_asm;
 
-use ihd_firmware::reset::CrashRecord;
+use ihd_firmware::reset::{CrashRecord, NEXT_BOOTLOADER};
 use ihd_shared::fault::Fault;
 
 /// What is left in the crash record where the RAM is broken: the fault, for a start that finds it whole.
@@ -17,6 +17,11 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
 // cortex-m-rt calls this before it fills .data and .bss, with the stack pointer set and nothing else. Assembly, as Rust
 // code may use what is not there yet. No stack: it is among what is tested. It runs from flash at 16 MHz.
 //
+// -1. Nothing of the chip is touched yet. Who jumped here from another program, as ST's bootloader does when it leaves, did
+//    not reset what that has switched on, its clock first of all (RCC_CFGR: SW and SWS are HSI16 after a reset, and only
+//    then): system reset. Where the last run has left word that the bootloader is to run (`crash::restart`), it does, as if
+//    the chip had begun with it: system memory at address 0 (SYSCFG_MEMRMP, RM0440 10.2.1; its clock off again, as after a
+//    reset), its stack pointer, its first instruction (AN2606, "bootloader activation").
 // 0. Every register of the processor and its floating-point unit takes two patterns, each loaded for itself, and is compared
 //    with another. FPU on: CPACR, CP10 and CP11; s0 keeps the way back meanwhile. What fails goes where broken RAM goes.
 // 1. After power-on, once, the watchdog is let run out on purpose (IEC 60730-1 H.2.18.10.3). RCC_CSR keeps its flags until
@@ -38,6 +43,37 @@ global_asm!(
     ".type __pre_init, %function",
     ".thumb_func",
     "__pre_init:",
+    "ldr r0, =0x40021008",
+    "ldr r1, [r0]",
+    "and r1, r1, #15",
+    "cmp r1, #5",
+    "bne __begin_from_reset",
+    "ldr r0, =__next_program",
+    "ldrd r1, r2, [r0]",
+    "ldr r3, ={next_bootloader}",
+    "mvns r2, r2",
+    "cmp r1, r3",
+    "bne 7f",
+    "cmp r2, r3",
+    "bne 7f",
+    "movs r1, #0",
+    "str r1, [r0]",
+    // RCC_APB2ENR: SYSCFGEN. SYSCFG_MEMRMP.
+    "ldr r0, =0x40021060",
+    "movs r2, #1",
+    "str r2, [r0]",
+    "ldr r3, [r0]",
+    "ldr r3, =0x40010000",
+    "str r2, [r3]",
+    "ldr r2, [r3]",
+    "str r1, [r0]",
+    "ldr r0, =0x1FFF0000",
+    "ldrd r1, r2, [r0]",
+    "dsb",
+    "isb",
+    "msr msp, r1",
+    "bx r2",
+    "7:",
     "ldr r0, =0xE000ED88",
     "ldr r1, [r0]",
     "orr r1, r1, #0xF00000",
@@ -140,10 +176,10 @@ global_asm!(
     "stmia r0!, {{r3}}",
     "4: cmp r0, r1",
     "blo 3b",
-    // The vectors, which lie in front of .text.
+    // The vectors, in front of the build id.
     "ldr r0, =__ccm_vectors",
     "ldr r1, =__vector_table",
-    "ldr r2, =__stext",
+    "ldr r2, =__vectors_end",
     "b 6f",
     "5: ldmia r1!, {{r3}}",
     "stmia r0!, {{r3}}",
@@ -156,6 +192,14 @@ global_asm!(
     "dsb",
     "isb",
     "bx r11",
+    // SCB_AIRCR: VECTKEY, SYSRESETREQ.
+    "__begin_from_reset:",
+    "ldr r0, =0xE000ED0C",
+    "ldr r1, =0x05FA0004",
+    "dsb",
+    "str r1, [r0]",
+    "dsb",
+    "1: b 1b",
     ".ltorg",
     ".size __pre_init, . - __pre_init",
     // From r0 up to r1, a multiple of 32 bytes. Changes r2 to r5; leaves zeros.
@@ -244,4 +288,5 @@ global_asm!(
     record_1 = const BROKEN_RAM[1],
     record_2 = const BROKEN_RAM[2],
     record_3 = const BROKEN_RAM[3],
+    next_bootloader = const NEXT_BOOTLOADER,
 );

@@ -1,15 +1,17 @@
-//! Three thermistors on ADC4, which does nothing else: the others convert pairs, bus and mains at each trigger, and a fourth
+//! Three thermistors and the chip's reference voltage on ADC4, which does nothing else: the others convert pairs, bus and mains at each trigger, and a fourth
 //! channel among those would come between.
 
+use ihd_firmware::channels::Reference;
 use ihd_firmware::temperature::TemperatureCodes;
 
-use super::registers::adc;
 use super::registers::clocks::CORE_MHZ;
+use super::registers::{adc, supply};
 
-/// Heat sink on PB12, glass on PB14, coil on PB15.
-const CHANNELS: [u8; 3] = [3, 4, 5];
+/// Heat sink on PB12, glass on PB14, coil on PB15, VREFINT (ADC, table "ADC internal channels": input 18, whose sampling
+/// takes 4 µs at least).
+const CHANNELS: [u8; 4] = [3, 4, 5, 18];
 
-/// From one conversion to the next: 1 ms, so each thermistor is looked at every 3 ms.
+/// From one conversion to the next: 1 ms, so each is looked at every 4 ms.
 const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
 
 /// What stands for a converter that is silent: an open thermistor, which is a fault.
@@ -20,7 +22,7 @@ const PATIENCE: u32 = 2_000;
 
 /// The converter and what it found.
 pub struct Temperatures {
-    codes: [u16; 3],
+    codes: [u16; 4],
     turn: usize,
     started_at: u32,
 }
@@ -61,11 +63,20 @@ impl Temperatures {
 
     /// The last codes of heat sink, glass and coil, 0 to 4 095 over 0 to 3.3 V.
     pub fn codes(&self) -> TemperatureCodes {
-        let [heat_sink, glass, coil] = self.codes;
+        let [heat_sink, glass, coil, _] = self.codes;
         TemperatureCodes {
             heat_sink: Some(heat_sink),
             glass: Some(glass),
             coil: Some(coil),
         }
+    }
+
+    /// The reference voltage as converted last; none where the converter is silent.
+    pub fn reference(&self) -> Option<Reference> {
+        let [_, _, _, code] = self.codes;
+        (code != OPEN).then(|| Reference {
+            code,
+            calibrated: supply::reference_calibration(),
+        })
     }
 }

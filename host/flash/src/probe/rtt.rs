@@ -42,6 +42,27 @@ impl RttSource {
         }
     }
 
+    /// Reads memory beside the log.
+    ///
+    /// # Errors
+    /// As [`LogSource::read`].
+    pub fn memory(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
+        if self.session.is_none() {
+            self.resume()?;
+        }
+        let Some(session) = &mut self.session else {
+            return Ok(());
+        };
+        let read = session
+            .core(0)
+            .and_then(|mut core| core.read(address.into(), out));
+        read.map_err(|why| {
+            self.session = None;
+            self.ring = None;
+            errors::lost(Doing::Reading, &why)
+        })
+    }
+
     /// Reads the ring; `None` where there is none, or it was set up anew since.
     fn read_ring(&mut self, out: &mut Vec<u8>) -> Result<Option<usize>, ProgramError> {
         let region = self.region();

@@ -20,6 +20,8 @@ pub mod hob;
 pub mod identify;
 pub mod inspect;
 pub mod interrupt;
+#[cfg(feature = "log")]
+pub mod log;
 pub mod man;
 #[cfg(feature = "daemon")]
 pub mod opener;
@@ -70,6 +72,8 @@ enum Command {
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
+    #[cfg(feature = "log")]
+    Log(log::LogArgs),
     Man(man::ManArgs),
     Record(Box<record::RecordArgs>),
     Replay(Box<replay::ReplayArgs>),
@@ -99,6 +103,8 @@ impl Cli {
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
+            #[cfg(feature = "log")]
+            Command::Log(args) => args.run(),
             Command::Man(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Replay(args) => args.run(),
@@ -159,6 +165,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if error.is::<replay::Differs>() {
         return 6;
+    }
+    #[cfg(feature = "log")]
+    if error.is::<ihd_flash::log::follow::LogError>() {
+        return 3;
     }
     let empty = matches!(
         error.downcast_ref(),

@@ -53,6 +53,52 @@ pub fn complain(arguments: Arguments<'_>) {
     let _ = std::io::stderr().write_all(text.as_bytes());
 }
 
+/// A colour on a terminal.
+#[cfg(feature = "log")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Colour {
+    /// The terminal's own.
+    Plain,
+    /// What one looks over.
+    Dim,
+    /// As it should be.
+    Green,
+    /// Look here.
+    Yellow,
+    /// Look here first.
+    Red,
+}
+
+/// Writes a line of parts to standard output, each in its colour where `coloured`; control characters escaped.
+///
+/// # Errors
+/// When standard output cannot be written.
+#[cfg(feature = "log")]
+pub fn parts(coloured: bool, parts: &[(Colour, String)]) -> Result<()> {
+    raw(parts_text(coloured, parts).as_bytes())
+}
+
+#[cfg(feature = "log")]
+fn parts_text(coloured: bool, parts: &[(Colour, String)]) -> String {
+    let mut out = String::new();
+    for (colour, text) in parts {
+        let code = match colour {
+            Colour::Plain => "",
+            Colour::Dim => "\x1b[2m",
+            Colour::Green => "\x1b[32m",
+            Colour::Yellow => "\x1b[33m",
+            Colour::Red => "\x1b[31m",
+        };
+        let text = escaped(text).replace('\n', "\\u{a}");
+        if coloured && !code.is_empty() {
+            out += &format!("{code}{text}\x1b[0m");
+        } else {
+            out += &text;
+        }
+    }
+    out + "\n"
+}
+
 fn raw(bytes: &[u8]) -> Result<()> {
     let mut out = std::io::stdout().lock();
     out.write_all(bytes)
@@ -95,6 +141,19 @@ mod tests {
     fn text_keeps_its_lines_and_loses_its_escapes() {
         let shown = escaped("a\tb\n\x1b]0;owned\x07c\u{9b}");
         assert_eq!(shown, "a\tb\n\\u{1b}]0;owned\\u{7}c\\u{9b}");
+    }
+
+    #[test]
+    #[cfg(feature = "log")]
+    fn colours_are_ours_alone() {
+        let parts = [
+            (Colour::Red, "error ".to_owned()),
+            (Colour::Plain, "a\x1b[1m\nb".to_owned()),
+        ];
+        let plain = parts_text(false, &parts);
+        assert_eq!(plain, "error a\\u{1b}[1m\\u{a}b\n");
+        let coloured = parts_text(true, &parts);
+        assert_eq!(coloured, "\x1b[31merror \x1b[0ma\\u{1b}[1m\\u{a}b\n");
     }
 
     #[test]

@@ -178,6 +178,8 @@ impl Chip {
     pub fn read_system(&mut self, offset: u32) -> u32 {
         const CYCCNT: u32 = 0x1004;
         match offset {
+            // DBGMCU_IDCODE of a category 3 device, revision X (RM0440 47.6.1).
+            0x42000 => 0x2003_6469,
             CYCCNT => (self.cycles - self.cycle_origin) as u32,
             0xE000..0xF000 => {
                 let inside = offset - 0xE000;

@@ -354,7 +354,12 @@ impl Chip {
         let hclk_hz = clocks::hclk_hz(&self.file);
         let adc = &mut self.adcs[ADC4];
         if let Some((channel, at)) = adc.trigger(hclk_hz, &self.file, &mut self.log) {
-            let value = adc.data(channel, self.pins.thermistor_code(channel), &self.file);
+            let code = match channel {
+                // VREFINT, once it is led there (RM0440, ADCx_CCR).
+                18 if self.file.is(reg::adc345_common::ccr::VREFEN) => self.pins.reference_code(),
+                _ => self.pins.thermistor_code(channel),
+            };
+            let value = adc.data(channel, code, &self.file);
             self.conversions.push(Conversion {
                 at,
                 request: None,

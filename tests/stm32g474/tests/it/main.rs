@@ -7,6 +7,7 @@ mod lookup;
 mod memory;
 mod protection;
 mod self_test;
+mod service;
 mod start;
 mod temperatures;
 mod timing;

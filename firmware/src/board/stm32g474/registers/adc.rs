@@ -118,9 +118,11 @@ pub unsafe fn start_pairs(voltage: u8, current: u8, pairs: *mut u32, length: u16
 /// # Safety
 /// As [`dma::start_slow`].
 pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16) {
-    pac::ADC345_COMMON
-        .ccr()
-        .write(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
+    pac::ADC345_COMMON.ccr().write(|w| {
+        w.set_ckmode(Ckmode::SYNC_DIV4);
+        // The reference reaches ADC4; may change only while all three are off.
+        w.set_vrefen(true);
+    });
     wake(pac::ADC3);
     enable(pac::ADC3);
     make_signed(pac::ADC3, 0, mains);

@@ -83,3 +83,13 @@ fn set_wait_states() {
     // The new latency is in force when it reads back.
     while acr.read().latency() != Latency::WS4 {}
 }
+
+/// CRS, CRS_ISR (FECAP, FEDIR) and CRS_CR (TRIM): how many periods too many HSI48 had in the USB host's last frame, and its
+/// trim.
+pub fn hsi48() -> (i16, u8) {
+    let isr = pac::CRS.isr().read();
+    let off = isr.fecap() as i16;
+    // FEDIR: counting down when the frame came, it was too slow.
+    let off = if isr.fedir() { -off } else { off };
+    (off, pac::CRS.cr().read().trim())
+}

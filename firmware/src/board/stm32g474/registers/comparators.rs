@@ -6,6 +6,7 @@ use embassy_stm32::pac::comp::vals::{Hysteresis, Inm, Polarity};
 use embassy_stm32::pac::dac::vals::Mode;
 use embassy_stm32::{peripherals, rcc};
 use ihd_firmware::protection::TRIP_CODE;
+use ihd_shared::wire::messages::Comparators;
 
 use super::clocks::CORE_MHZ;
 use super::faults;
@@ -63,13 +64,19 @@ pub fn start() {
 /// Whether the trip works, from the threshold to HRTIM's fault inputs: with both at 0 V both comparators must trip, as the
 /// current's zero is at mid-scale, and with both back where they belong none may. To be called once the fault inputs are
 /// armed, with the bridge open; it stays so, as an output is enabled by software alone.
-pub fn trip() -> bool {
+pub fn trip() -> Comparators {
     set_thresholds(0);
-    let all = faults::comparators_tripped() == [true; 2];
+    let [negative_tripped, positive_tripped] = faults::comparators_tripped();
     set_thresholds(LEVEL);
     faults::clear();
     cortex_m::asm::delay(2 * CORE_MHZ);
-    all && faults::comparators_tripped() == [false; 2]
+    let [negative, positive] = faults::comparators_tripped();
+    Comparators {
+        positive_tripped,
+        positive_quiet: !positive,
+        negative_tripped,
+        negative_quiet: !negative,
+    }
 }
 
 /// DAC, DAC_DHR12Rx; then the DAC settles (t_SETTLING 3 µs at most without buffer, DS12288), the comparator follows and

@@ -95,7 +95,8 @@ pub fn hardware_fault() -> Option<Fault> {
     }
 }
 
-/// Which of the two fault inputs of [`INPUTS`] have tripped (HRTIM, HRTIM_ISR).
+/// Which of the two fault inputs of [`INPUTS`] have tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
+/// current.
 pub fn comparators_tripped() -> [bool; 2] {
     let isr = pac::HRTIM1.isr().read();
     INPUTS.map(|input| isr.flt(input))

@@ -19,6 +19,7 @@ pub mod dma;
 pub mod faults;
 pub mod low_speed;
 pub mod supply;
+pub mod usb_frame;
 
 /// Indices of the timers in HRTIM.
 const BRIDGE: usize = 0;

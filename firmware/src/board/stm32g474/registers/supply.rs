@@ -3,9 +3,9 @@
 use embassy_stm32::pac;
 use ihd_firmware::reset::Flags;
 
-/// RCC, RCC_CSR: why the controller started, cleared for the next time; and whether the watchdog is sound. After power-on
+/// RCC, RCC_CSR: why the controller started, also as it was read, cleared for the next time; and whether the watchdog is sound. After power-on
 /// start-up lets it run out once (`start_up.rs`), which is no end of the program: both flags are set then.
-pub fn reset_flags() -> (Flags, bool) {
+pub fn reset_flags() -> (Flags, u32, bool) {
     let csr = pac::RCC.csr().read();
     let bit_by_watchdog = csr.iwdgrstf() || csr.wwdgrstf();
     let is_sound = bit_by_watchdog || !csr.borrstf();
@@ -16,7 +16,29 @@ pub fn reset_flags() -> (Flags, bool) {
         pin: csr.pinrstf(),
     };
     pac::RCC.csr().modify(|w| w.set_rmvf(true));
-    (flags, is_sound)
+    (flags, csr.0, is_sound)
+}
+
+/// FLASH, FLASH_OPTR: the option bytes in force.
+pub fn option_bytes() -> u32 {
+    pac::FLASH.optr().read().0
+}
+
+/// DBGMCU, DBGMCU_IDCODE: which chip, and its revision.
+pub fn id_code() -> u32 {
+    pac::DBGMCU.idcode().read().0
+}
+
+/// Flash, in KiB (RM0440, "Device electronic signature": FLASHSIZE).
+pub fn flash_kib() -> u16 {
+    // SAFETY: read-only memory of every STM32G4.
+    unsafe { core::ptr::read_volatile(0x1FFF_75E0 as *const u16) }
+}
+
+/// Code of the reference voltage at 3.0 V and 30 °C, as ST found it (DS12288, "Embedded voltage reference": VREFINT_CAL).
+pub fn reference_calibration() -> u16 {
+    // SAFETY: read-only memory of every STM32G4.
+    unsafe { core::ptr::read_volatile(0x1FFF_75AA as *const u16) }
 }
 
 /// FLASH, FLASH_OPTR: whether there are two banks, of which one can be written while the program runs

@@ -1,5 +1,7 @@
 //! A device, behind the daemon or not.
 
+#[cfg(feature = "log")]
+use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
@@ -8,9 +10,13 @@ use ihd_api::client::ClientError;
 use ihd_daemon::config::{Address, Config};
 use ihd_daemon::model::{Command, CommandError, DeviceReport, Done};
 use ihd_link::DeviceSpec;
+#[cfg(feature = "log")]
+use ihd_link::{LinkError, Transport};
 
 use super::direct::Direct;
 use crate::cli::configured;
+#[cfg(feature = "log")]
+use crate::cli::opener::opener;
 use crate::cli::usage::Usage;
 
 /// A device that answers.
@@ -88,6 +94,37 @@ impl Hob {
             Self::Direct(_) => Ok(()),
         }
     }
+}
+
+/// How the device of a name of the configuration, or of an address, is opened without a daemon, each time anew.
+///
+/// # Errors
+/// Where a daemon has it: a link has one host.
+#[cfg(feature = "log")]
+pub fn direct_opener(
+    config: Option<&Path>,
+    wanted: &str,
+) -> Result<impl FnMut() -> Result<Box<dyn Transport>, LinkError> + use<>> {
+    let config = configured::config(config)?;
+    let (mut config, address) = configured_or_address(config, wanted)?;
+    let place = address_of(&config, &address)?;
+    if let Some(client) = configured::daemon(&config)? {
+        let devices = client.devices()?;
+        let at = place.to_string();
+        let theirs = devices.iter().find(|d| d.name == wanted || d.address == at);
+        if let Some(device) = theirs {
+            bail!(
+                "the daemon at {} has {}, and a link has one host: stop the daemon, or take the device out of its \
+                 configuration; a debug probe listens beside it (`ihd log --probe`)",
+                client.url(),
+                device.name
+            );
+        }
+    }
+    let open = opener(&mut config)?;
+    // Marked by the opener, where it is a simulated hob.
+    let place = address_of(&config, &address)?;
+    Ok(move || open(&place))
 }
 
 /// Whether somebody else commands the device now.

@@ -21,6 +21,8 @@ use super::simulate::quantity::quantity;
 use super::{configured, output};
 pub use heating::DoesNotHeat;
 use hob::Hob;
+#[cfg(feature = "log")]
+pub use hob::direct_opener;
 
 /// Ask and command devices: through the daemon where one runs, directly where not.
 ///

@@ -1,0 +1,70 @@
+//! What a host may ask of the board (`ihd_firmware::service`).
+
+use embassy_stm32::uid;
+use ihd_firmware::channels::{Reference, SlowCodes};
+use ihd_firmware::reset::CrashRecord;
+use ihd_firmware::service::{Facilities, Identity};
+use ihd_shared::wire::messages::{Clocks, Comparators, Program};
+
+use super::registers::{comparators, supply};
+use super::self_test::SelfTest;
+use super::temperatures::Temperatures;
+use super::{adc, image};
+use crate::board::crash;
+
+/// The board's parts that are asked.
+pub struct Asked<'a> {
+    /// Has the clocks.
+    pub self_test: &'a mut SelfTest,
+    /// Has the reference.
+    pub temperatures: &'a Temperatures,
+}
+
+impl Facilities for Asked<'_> {
+    fn has_program(&self, _: Program) -> bool {
+        true
+    }
+
+    fn restart(&mut self, into: Program) {
+        crash::restart(into)
+    }
+
+    fn slow_codes(&mut self) -> Option<SlowCodes> {
+        Some(adc::slow_codes())
+    }
+
+    fn reference(&mut self) -> Option<Reference> {
+        self.temperatures.reference()
+    }
+
+    fn comparators(&mut self) -> Option<Comparators> {
+        Some(comparators::trip())
+    }
+
+    fn begin_clocks(&mut self) -> bool {
+        self.self_test.begin_clocks();
+        true
+    }
+
+    fn clocks(&mut self) -> Option<Clocks> {
+        self.self_test.clocks()
+    }
+}
+
+/// What chip and program say of themselves. `reset_flags` is RCC_CSR as it was found, `last` what the last run left.
+pub fn identity(reset_flags: u32, last: Option<CrashRecord>, self_test: &SelfTest) -> Identity {
+    let sealed = self_test.sealed();
+    let before = last.map_or(0, |record| record.starts.saturating_add(1));
+    Identity {
+        id_code: supply::id_code(),
+        flash_kib: supply::flash_kib(),
+        option_bytes: supply::option_bytes(),
+        reset_flags,
+        starts: u8::try_from(before.saturating_add(1)).unwrap_or(u8::MAX),
+        image_bytes: sealed.bytes,
+        image_crc: sealed.crc,
+        sealed_crc: sealed.sealed_crc,
+        build_id: image::own_build_id(),
+        chip: Some(uid::uid()),
+    }
+}

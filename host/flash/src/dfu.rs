@@ -1,0 +1,22 @@
+//! The chip's bootloader in ROM, over USB: DfuSe 1.1a (ST AN3156), beside the standard's DFU 1.1.
+//!
+//! ```text
+//! usb       finds and opens 0483:df11, through dfu-nusb
+//! layout    which memories the device says it has
+//! protocol  blocks, commands and status, on dfu-core's DfuIo: a device, or a model of one
+//! chip      Programmer: pages, blocks, verification, option bytes
+//! restart   from the running firmware into the bootloader
+//! ```
+//!
+//! dfu-core's own download does not suffice: it ends by starting the program before anything was read back.
+
+mod chip;
+pub mod layout;
+mod protocol;
+mod restart;
+mod usb;
+
+pub use chip::Dfu;
+pub use protocol::{Refusal, Rom};
+pub use restart::{EnterError, reach, send_into_bootloader};
+pub use usb::{Found, PRODUCT_ID, Usb, VENDOR_ID, found, open};

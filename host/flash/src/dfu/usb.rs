@@ -1,0 +1,328 @@
+//! Bootloaders on USB, through dfu-nusb.
+
+use std::thread;
+use std::time::{Duration, Instant};
+
+use dfu_core::functional_descriptor::FunctionalDescriptor;
+use dfu_core::memory_layout::MemoryLayout;
+use dfu_core::{DfuIo, DfuProtocol};
+use dfu_nusb::{DfuNusb, Error};
+use ihd_signal::printable;
+use nusb::transfer::TransferError;
+use nusb::{ErrorKind, MaybeFuture};
+
+use super::chip::Dfu;
+use super::protocol::{Refusal, Rom};
+use crate::programmer::{Doing, ProgramError};
+
+/// STMicroelectronics.
+pub const VENDOR_ID: u16 = 0x0483;
+/// The bootloader of every STM32 that has one on USB.
+pub const PRODUCT_ID: u16 = 0xDF11;
+
+/// Its only interface.
+const INTERFACE: u8 = 0;
+/// For a descriptor.
+const TIMEOUT: Duration = Duration::from_secs(3);
+/// Between two looks at what is plugged in.
+const GLANCE: Duration = Duration::from_millis(100);
+/// From a reset until the system has noticed.
+const GOING: Duration = Duration::from_millis(500);
+/// English, where a device names no language.
+const ENGLISH: u16 = 0x0409;
+
+/// By what one of several is chosen.
+const OPTION: &str = "--dfu=SERIAL";
+
+/// A bootloader that is plugged in.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Its serial number, its own words; twelve digits made of the chip's unique number.
+    pub serial: String,
+    info: nusb::DeviceInfo,
+}
+
+/// A bootloader that was opened.
+pub struct Usb {
+    dfu: DfuNusb,
+    interface: nusb::Interface,
+    layouts: Vec<String>,
+    serial: String,
+}
+
+/// The bootloaders that are plugged in, in order of their serial numbers.
+///
+/// # Errors
+/// [`ProgramError::NotFound`] where the system does not tell what is plugged in.
+pub fn found() -> Result<Vec<Found>, ProgramError> {
+    let devices = nusb::list_devices().wait();
+    let devices = devices.map_err(|why| ProgramError::NotFound {
+        what: format!("cannot look for USB devices: {why}; is USB available here?"),
+    })?;
+    let ours = devices.filter(|d| (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID));
+    let mut all: Vec<_> = ours
+        .map(|info| Found {
+            serial: info.serial_number().unwrap_or_default().to_owned(),
+            info,
+        })
+        .collect();
+    all.sort_by(|a, b| a.serial.cmp(&b.serial));
+    Ok(all)
+}
+
+/// The one that is meant: the only one, or that with the serial number; `None` where there is none at all.
+fn choose<T>(
+    mut all: Vec<T>,
+    wanted: Option<&str>,
+    serial: impl Fn(&T) -> &str,
+) -> Result<Option<T>, ProgramError> {
+    let list = |all: &[T]| -> Vec<String> {
+        let name = |one| printable(serial(one)).to_string();
+        all.iter().map(name).collect()
+    };
+    let there = list(&all);
+    all.retain(|one| wanted.is_none_or(|wanted| wanted.eq_ignore_ascii_case(serial(one))));
+    match (all.len(), wanted) {
+        (0, Some(wanted)) if !there.is_empty() => Err(ProgramError::NotFound {
+            what: format!(
+                "no bootloader has the serial number {}; plugged in: {}",
+                printable(wanted),
+                there.join(", ")
+            ),
+        }),
+        (0 | 1, _) => Ok(all.pop()),
+        _ => Err(ProgramError::Several {
+            found: list(&all),
+            option: OPTION,
+        }),
+    }
+}
+
+/// Opens the bootloader with this serial number, or the only one.
+///
+/// # Errors
+/// [`ProgramError::NotFound`], [`ProgramError::Several`], [`ProgramError::Open`] with the rights or the driver that lack.
+pub fn open(serial: Option<&str>) -> Result<Dfu<Usb>, ProgramError> {
+    match choose(found()?, serial, |one| &one.serial)? {
+        Some(one) => Ok(one.open()?.into_programmer()),
+        None => Err(ProgramError::NotFound {
+            what: "no chip in its USB bootloader (0483:df11) is plugged in. It needs a cable to the chip's own USB pins \
+                   (PA11, PA12; the ST-LINK's socket of a NUCLEO does not do): hold BOOT0 high, press reset, and run \
+                   this again"
+                .to_owned(),
+        }),
+    }
+}
+
+/// Opens a bootloader as soon as there is one that was not there before; `None` when the time is over.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn wait_for_other_than(
+    before: &[String],
+    patience: Duration,
+) -> Result<Option<Dfu<Usb>>, ProgramError> {
+    let fresh = |one: &Found| !before.contains(&one.serial);
+    Ok(wait(&fresh, patience)?.map(Usb::into_programmer))
+}
+
+fn wait(wanted: &dyn Fn(&Found) -> bool, patience: Duration) -> Result<Option<Usb>, ProgramError> {
+    let deadline = Instant::now() + patience;
+    loop {
+        let late = Instant::now() >= deadline;
+        let first = found()?.into_iter().find(wanted);
+        match first.map(|one| one.open()).transpose() {
+            Ok(Some(usb)) => return Ok(Some(usb)),
+            Ok(None) if late => return Ok(None),
+            // Just plugged in: udev may not have given it away yet, or it is still going.
+            Err(error) if late => return Err(error),
+            Ok(None) | Err(_) => thread::sleep(GLANCE),
+        }
+    }
+}
+
+impl Found {
+    fn open(&self) -> Result<Usb, ProgramError> {
+        let refused = |kind: ErrorKind, why: &dyn std::fmt::Display| ProgramError::Open {
+            what: format!("the USB bootloader {}", printable(&self.serial)),
+            why: format!("{why}{}", remedy(kind)),
+        };
+        let opened = self.info.open().wait();
+        let claimed = opened.and_then(|device| {
+            let interface = device.claim_interface(INTERFACE).wait()?;
+            Ok((device, interface))
+        });
+        let (device, interface) = claimed.map_err(|error| refused(error.kind(), &error))?;
+        let layouts = layouts(&device, &interface);
+        let dfu = dfu(device, interface.clone()).map_err(|error| match Usb::refusal(error) {
+            Refusal::Gone(why) => ProgramError::Lost {
+                doing: Doing::Attaching,
+                why,
+            },
+            Refusal::Stalled => refused(ErrorKind::Other, &"it refuses a request"),
+            Refusal::Failed(why) => refused(ErrorKind::Other, &why),
+        })?;
+        Ok(Usb {
+            dfu,
+            interface,
+            layouts,
+            serial: self.serial.clone(),
+        })
+    }
+}
+
+/// What to do against this.
+fn remedy(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::PermissionDenied if cfg!(target_os = "linux") => {
+            " (the udev rule of docs/99-ihd.rules gives it to you: `ihd doctor --fix`, then plug it in again)"
+        }
+        ErrorKind::Unsupported | ErrorKind::NotFound if cfg!(windows) => {
+            " (Windows needs the driver WinUSB for \"DFU in FS Mode\": Zadig binds it, and STM32CubeProgrammer brings one)"
+        }
+        ErrorKind::Busy => " (another program has it)",
+        _ => "",
+    }
+}
+
+/// The alternate settings' strings; empty where there is none.
+fn layouts(device: &nusb::Device, interface: &nusb::Interface) -> Vec<String> {
+    let languages = device.get_string_descriptor_supported_languages(TIMEOUT);
+    let language = languages.wait().ok().and_then(|mut all| all.next());
+    let language = language.unwrap_or(ENGLISH);
+    let mut settings: Vec<_> = interface.descriptors().collect();
+    settings.sort_by_key(|setting| setting.alternate_setting());
+    let text = |index| {
+        let text = device.get_string_descriptor(index, language, TIMEOUT);
+        text.wait().unwrap_or_default()
+    };
+    let texts = settings.iter().map(|setting| setting.string_index());
+    texts
+        .map(|index| index.map(text).unwrap_or_default())
+        .collect()
+}
+
+/// dfu-nusb opens in the background of an async runtime only. On a thread of its own, since this may be called from
+/// within another one.
+fn dfu(device: nusb::Device, interface: nusb::Interface) -> Result<DfuNusb, Error> {
+    let open = || {
+        let runtime = tokio::runtime::Builder::new_current_thread().build()?;
+        runtime.block_on(DfuNusb::open(device, interface, 0))
+    };
+    let opened = thread::spawn(open).join();
+    opened.unwrap_or_else(|_| Err(std::io::Error::other("dfu-nusb panicked").into()))
+}
+
+impl Usb {
+    fn into_programmer(self) -> Dfu<Self> {
+        let serial = self.serial.clone();
+        let again = move |patience| {
+            // The system lists for a moment what has gone already.
+            thread::sleep(GOING);
+            wait(&|one| one.serial == serial, patience)
+        };
+        Dfu::new(self, Box::new(again))
+    }
+}
+
+impl DfuIo for Usb {
+    type Read = usize;
+    type Write = usize;
+    type Reset = ();
+    type Error = Error;
+    type MemoryLayout = MemoryLayout;
+
+    fn read_control(
+        &self,
+        request_type: u8,
+        request: u8,
+        value: u16,
+        buffer: &mut [u8],
+    ) -> Result<usize, Error> {
+        DfuIo::read_control(&self.dfu, request_type, request, value, buffer)
+    }
+
+    fn write_control(
+        &self,
+        request_type: u8,
+        request: u8,
+        value: u16,
+        buffer: &[u8],
+    ) -> Result<usize, Error> {
+        DfuIo::write_control(&self.dfu, request_type, request, value, buffer)
+    }
+
+    fn usb_reset(self) -> Result<(), Error> {
+        drop(self.interface);
+        DfuIo::usb_reset(self.dfu)
+    }
+
+    fn protocol(&self) -> &DfuProtocol<MemoryLayout> {
+        DfuIo::protocol(&self.dfu)
+    }
+
+    fn functional_descriptor(&self) -> &FunctionalDescriptor {
+        DfuIo::functional_descriptor(&self.dfu)
+    }
+}
+
+impl Rom for Usb {
+    fn select(&self, alternate: u8) -> Result<(), Error> {
+        Ok(self.interface.set_alt_setting(alternate).wait()?)
+    }
+
+    fn layouts(&self) -> &[String] {
+        &self.layouts
+    }
+
+    fn serial(&self) -> &str {
+        &self.serial
+    }
+
+    fn refusal(error: Error) -> Refusal {
+        let why = error.to_string();
+        match error {
+            Error::Transfer(TransferError::Stall) => Refusal::Stalled,
+            Error::Transfer(TransferError::Disconnected) => Refusal::Gone(why),
+            Error::Nusb(error) if error.kind() == ErrorKind::Disconnected => Refusal::Gone(why),
+            Error::DeviceNotFound => Refusal::Gone(why),
+            Error::Transfer(TransferError::Cancelled) => {
+                Refusal::Failed("no answer within 3 s".to_owned())
+            }
+            _ => Refusal::Failed(why),
+        }
+    }
+
+    fn wait(&self, time: Duration) {
+        thread::sleep(time);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(
+        found: &[&'static str],
+        wanted: Option<&str>,
+    ) -> Result<Option<&'static str>, String> {
+        choose(found.to_vec(), wanted, |serial| serial).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_only_one_needs_no_serial_number() {
+        assert_eq!(chosen(&[], None), Ok(None));
+        assert_eq!(chosen(&[], Some("A1")), Ok(None));
+        assert_eq!(chosen(&["A1"], None), Ok(Some("A1")));
+        assert_eq!(chosen(&["A1", "B2"], Some("b2")), Ok(Some("B2")));
+    }
+
+    #[test]
+    fn where_it_is_not_clear_which_all_are_listed() {
+        let many = chosen(&["A1", "B2"], None).unwrap_err();
+        assert!(many.contains("A1, B2") && many.contains(OPTION), "{many}");
+        let other = chosen(&["A\u{1b}1"], Some("C3")).unwrap_err();
+        assert!(other.contains("C3"), "{other}");
+        assert!(!other.contains('\u{1b}'), "{other}");
+    }
+}

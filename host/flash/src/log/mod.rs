@@ -1,0 +1,36 @@
+//! What a board logs: frames of numbers and values (defmt), over a debug probe or the link, and the texts for them, which
+//! stay in the image's file.
+//!
+//! ```text
+//! bytes ─► frames ─► rzcobs ─► walk (are the lengths true?) ─► table ─► Message
+//! ```
+//!
+//! [`follow`](follow::follow) does all of it for as long as somebody listens.
+
+#[cfg(feature = "log")]
+pub mod decoder;
+#[cfg(feature = "log")]
+pub mod find;
+#[cfg(feature = "log")]
+pub mod follow;
+#[cfg(feature = "log")]
+pub mod frames;
+pub mod kept;
+#[cfg(feature = "log")]
+pub mod message;
+#[cfg(feature = "log")]
+pub mod over_link;
+#[cfg(all(feature = "log", feature = "probe"))]
+pub mod over_probe;
+pub mod running;
+#[cfg(feature = "log")]
+mod rzcobs;
+#[cfg(feature = "log")]
+pub mod sample;
+#[cfg(feature = "log")]
+pub mod table;
+#[cfg(feature = "log")]
+mod walk;
+
+#[cfg(all(test, feature = "log"))]
+mod tests;

@@ -1,0 +1,142 @@
+//! defmt's frames on the wire: reverse zero-compressing COBS, and zeros between them.
+
+/// What is not the encoding of anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct NotRzcobs;
+
+/// Decodes one frame, without the zero at its end. What was encoded may be followed by up to six zeros: the encoding does
+/// not keep its length.
+///
+/// A byte stands for at most seven, so the result has at most seven times the frame's bytes.
+pub(crate) fn decode(frame: &[u8]) -> Result<Vec<u8>, NotRzcobs> {
+    let mut decoded = Vec::with_capacity(frame.len());
+    // The codes stand behind the bytes that they describe.
+    let mut rest = frame.iter().rev().copied();
+    while let Some(code) = rest.next() {
+        match code {
+            0 => return Err(NotRzcobs),
+            // A bit for each of seven bytes, 1 where it was zero.
+            0x01..=0x7f => {
+                for bit in (0..7).rev() {
+                    let is_zero = code & (1 << bit) != 0;
+                    decoded.push(if is_zero {
+                        0
+                    } else {
+                        rest.next().ok_or(NotRzcobs)?
+                    });
+                }
+            }
+            // A zero behind 7 to 133 bytes.
+            0x80..=0xfe => {
+                decoded.push(0);
+                for _ in 0..code - 0x80 + 7 {
+                    decoded.push(rest.next().ok_or(NotRzcobs)?);
+                }
+            }
+            // 134 bytes without a zero.
+            0xff => {
+                for _ in 0..134 {
+                    decoded.push(rest.next().ok_or(NotRzcobs)?);
+                }
+            }
+        }
+    }
+    decoded.reverse();
+    Ok(decoded)
+}
+
+/// Encodes what a device logs, without the zero at the end.
+pub(crate) fn encode(bytes: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let (mut run, mut zeros) = (0u8, 0u8);
+    for &byte in bytes {
+        if run < 7 {
+            if byte == 0 {
+                zeros |= 1 << run;
+            } else {
+                out.push(byte);
+            }
+            run += 1;
+            if run == 7 && zeros != 0 {
+                out.push(zeros);
+                (run, zeros) = (0, 0);
+            }
+        } else if byte == 0 {
+            out.push(0x80 + (run - 7));
+            (run, zeros) = (0, 0);
+        } else {
+            out.push(byte);
+            run += 1;
+            if run == 134 {
+                out.push(0xff);
+                (run, zeros) = (0, 0);
+            }
+        }
+    }
+    // As defmt's logger ends a frame: what is missing of seven were zeros.
+    match run {
+        0 => {}
+        1..=6 => out.push((zeros | (0xff << run)) & 0x7f),
+        _ => out.push(0x80 + (run - 7)),
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Pairs of defmt's own tests of its encoder.
+    #[test]
+    fn what_defmt_encodes_is_decoded() {
+        let run: Vec<u8> = (1..=134).collect();
+        let pairs: [(&[u8], &[u8]); 7] = [
+            (&[], &[]),
+            (&[0], &[0x7f]),
+            (&[1, 2], &[1, 2, 0x7c]),
+            (&[1, 2, 3, 4, 5, 6, 0], &[1, 2, 3, 4, 5, 6, 0x40]),
+            (&[1, 2, 3, 4, 5, 6, 7, 0], &[1, 2, 3, 4, 5, 6, 7, 0x80]),
+            (
+                &[0, 0, 0, 0, 0, 0x44, 0, 0, 0, 0, 0, 0, 0, 0xff],
+                &[0x44, 0x5f, 0xff, 0x3f],
+            ),
+            (&run, &[&run[..], &[0xff]].concat()),
+        ];
+        for (plain, encoded) in pairs {
+            let decoded = decode(encoded).unwrap();
+            assert_eq!(decoded[..plain.len()], *plain);
+            assert!(decoded[plain.len()..].iter().all(|&byte| byte == 0));
+            assert_eq!(encode(plain), encoded);
+        }
+    }
+
+    #[test]
+    fn what_is_cut_off_is_refused() {
+        for frame in [&[1, 0x80][..], &[0x01], &[0xff], &[1, 2, 3, 0xfe]] {
+            assert_eq!(decode(frame), Err(NotRzcobs), "{frame:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_encoded_comes_back(
+            bytes in prop::collection::vec(prop_oneof![Just(0u8), any::<u8>()], 0..600)
+        ) {
+            let encoded = encode(&bytes);
+            prop_assert!(!encoded.contains(&0));
+            let decoded = decode(&encoded).unwrap();
+            prop_assert_eq!(&decoded[..bytes.len()], &bytes[..]);
+            prop_assert!(decoded[bytes.len()..].iter().all(|&byte| byte == 0));
+            prop_assert!(decoded.len() - bytes.len() < 7);
+        }
+
+        #[test]
+        fn any_bytes_end_in_bounded_memory(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            if let Ok(decoded) = decode(&bytes) {
+                prop_assert!(decoded.len() <= 7 * bytes.len());
+            }
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! An ELF file with nothing in it but log messages, for tests and for the fuzzer.
+
+use super::rzcobs;
+
+/// Messages and their parts: tag and format string, as defmt writes them.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    strings: Vec<(&'static str, &'static str)>,
+    encoding: &'static str,
+}
+
+impl Sample {
+    /// A file with these strings, numbered from 1.
+    pub fn new(strings: &[(&'static str, &'static str)]) -> Self {
+        Self {
+            strings: strings.to_vec(),
+            encoding: "rzcobs",
+        }
+    }
+
+    /// One of each kind of value that there is, numbered from 1: what a fuzzer needs.
+    pub fn of_everything() -> Self {
+        Self::new(&[
+            ("defmt_info", "watchdog runs: {=u32} µs"),
+            ("defmt_error", "self-test: fault {=u16:#06x}"),
+            ("defmt_warn", "{=str} and {=istr}, {=[u8]:a}, {=[u8;3]:x}"),
+            (
+                "defmt_debug",
+                "{=bool} {=char} {=f32} {=i8} {=i64:x} {=u128}",
+            ),
+            (
+                "defmt_trace",
+                "{0=0..4} {0=4..12:b} {1=?} {2=[?]} {3=[?;2]:a}",
+            ),
+            ("defmt_println", "{=__internal_Debug} {=__internal_Display}"),
+            (
+                "defmt_info",
+                "{=u64:us} {=u64:tms} {=u64:ms} {=usize:05} {=isize} {=f64}",
+            ),
+            (
+                "defmt_derived",
+                "Idle|Heating {{ power_w: {=u16} }}|Of({=?})",
+            ),
+            ("defmt_derived", "Pair {{ v: {=i16}, i: {=i16} }}"),
+            ("defmt_derived", "{=[?]}"),
+            ("defmt_derived", "{=__internal_FormatSequence}"),
+            ("defmt_prim", "{=u8}"),
+            ("defmt_str", "interned"),
+            ("defmt_derived", "nothing"),
+            ("defmt_info", "cbor {=[u8]:cbor}, {=u8:?} {=str:?}"),
+        ])
+    }
+
+    /// Encoded in another way than ours.
+    pub fn encoded_as(mut self, encoding: &'static str) -> Self {
+        self.encoding = encoding;
+        self
+    }
+
+    /// The frame of a message by its number, with its values, as it leaves a board.
+    pub fn frame(number: u16, values: &[u8]) -> Vec<u8> {
+        let bytes = [&number.to_le_bytes(), values].concat();
+        [rzcobs::encode(&bytes), vec![0]].concat()
+    }
+
+    /// The file.
+    pub fn elf(&self) -> Vec<u8> {
+        const HEADER: usize = 52;
+        const ABSOLUTE: u16 = 0xfff1;
+        let mut names = vec![0];
+        let mut symbols = vec![0; 16];
+        let mut symbol = |name: String, value: usize, section: u16| {
+            let mut entry = (names.len() as u32).to_le_bytes().to_vec();
+            entry.extend((value as u32).to_le_bytes());
+            entry.extend(1u32.to_le_bytes());
+            // Global data.
+            entry.extend([0x11, 0]);
+            entry.extend(section.to_le_bytes());
+            symbols.extend(entry);
+            names.extend(name.bytes().chain([0]));
+        };
+        symbol("_defmt_version_ = 4".into(), 0, ABSOLUTE);
+        symbol(format!("_defmt_encoding_ = {}", self.encoding), 0, ABSOLUTE);
+        for (k, (tag, data)) in self.strings.iter().enumerate() {
+            let name = serde_json::json!({
+                "package": "ihd-firmware", "tag": tag, "data": data, "disambiguator": k.to_string(),
+                "crate_name": "ihd_firmware",
+            });
+            symbol(name.to_string(), k + 1, 1);
+        }
+        let defmt = vec![0; self.strings.len() + 1];
+        let section_names = b"\0.defmt\0.symtab\0.strtab\0.shstrtab\0".to_vec();
+        let contents = [&defmt, &symbols, &names, &section_names];
+        let mut body = Vec::new();
+        let mut headers = vec![0; 40];
+        // Name, type, link, info, alignment, entry size.
+        let kinds: [[u32; 6]; 4] = [
+            [1, 1, 0, 0, 1, 0],
+            [8, 2, 3, 1, 1, 16],
+            [16, 3, 0, 0, 1, 0],
+            [24, 3, 0, 0, 1, 0],
+        ];
+        for (content, [name, kind, link, info, alignment, entry]) in contents.iter().zip(kinds) {
+            let at = (HEADER + body.len()) as u32;
+            let size = content.len() as u32;
+            let words = [name, kind, 0, 0, at, size, link, info, alignment, entry];
+            headers.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+            body.extend_from_slice(content);
+            body.resize(body.len().next_multiple_of(4), 0);
+        }
+        let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
+        // An executable for Arm.
+        for half in [2u16, 40] {
+            elf.extend(half.to_le_bytes());
+        }
+        for word in [1, 0, 0, (HEADER + body.len()) as u32, 0x0500_0000] {
+            elf.extend(word.to_le_bytes());
+        }
+        for half in [HEADER as u16, 0, 0, 40, 5, 4] {
+            elf.extend(half.to_le_bytes());
+        }
+        elf.extend(body);
+        elf.extend(headers);
+        elf
+    }
+}

@@ -1,0 +1,3 @@
+//! Flashing, against models of what is flashed through.
+
+mod dfu;
