@@ -71,6 +71,15 @@ enum Chore {
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
     #[command(after_help = "Example:\n  cargo xtask firmware")]
     Firmware,
+    /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
+    ///
+    /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
+    #[command(after_help = "Example:\n  \
+        cd firmware && cargo run --target thumbv7em-none-eabihf --profile firmware --features stm32g474")]
+    Run {
+        /// The image, as cargo has linked it
+        image: PathBuf,
+    },
     /// Pack a release's archive: the program, manual pages, completions, udev rule, service, licences.
     ///
     /// The program runs here, as it writes its own pages and completions.
@@ -86,15 +95,6 @@ enum Chore {
         /// The folder it goes to
         #[arg(long, value_name = "DIR", default_value = "target/archives")]
         out: PathBuf,
-    },
-    /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
-    ///
-    /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
-    #[command(after_help = "Example:\n  \
-        cd firmware && cargo run --target thumbv7em-none-eabihf --profile firmware --features stm32g474")]
-    Run {
-        /// The image, as cargo has linked it
-        image: PathBuf,
     },
     /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
     ///
@@ -200,10 +200,10 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         } => steps::run_all(&session, &steps::select(&only, &skip)?, fail_fast),
         Chore::Setup => session.set_up(),
         Chore::Firmware => session.images(),
+        Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Archive { program, name, out } => {
             archive::pack(&session.workspace, &program, &name, &out)
         }
-        Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::Board => session.board(),

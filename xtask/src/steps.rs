@@ -11,11 +11,10 @@ use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
 use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, scenarios};
 
-const CLIPPY: &str =
-    "clippy --workspace --all-targets -F ihd-tests/emulator,ihd/probe -- -D warnings";
+const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator,ihd/probe,ihd-debug-port/probe -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features and debug probes, as in the other steps: what they built
 /// serves here too.
-const EMULATED_BOARD: &str = "test --workspace --features ihd-tests/emulator,ihd/probe --test it emulated_board --no-fail-fast";
+const EMULATED_BOARD: &str = "test --workspace --features ihd-tests/emulator,ihd/probe,ihd-debug-port/probe --test it emulated_board --no-fail-fast";
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// One check of the project.
@@ -71,18 +70,18 @@ impl Session {
             Step::Licences => licences::check(&self.workspace),
             Step::Clippy => self.cargo(CLIPPY),
             Step::Tests if setup::has_nextest(&self.workspace) => {
-                self.cargo("nextest run --workspace -F ihd/probe --no-fail-fast")
+                self.cargo("nextest run --workspace -F ihd/probe,ihd-debug-port/probe --no-fail-fast")
             }
             Step::Tests => {
-                self.cargo("test --workspace -F ihd/probe --lib --bins --tests --no-fail-fast")
+                self.cargo("test --workspace -F ihd/probe,ihd-debug-port/probe --lib --bins --tests --no-fail-fast")
             }
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
             Step::Daemon => daemon::test(&self.workspace, None, false),
-            Step::Doctests => self.cargo("test --workspace -F ihd/probe --doc --no-fail-fast"),
+            Step::Doctests => self.cargo("test --workspace -F ihd/probe,ihd-debug-port/probe --doc --no-fail-fast"),
             Step::Rustdoc => {
                 let mut doc =
                     self.workspace
-                        .cargo(["doc", "--workspace", "-F", "ihd/probe", "--no-deps"]);
+                        .cargo(["doc", "--workspace", "-F", "ihd/probe,ihd-debug-port/probe", "--no-deps"]);
                 run(doc.env("RUSTDOCFLAGS", "-D warnings"))
             }
             Step::Firmware => self.firmware(),

@@ -59,7 +59,7 @@ impl SampleImage {
     /// The ELF file: two segments.
     pub fn elf(&self) -> Vec<u8> {
         let flat = self.flat();
-        let (first, second) = flat.split_at(flat.len() / 2 & !3);
+        let (first, second) = flat.split_at(flat.len() / 8 * 4);
         let next = self.place + first.len() as u32 + self.gap;
         let headers = 52 + 2 * 32;
         let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();

@@ -369,7 +369,7 @@ fn check_vectors(
     let stack = word(flat, FLASH_ADDRESS).unwrap_or_default();
     let entry = word(flat, FLASH_ADDRESS + 4).unwrap_or_default();
     let code = FLASH_ADDRESS..header.crc_address;
-    if RAM.contains(&stack) && stack % 4 == 0 && entry & 1 == 1 && code.contains(&entry) {
+    if RAM.contains(&stack) && stack.is_multiple_of(4) && entry & 1 == 1 && code.contains(&entry) {
         Ok(())
     } else {
         Err(ImageError::Vectors {

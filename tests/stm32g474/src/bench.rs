@@ -10,6 +10,7 @@ use std::time::Duration;
 use ihd_link::{LinkError, Transport};
 use ihd_sim::plant::Plant;
 
+use crate::image::Image;
 use crate::machine::{Machine, MachineError};
 use crate::time::{TICKS_PER_S, Ticks, seconds, us};
 
@@ -33,10 +34,20 @@ impl Bench {
         image: &Path,
         plant: impl FnOnce() -> Plant + Send + 'static,
     ) -> Result<Self, MachineError> {
+        Self::power_up_with(Image::read(image)?, plant)
+    }
+
+    /// Powers a board up with any content of the flash.
+    ///
+    /// # Errors
+    /// Of the emulator.
+    pub fn power_up_with(
+        image: Image,
+        plant: impl FnOnce() -> Plant + Send + 'static,
+    ) -> Result<Self, MachineError> {
         let (jobs, inbox) = mpsc::channel::<Job>();
         let (started, result) = mpsc::channel();
-        let image = image.to_owned();
-        thread::spawn(move || match Machine::new(&image, plant()) {
+        thread::spawn(move || match Machine::with(image, plant()) {
             Ok(machine) => {
                 let _ = started.send(Ok(()));
                 serve(machine, &inbox);

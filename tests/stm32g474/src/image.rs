@@ -100,6 +100,15 @@ impl Image {
         })
     }
 
+    /// The same chip before anything was flashed.
+    pub fn erased(&self) -> Self {
+        Self {
+            flash: vec![0xFF; PROGRAM_BYTES],
+            uses_ccm: self.uses_ccm,
+            symbols: HashMap::new(),
+        }
+    }
+
     /// Address of a symbol by its name in the linker's table.
     pub fn symbol(&self, name: &str) -> Option<u32> {
         self.symbols.get(name).copied()

@@ -5,6 +5,7 @@ pub use unicorn_engine::RegisterARM;
 pub mod bench;
 pub mod chip;
 pub mod cpu;
+pub mod debugged;
 pub mod image;
 pub mod machine;
 pub mod pins;

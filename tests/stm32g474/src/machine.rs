@@ -1,5 +1,6 @@
 //! The emulated board: processor, chip, power stage. Time passes while [`Machine::run_until`] runs.
 
+mod debug;
 mod probe;
 
 use std::path::Path;
@@ -16,6 +17,8 @@ use crate::registers::syscfg;
 use crate::time::Ticks;
 use crate::usb::Cable;
 use crate::violation::Violation;
+
+pub use debug::Stands;
 
 /// WFE.
 const WFE: u16 = 0xBF20;
@@ -44,6 +47,7 @@ pub struct Machine {
     /// The other end of the USB cable.
     pub cable: Cable,
     locked_up: bool,
+    debugger: debug::Debugger,
     /// Bites of the watchdog before the timers ran: start-up tries it once after power-on, and a start that finds the RAM
     /// broken ends in one.
     pub bites_at_start: Vec<Ticks>,
@@ -57,7 +61,14 @@ impl Machine {
     /// # Errors
     /// The image cannot be read.
     pub fn new(image: &Path, plant: Plant) -> Result<Self, MachineError> {
-        let image = Image::read(image)?;
+        Self::with(Image::read(image)?, plant)
+    }
+
+    /// A board with any content of the flash.
+    ///
+    /// # Errors
+    /// Of the emulator.
+    pub fn with(image: Image, plant: Plant) -> Result<Self, MachineError> {
         let (cable, host) = Cable::new();
         let cpu = processor(&image, plant, host)?;
         let mut machine = Self {
@@ -65,6 +76,7 @@ impl Machine {
             image,
             cable,
             locked_up: false,
+            debugger: debug::Debugger::default(),
             bites_at_start: Vec::new(),
             resets: Vec::new(),
         };
@@ -196,6 +208,10 @@ impl Machine {
         if self.chip().flash.power_gone {
             return self.power_cycle();
         }
+        if self.debugger.stands() {
+            self.stand(until);
+            return Ok(());
+        }
         let pc = self.pc();
         if !self.locked_up
             && let Some(exception) = exceptions::next(&mut self.cpu)
@@ -259,6 +275,9 @@ impl Machine {
             self.cpu.set_pc(u64::from((at + 2) | 1))?;
             let state = self.cpu.get_data_mut();
             state.sleeping = !std::mem::take(&mut state.event);
+            return Ok(());
+        }
+        if self.meets_breakpoint(pc) {
             return Ok(());
         }
         let faulted = exceptions::fault(&mut self.cpu, pc);

@@ -4,7 +4,7 @@ use ihd_sim::plant::Plant;
 use unicorn_engine::{Arch, Mode, Prot, Unicorn, uc_error};
 
 use crate::chip::Chip;
-use crate::chip::flash::{PAGES, PAGES_BYTES, Pages};
+use crate::chip::flash::{PAGE_BYTES, PAGES, PAGES_BYTES, Pages};
 use crate::cpu::{State, Timing, exceptions};
 use crate::image::{FLASH, Image, PROGRAM_BYTES};
 use crate::pins::Pins;
@@ -33,6 +33,12 @@ pub const REFERENCE_CALIBRATION: u16 = 1_655;
 
 /// Writes to memory what the DMA has moved.
 pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
+    while let Some(page) = cpu.get_data_mut().chip.flash.erased.pop() {
+        cpu.mem_write(u64::from(page), &[0xFF; PAGE_BYTES as usize])?;
+    }
+    while let Some((address, was)) = cpu.get_data_mut().chip.flash.refused.pop() {
+        cpu.mem_write(u64::from(address), &was.to_le_bytes())?;
+    }
     if cpu.get_data().chip.transfers.is_empty() {
         return Ok(());
     }

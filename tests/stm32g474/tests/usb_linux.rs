@@ -9,6 +9,8 @@ mod desk;
 mod guest;
 #[path = "usb_linux/initramfs.rs"]
 mod initramfs;
+#[path = "usb_linux/rom.rs"]
+mod rom;
 
 use std::path::PathBuf;
 use std::time::Duration;

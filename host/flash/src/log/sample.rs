@@ -63,20 +63,63 @@ impl Sample {
         [rzcobs::encode(&bytes), vec![0]].concat()
     }
 
-    /// The file.
+    /// The file, with nothing else in it.
     pub fn elf(&self) -> Vec<u8> {
-        const HEADER: usize = 52;
+        let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
+        // An executable for Arm.
+        for half in [2u16, 40] {
+            elf.extend(half.to_le_bytes());
+        }
+        for word in [1u32, 0, 0, 0, 0x0500_0000] {
+            elf.extend(word.to_le_bytes());
+        }
+        for half in [52u16, 32, 0, 0, 0, 0] {
+            elf.extend(half.to_le_bytes());
+        }
+        self.within(elf)
+    }
+
+    /// Another ELF file without sections, with these messages in it.
+    pub fn within(&self, mut elf: Vec<u8>) -> Vec<u8> {
+        let mut headers = vec![0; 40];
+        // Name, type, link, info, alignment, entry size.
+        let kinds: [[u32; 6]; 4] = [
+            [1, 1, 0, 0, 1, 0],
+            [8, 2, 3, 1, 4, 16],
+            [16, 3, 0, 0, 1, 0],
+            [24, 3, 0, 0, 1, 0],
+        ];
+        for (content, [name, kind, link, info, alignment, entry]) in
+            self.sections().iter().zip(kinds)
+        {
+            elf.resize(elf.len().next_multiple_of(4), 0);
+            let (at, size) = (elf.len() as u32, content.len() as u32);
+            let words = [name, kind, 0, 0, at, size, link, info, alignment, entry];
+            headers.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+            elf.extend_from_slice(content);
+        }
+        elf.resize(elf.len().next_multiple_of(4), 0);
+        let place = elf.len() as u32;
+        // Where the section headers lie; their size, number, and which holds the names.
+        elf.splice(32..36, place.to_le_bytes());
+        let halves = [40u16, 5, 4].map(u16::to_le_bytes);
+        elf.splice(46..52, halves.concat());
+        elf.extend(headers);
+        elf
+    }
+
+    /// Messages, symbols, their names, the sections' names.
+    fn sections(&self) -> [Vec<u8>; 4] {
         const ABSOLUTE: u16 = 0xfff1;
         let mut names = vec![0];
         let mut symbols = vec![0; 16];
         let mut symbol = |name: String, value: usize, section: u16| {
-            let mut entry = (names.len() as u32).to_le_bytes().to_vec();
-            entry.extend((value as u32).to_le_bytes());
-            entry.extend(1u32.to_le_bytes());
+            symbols.extend((names.len() as u32).to_le_bytes());
+            symbols.extend((value as u32).to_le_bytes());
+            symbols.extend(1u32.to_le_bytes());
             // Global data.
-            entry.extend([0x11, 0]);
-            entry.extend(section.to_le_bytes());
-            symbols.extend(entry);
+            symbols.extend([0x11, 0]);
+            symbols.extend(section.to_le_bytes());
             names.extend(name.bytes().chain([0]));
         };
         symbol("_defmt_version_ = 4".into(), 0, ABSOLUTE);
@@ -88,39 +131,8 @@ impl Sample {
             });
             symbol(name.to_string(), k + 1, 1);
         }
-        let defmt = vec![0; self.strings.len() + 1];
+        let messages = vec![0; self.strings.len() + 1];
         let section_names = b"\0.defmt\0.symtab\0.strtab\0.shstrtab\0".to_vec();
-        let contents = [&defmt, &symbols, &names, &section_names];
-        let mut body = Vec::new();
-        let mut headers = vec![0; 40];
-        // Name, type, link, info, alignment, entry size.
-        let kinds: [[u32; 6]; 4] = [
-            [1, 1, 0, 0, 1, 0],
-            [8, 2, 3, 1, 1, 16],
-            [16, 3, 0, 0, 1, 0],
-            [24, 3, 0, 0, 1, 0],
-        ];
-        for (content, [name, kind, link, info, alignment, entry]) in contents.iter().zip(kinds) {
-            let at = (HEADER + body.len()) as u32;
-            let size = content.len() as u32;
-            let words = [name, kind, 0, 0, at, size, link, info, alignment, entry];
-            headers.extend(words.iter().flat_map(|word| word.to_le_bytes()));
-            body.extend_from_slice(content);
-            body.resize(body.len().next_multiple_of(4), 0);
-        }
-        let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
-        // An executable for Arm.
-        for half in [2u16, 40] {
-            elf.extend(half.to_le_bytes());
-        }
-        for word in [1, 0, 0, (HEADER + body.len()) as u32, 0x0500_0000] {
-            elf.extend(word.to_le_bytes());
-        }
-        for half in [HEADER as u16, 0, 0, 40, 5, 4] {
-            elf.extend(half.to_le_bytes());
-        }
-        elf.extend(body);
-        elf.extend(headers);
-        elf
+        [messages, symbols, names, section_names]
     }
 }

@@ -1,5 +1,8 @@
 //! The decoder on frames as a board encodes them.
 
+use ihd_signal::printable::is_shown;
+use proptest::prelude::*;
+
 use super::decoder::{Decoder, Found};
 use super::message::{Level, Message};
 use super::sample::Sample;
@@ -140,4 +143,19 @@ fn what_cannot_be_decoded_is_refused_with_its_reason() {
     let elf = Sample::of_everything().elf();
     assert!(matches!(refused(&elf[..200]), TableError::Damaged { .. }));
     assert!(matches!(refused(b"no file"), TableError::Damaged { .. }));
+}
+
+proptest! {
+    /// As the fuzz target `log_frames`, in short.
+    #[test]
+    fn any_values_of_any_message_end_in_a_text_fit_for_a_terminal(
+        number in 0u16..18,
+        values in prop::collection::vec(prop_oneof![Just(0u8), 0u8..16, any::<u8>()], 0..80)
+    ) {
+        let all = found(&mut decoder(), &Sample::frame(number, &values));
+        prop_assert_eq!(all.len(), 1);
+        if let Found::Message(message) = &all[0] {
+            prop_assert!(message.text.chars().all(is_shown));
+        }
+    }
 }

@@ -3,6 +3,7 @@
 use ihd_shared::image::{DEVICE_ID, FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 use probe_rs::{Core, MemoryInterface, Session};
 
+use super::quiet::Quiet;
 use super::registers as reg;
 use super::{FoundProbe, Probes, errors, flashing, option_registers};
 use crate::image::Image;
@@ -12,21 +13,31 @@ use crate::programmer::{Chip, Doing, Erase, ProgramError, Programmer, Progress};
 /// KiB of flash that the firmware needs: the lookup's pages lie at the end of them.
 const FLASH_KIB: u16 = 512;
 
+/// How the probe is connected now.
+#[derive(Debug)]
+enum Connection {
+    /// Not at all: a reset may have cut it. The next access connects.
+    None,
+    /// The debug port alone; the program runs on.
+    Quiet(Quiet),
+    /// A session of probe-rs, which halts the core at both its ends.
+    Session(Box<Session>),
+}
+
 /// See [`Probes::attach`].
 #[derive(Debug)]
 pub struct ProbeProgrammer {
     probes: Probes,
     found: FoundProbe,
-    /// None between a reset that cuts the connection and the next access.
-    session: Option<Session>,
+    connection: Connection,
 }
 
 impl ProbeProgrammer {
-    pub(super) fn new(probes: Probes, found: FoundProbe, session: Session) -> Self {
+    pub(super) fn new(probes: Probes, found: FoundProbe, quiet: Quiet) -> Self {
         Self {
             probes,
             found,
-            session: Some(session),
+            connection: Connection::Quiet(quiet),
         }
     }
 
@@ -35,19 +46,26 @@ impl ProbeProgrammer {
         &self.found
     }
 
+    /// For what changes the chip: the core is halted.
     pub(super) fn session(&mut self) -> Result<&mut Session, ProgramError> {
-        match &mut self.session {
-            Some(session) => Ok(session),
-            none => Ok(none.insert(self.probes.reopen(&self.found)?)),
+        if !matches!(self.connection, Connection::Session(_)) {
+            // A probe is opened once at a time.
+            self.detach();
+            let session = self.probes.session(&self.found)?;
+            self.connection = Connection::Session(Box::new(session));
+        }
+        match &mut self.connection {
+            Connection::Session(session) => Ok(session),
+            _ => unreachable!("it was just made"),
         }
     }
 
-    /// Lets the probe go; the next access attaches anew.
+    /// Lets the probe go; the next access connects anew.
     pub(super) fn detach(&mut self) {
-        self.session = None;
+        self.connection = Connection::None;
     }
 
-    /// Does something with the core.
+    /// Does something with the core, in a session.
     pub(super) fn core<T>(
         &mut self,
         doing: Doing,
@@ -58,8 +76,35 @@ impl ProbeProgrammer {
         done.map_err(|why| errors::access(doing, &why))
     }
 
+    fn read_while(
+        &mut self,
+        doing: Doing,
+        address: u32,
+        out: &mut [u8],
+    ) -> Result<(), ProgramError> {
+        if matches!(self.connection, Connection::None) {
+            self.connection = Connection::Quiet(self.probes.quiet(&self.found)?);
+        }
+        match &mut self.connection {
+            Connection::Quiet(quiet) => {
+                let read = quiet.read(address, out);
+                read.map_err(|why| errors::access(doing, &why))
+            }
+            _ => self.core(doing, |core| core.read(address.into(), out)),
+        }
+    }
+
     pub(super) fn word(&mut self, doing: Doing, address: u32) -> Result<u32, ProgramError> {
-        self.core(doing, |core| core.read_word_32(address.into()))
+        if matches!(self.connection, Connection::None) {
+            self.connection = Connection::Quiet(self.probes.quiet(&self.found)?);
+        }
+        match &mut self.connection {
+            Connection::Quiet(quiet) => {
+                let read = quiet.word(address);
+                read.map_err(|why| errors::access(doing, &why))
+            }
+            _ => self.core(doing, |core| core.read_word_32(address.into())),
+        }
     }
 
     /// Refuses a chip whose option bytes forbid what is wanted, before anything is erased.
@@ -124,7 +169,7 @@ impl Programmer for ProbeProgrammer {
     }
 
     fn read(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
-        self.core(Doing::Reading, |core| core.read(address.into(), out))
+        self.read_while(Doing::Reading, address, out)
     }
 
     fn option_bytes(&mut self) -> Result<OptionBytes, ProgramError> {
@@ -147,6 +192,9 @@ impl Programmer for ProbeProgrammer {
     }
 
     fn reset(&mut self) -> Result<(), ProgramError> {
-        self.core(Doing::Resetting, |core| core.reset())
+        self.core(Doing::Resetting, |core| core.reset())?;
+        // The session's end halts the core once more: now, while the program starts, and not when it may heat.
+        self.detach();
+        Ok(())
     }
 }

@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use ihd_shared::image::{FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 use probe_rs::MemoryInterface;
+use probe_rs::Session;
 use probe_rs::flashing::{
-    DownloadOptions, FlashError, FlashProgress, ProgressEvent, ProgressOperation,
+    self, DownloadOptions, FlashError, FlashProgress, ProgressEvent, ProgressOperation,
 };
 
 use super::attached::ProbeProgrammer;
@@ -46,28 +47,30 @@ impl<'a> Meter<'a> {
     }
 
     fn on(&mut self, event: &ProgressEvent) {
-        let (operation, bytes) = match event {
-            ProgressEvent::Started(operation) => (operation, Some(0)),
+        match event {
             ProgressEvent::Progress {
                 operation, size, ..
-            } => (operation, u32::try_from(*size).ok()),
-            // All of it, however the algorithm counts.
-            ProgressEvent::Finished(operation) => (operation, None),
-            _ => return,
-        };
-        let [erased, programmed] = &mut self.done;
-        let [to_erase, to_program] = self.totals;
+            } => self.advance(*operation, u32::try_from(*size).unwrap_or(u32::MAX)),
+            // An erasure of the whole chip is one step; programming has two parts.
+            ProgressEvent::Finished(operation @ ProgressOperation::Erase) => {
+                self.advance(*operation, u32::MAX);
+            }
+            ProgressEvent::Started(operation) => self.advance(*operation, 0),
+            _ => {}
+        }
+    }
+
+    /// The last page of the algorithm is filled up: it counts for what it holds.
+    fn advance(&mut self, operation: ProgressOperation, bytes: u32) {
+        let ([erased, programmed], [to_erase, to_program]) = (&mut self.done, self.totals);
         match operation {
             ProgressOperation::Erase => {
-                self.doing = Doing::Erasing;
-                let bytes = bytes.unwrap_or(to_erase);
                 *erased = erased.saturating_add(bytes).min(to_erase);
                 let (done, total) = (*erased, to_erase);
                 (self.report)(Progress::Erasing { done, total });
             }
             ProgressOperation::Program => {
                 self.doing = Doing::Programming;
-                let bytes = bytes.unwrap_or(to_program);
                 *programmed = programmed.saturating_add(bytes).min(to_program);
                 let (done, total) = (*programmed, to_program);
                 (self.report)(Progress::Programming { done, total });
@@ -75,30 +78,75 @@ impl<'a> Meter<'a> {
             ProgressOperation::Fill | ProgressOperation::Verify => {}
         }
     }
+
+    /// What is done now, and where, as far as it was told.
+    fn place(&self) -> (Doing, u32) {
+        let [erased, programmed] = self.done;
+        match self.doing {
+            Doing::Erasing => (Doing::Erasing, FLASH_ADDRESS + erased),
+            doing => (doing, FLASH_ADDRESS + programmed),
+        }
+    }
 }
 
-/// Erases and programs.
+/// Erases and programs, the first page last: what is interrupted has no vectors, and the core does not begin with half a
+/// program.
 pub fn flash(
     chip: &mut ProbeProgrammer,
     image: &Image,
     erase: Erase,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), ProgramError> {
+    let flat = image.flat();
+    let (first, rest) = flat.split_at(flat.len().min(PAGE_BYTES as usize));
     let mut meter = Meter::new(image, erase, progress);
     let session = chip.session()?;
+    let done = erase_pages(session, image, erase, &mut meter)
+        .and_then(|()| program(session, FLASH_ADDRESS + PAGE_BYTES, rest, &mut meter))
+        .and_then(|()| program(session, FLASH_ADDRESS, first, &mut meter));
+    let place = meter.place();
+    done.map_err(|why| diagnose(chip, place, &why))?;
+    meter.advance(ProgressOperation::Program, u32::MAX);
+    Ok(())
+}
+
+fn erase_pages(
+    session: &mut Session,
+    image: &Image,
+    erase: Erase,
+    meter: &mut Meter<'_>,
+) -> Result<(), FlashError> {
+    let mut progress = FlashProgress::new(|event| meter.on(&event));
+    match erase {
+        Erase::Image => {
+            let end = FLASH_ADDRESS + image.bytes.next_multiple_of(PAGE_BYTES);
+            flashing::erase(
+                session,
+                &mut progress,
+                FLASH_ADDRESS.into(),
+                end.into(),
+                false,
+            )
+        }
+        Erase::All => flashing::erase_all(session, &mut progress, false),
+    }
+}
+
+fn program(
+    session: &mut Session,
+    address: u32,
+    bytes: &[u8],
+    meter: &mut Meter<'_>,
+) -> Result<(), FlashError> {
+    if bytes.is_empty() {
+        return Ok(());
+    }
     let mut loader = session.target().flash_loader();
-    let done = image
-        .segments
-        .iter()
-        .try_for_each(|segment| loader.add_data(segment.address.into(), &segment.bytes))
-        .and_then(|()| {
-            let mut options = DownloadOptions::new();
-            options.do_chip_erase = erase == Erase::All;
-            options.progress = FlashProgress::new(|event| meter.on(&event));
-            loader.commit(session, options)
-        });
-    let doing = meter.doing;
-    done.map_err(|why| diagnose(chip, doing, &why))
+    loader.add_data(address.into(), bytes)?;
+    let mut options = DownloadOptions::new();
+    options.skip_erase = true;
+    options.progress = FlashProgress::new(|event| meter.on(&event));
+    loader.commit(session, options)
 }
 
 /// Compares the chip's bytes with the image's, by reading them: probe-rs's own says no more than that something differs.
@@ -136,8 +184,8 @@ pub fn verify(
 }
 
 /// What probe-rs's error means: the flash's controller tells, where it can still be reached.
-fn diagnose(chip: &mut ProbeProgrammer, doing: Doing, error: &FlashError) -> ProgramError {
-    let (doing, address) = errors::place(error).unwrap_or((doing, FLASH_ADDRESS));
+fn diagnose(chip: &mut ProbeProgrammer, place: (Doing, u32), error: &FlashError) -> ProgramError {
+    let (doing, address) = errors::place(error).unwrap_or(place);
     let status = chip.core(doing, |core| {
         core.halt(HALTED_WITHIN)?;
         core.read_word_32(reg::SR.into())

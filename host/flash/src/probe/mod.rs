@@ -4,6 +4,7 @@ mod attached;
 mod errors;
 mod flashing;
 mod option_registers;
+mod quiet;
 mod registers;
 mod rtt;
 
@@ -11,9 +12,11 @@ use std::rc::Rc;
 
 use probe_rs::config::Registry;
 use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
-use probe_rs::probe::{DebugProbeInfo, DebugProbeSelector, WireProtocol};
+use probe_rs::probe::{DebugProbeSelector, Probe, WireProtocol};
 use probe_rs::{Permissions, Session};
 use serde::Serialize;
+
+use self::quiet::Quiet;
 
 pub use attached::ProbeProgrammer;
 pub use rtt::RttSource;
@@ -94,15 +97,15 @@ impl Probes {
         found.iter().map(FoundProbe::of).collect()
     }
 
-    /// The way to the chip behind a probe. The chip is not reset and goes on running.
+    /// The way to the chip behind a probe. The chip is neither reset nor halted by this, nor by what only reads.
     ///
     /// # Errors
     /// [`ProgramError::NotFound`], [`ProgramError::Several`] without a selector (`VID:PID` or `VID:PID:SERIAL`),
     /// [`ProgramError::Open`], [`ProgramError::NoChip`].
     pub fn attach(&self, selector: Option<&str>) -> Result<ProbeProgrammer, ProgramError> {
-        let (info, found) = self.choose(selector)?;
-        let session = self.session(&info, &found)?;
-        Ok(ProbeProgrammer::new(self.clone(), found, session))
+        let found = self.choose(selector)?;
+        let quiet = self.quiet(&found)?;
+        Ok(ProbeProgrammer::new(self.clone(), found, quiet))
     }
 
     /// The log behind a probe: of the block at an address, where the image names it (`_SEGGER_RTT`), else it is searched
@@ -115,11 +118,11 @@ impl Probes {
         selector: Option<&str>,
         block: Option<u32>,
     ) -> Result<RttSource, ProgramError> {
-        let (_, found) = self.choose(selector)?;
+        let found = self.choose(selector)?;
         Ok(RttSource::new(self.clone(), found, block))
     }
 
-    fn choose(&self, selector: Option<&str>) -> Result<(DebugProbeInfo, FoundProbe), ProgramError> {
+    fn choose(&self, selector: Option<&str>) -> Result<FoundProbe, ProgramError> {
         let parsed = selector.map(|text| {
             text.parse::<DebugProbeSelector>()
                 .map_err(|why| not_found(format!("`{text}` names no probe ({why}); it is VID:PID or VID:PID:SERIAL, as `ihd doctor` lists them")))
@@ -139,27 +142,35 @@ impl Probes {
                 });
             }
         };
-        Ok((item.info.clone(), FoundProbe::of(item)))
+        Ok(FoundProbe::of(item))
     }
 
-    fn session(&self, info: &DebugProbeInfo, found: &FoundProbe) -> Result<Session, ProgramError> {
-        let open = |why: &dyn std::error::Error| ProgramError::Open {
+    /// Opens a probe, wherever it is plugged in now.
+    fn open(&self, found: &FoundProbe) -> Result<Probe, ProgramError> {
+        let items = self.lister.list_all_with_access();
+        let item = items.iter().find(|item| FoundProbe::of(item) == *found);
+        let item = item.ok_or_else(|| not_found(none_found(Some(&found.selector))))?;
+        let probe = self.lister.open(&item.info);
+        let mut probe = probe.map_err(|why| ProgramError::Open {
             what: found.describe(),
-            why: errors::chain(why),
-        };
-        let mut probe = self.lister.open(info).map_err(|why| open(&why))?;
+            why: errors::chain(&why),
+        })?;
         // Some probes know but one.
         let _ = probe.select_protocol(WireProtocol::Swd);
-        let registry = registry()?;
-        probe
-            .attach_with_registry(CHIP, Permissions::new(), &registry)
-            .map_err(|why| errors::attaching(found, &why))
+        Ok(probe)
     }
 
-    /// Opens the same probe again, wherever it is plugged in now.
-    fn reopen(&self, found: &FoundProbe) -> Result<Session, ProgramError> {
-        let (info, found) = self.choose(Some(&found.selector))?;
-        self.session(&info, &found)
+    /// Connects without touching the core.
+    fn quiet(&self, found: &FoundProbe) -> Result<Quiet, ProgramError> {
+        let probe = self.open(found)?;
+        Quiet::connect(probe).map_err(|why| errors::attaching(found, &why))
+    }
+
+    /// Connects for flashing: the core is halted now and then.
+    fn session(&self, found: &FoundProbe) -> Result<Session, ProgramError> {
+        let (probe, registry) = (self.open(found)?, registry()?);
+        let session = probe.attach_with_registry(CHIP, Permissions::new(), &registry);
+        session.map_err(|why| errors::attaching(found, &why))
     }
 }
 

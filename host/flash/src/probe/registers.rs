@@ -2,6 +2,10 @@
 
 /// `DBGMCU_IDCODE`, 47.6.1.
 pub const IDCODE: u32 = 0xE004_2000;
+/// `DBGMCU_CR`, 47.6.2.
+pub const DBGMCU_CR: u32 = 0xE004_2004;
+/// DBG_SLEEP, DBG_STOP and DBG_STANDBY there: the bus answers while the core sleeps.
+pub const DBG_WHILE_ASLEEP: u32 = 0b111;
 /// Unique device id, 48.1.
 pub const UNIQUE_ID: u32 = 0x1FFF_7590;
 /// Flash size in KiB, 48.2: a half word.

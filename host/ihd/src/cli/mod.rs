@@ -160,7 +160,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if let Some(unwell) = error.downcast_ref::<doctor::Unwell>() {
         return unwell.exit_code();
     }
-    if error.is::<ihd_flash::install::InstallError>() || error.is::<ihd_flash::ProgramError>() {
+    if error.is::<ihd_flash::install::InstallError>()
+        || error.is::<ihd_flash::ProgramError>()
+        || error.is::<ihd_flash::dfu::EnterError>()
+    {
         return 3;
     }
     if error.is::<replay::Differs>() {

@@ -8,9 +8,12 @@ mod convert;
 mod daemon;
 mod doctor;
 mod exit_codes;
+mod flash;
 mod identify;
 mod identify_accuracy;
 mod inspect;
+#[cfg(all(feature = "log", unix))]
+mod log;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]

@@ -15,7 +15,8 @@ use super::register_file::RegisterFile;
 pub const PAGES: u32 = 0x0807_F000;
 /// See [`PAGES`].
 pub const PAGES_BYTES: usize = 0x1000;
-const PAGE_BYTES: u32 = 2048;
+/// Bytes of a page.
+pub const PAGE_BYTES: u32 = 2048;
 const BANK_2: u32 = 0x0804_0000;
 
 /// Time to program a double word and to erase a page (DS12288, table "Flash memory characteristics": 81.7 µs, 22.02 ms).
@@ -27,8 +28,19 @@ const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// What is being done.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Operation {
-    Program { offset: u32, value: u64 },
-    Erase { offset: u32 },
+    Program {
+        offset: u32,
+        value: u64,
+    },
+    Erase {
+        offset: u32,
+    },
+    /// Of the program's own part, by a debugger's algorithm: the machine writes that memory.
+    ProgramElsewhere,
+    EraseElsewhere {
+        first: u32,
+        pages: u32,
+    },
 }
 
 /// The pages' content, which outlives the power.
@@ -77,6 +89,12 @@ pub struct FlashController {
     pub cut_at_operation: Option<u64>,
     /// The power is to go now.
     pub power_gone: bool,
+    /// A debugger may change the program; the program itself must not.
+    pub is_debugged: bool,
+    /// Pages of the program that are erased now, by address; the machine empties them.
+    pub erased: Vec<u32>,
+    /// Words of the program that were stored and must not have been, and what lay there; the machine puts it back.
+    pub refused: Vec<(u32, u32)>,
 }
 
 impl FlashController {
@@ -128,6 +146,11 @@ impl FlashController {
                     self.pages.damaged.remove(&word);
                 }
             }
+            Operation::ProgramElsewhere => {}
+            Operation::EraseElsewhere { first, pages } => {
+                let pages = (0..pages).map(|k| first + k * PAGE_BYTES);
+                self.erased.extend(pages);
+            }
         }
     }
 
@@ -152,7 +175,9 @@ impl FlashController {
                     self.pages.programmed.insert(word);
                 }
             }
-            None => {}
+            // Half programmed or half erased: not as it was, and not as it was to be.
+            Some((Operation::EraseElsewhere { first, .. }, _)) => self.erased.push(first),
+            Some((Operation::ProgramElsewhere, _)) | None => {}
         }
         let pages = std::mem::take(&mut self.pages);
         *self = Self::with(pages);
@@ -164,6 +189,13 @@ impl FlashController {
         if self.cut_at_operation == Some(self.operations) {
             self.power_gone = true;
         }
+    }
+
+    /// What lies in the pages, for who reads past the processor.
+    pub fn peek(&self, offset: u32, bytes: usize) -> u32 {
+        let mut word = [0; 4];
+        word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
+        u32::from_le_bytes(word)
     }
 
     /// Reads from the pages; whether the word has two wrong bits, which FLASH_ECCR then reports.
@@ -227,6 +259,44 @@ impl FlashController {
         }
     }
 
+    /// A write to the program's part of the flash: whether it is programmed there. `was` is what lies in that word.
+    pub fn write_elsewhere(
+        &mut self,
+        address: u32,
+        value: u32,
+        was: u32,
+        file: &mut RegisterFile,
+        log: &mut Log,
+    ) -> bool {
+        use flash::{flash_cr, flash_sr};
+        let allowed = self.is_debugged
+            && file.is(flash_cr::PG)
+            && !file.is(flash_cr::LOCK)
+            && self.busy.is_none();
+        if !allowed {
+            log.broken("the program's flash written without PG, locked or busy (RM0440 3.3.7)");
+            file.set(flash_sr::PGSERR, 1);
+            return false;
+        }
+        if was != u32::MAX && value != 0 {
+            log.broken("the program's flash programmed twice without erasure (RM0440 3.3.7)");
+            file.set(flash_sr::PROGERR, 1);
+            return false;
+        }
+        match self.first_half.take() {
+            None if address.is_multiple_of(8) => self.first_half = Some((address, value)),
+            Some((first, _)) if first + 4 == address => {
+                self.begin(Operation::ProgramElsewhere, PROGRAM, log.now);
+            }
+            _ => {
+                log.broken("flash: the halves of a double word out of order (RM0440 3.3.7)");
+                file.set(flash_sr::PGAERR, 1);
+                return false;
+            }
+        }
+        true
+    }
+
     /// Reads a register.
     pub fn read(&self, address: u32, file: &RegisterFile) -> u32 {
         let word = file.word(address);
@@ -277,7 +347,7 @@ impl FlashController {
     }
 
     fn control(&mut self, before: u32, value: u32, log: &mut Log) -> u32 {
-        use flash::flash_cr::{BKER, LOCK, PER, PNB, START};
+        use flash::flash_cr::{BKER, LOCK, MER1, MER2, PER, PNB, START};
         if LOCK.of(before) == 1 {
             if value != before {
                 log.broken("FLASH_CR written while locked (RM0440 3.3.6)");
@@ -302,12 +372,37 @@ impl FlashController {
                     ERASE,
                     log.now,
                 );
+            } else if self.is_debugged {
+                let erase = Operation::EraseElsewhere {
+                    first: address,
+                    pages: 1,
+                };
+                self.begin(erase, ERASE, log.now);
             } else {
                 log.broken(format!(
                     "erasure of the page at {address:#010x}, which holds the program"
                 ));
             }
         }
+        let banks = [MER1.of(value), MER2.of(value)];
+        if START.of(value) == 1 && banks != [0, 0] {
+            self.erase_banks(banks.map(|bank| bank == 1), log);
+        }
         START.put(value, 0)
+    }
+
+    /// Mass erasure of one bank or both; the pages of the second are ours.
+    fn erase_banks(&mut self, banks: [bool; 2], log: &mut Log) {
+        if !self.is_debugged {
+            log.broken("mass erasure by the program");
+            return;
+        }
+        let first = if banks[0] { 0x0800_0000 } else { BANK_2 };
+        let end = if banks[1] { PAGES } else { BANK_2 };
+        if banks[1] {
+            self.pages = Pages::default();
+        }
+        let pages = (end - first) / PAGE_BYTES;
+        self.begin(Operation::EraseElsewhere { first, pages }, ERASE, log.now);
     }
 }

@@ -97,6 +97,11 @@ impl Timing {
         block
     }
 
+    /// What was code may be other code now.
+    pub fn forget(&mut self) {
+        self.blocks.clear();
+    }
+
     /// Takes FLASH_ACR over.
     pub fn set_access(&mut self, file: &RegisterFile) {
         self.flash.access = Access {

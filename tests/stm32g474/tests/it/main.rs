@@ -1,8 +1,10 @@
 //! The image as it is flashed, on the emulated STM32G474. `cargo xtask board` builds the image and names it.
 
 mod board;
+mod debug_probe;
 mod heating;
 mod link;
+mod log;
 mod lookup;
 mod memory;
 mod protection;

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use ihd_stm32g474::machine::Machine;
+use ihd_stm32g474::usb::Cable;
 use ihd_stm32g474::usb::usbip::Server;
 
 use crate::boards::Board;
@@ -39,7 +40,13 @@ pub fn number(report: &str, name: &str) -> f64 {
 impl Desk {
     /// Boots the guest; nothing is plugged in.
     pub fn new(boards: Vec<Board>) -> anyhow::Result<Self> {
-        let server = Server::start(boards.iter().map(|board| board.cable.clone()))?.address();
+        let desk = Self::of(boards.iter().map(|board| board.cable.clone()))?;
+        Ok(Self { boards, ..desk })
+    }
+
+    /// The same, with cables that have something else than boards at their other ends.
+    pub fn of(cables: impl IntoIterator<Item = Cable>) -> anyhow::Result<Self> {
+        let server = Server::start(cables)?.address();
         let began = Instant::now();
         let guest = Guest::boot()?;
         println!(
@@ -48,17 +55,23 @@ impl Desk {
         );
         Ok(Self {
             guest,
-            boards,
+            boards: Vec::new(),
             server,
         })
     }
 
+    /// The line of shell that plugs a board in.
+    pub fn attach(&self, board: usize) -> String {
+        let (port, bus_id) = (self.server.port(), board + 1);
+        format!("vhci-attach 10.0.2.2:{port} 1-{bus_id} {board}")
+    }
+
     /// Plugs a board in and returns the serial number that the kernel reads.
     pub fn plug(&mut self, board: usize) -> anyhow::Result<String> {
-        let (began, port) = (Instant::now(), self.server.port());
+        let began = Instant::now();
         let bus_id = format!("1-{}", board + 1);
         // The port of the virtual controller is free again a moment after something was unplugged.
-        let attach = format!("vhci-attach 10.0.2.2:{port} {bus_id} {board}");
+        let attach = self.attach(board);
         self.until(&attach, ENUMERATION)?;
         let serial = format!("cat /sys/bus/usb/devices/{bus_id}/serial");
         self.until(&format!("{serial} 2>/dev/null"), ENUMERATION)?;

@@ -50,7 +50,7 @@ fn variable(name: &str) -> anyhow::Result<PathBuf> {
     Ok(path.into())
 }
 
-/// busybox, the modules in order, `ihd`, `vhci-attach`.
+/// busybox, the modules in order, `ihd`, `vhci-attach`, the board's image.
 fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
     let mut archive = Archive::default();
     archive.file("init", INIT);
@@ -75,6 +75,7 @@ fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
             env!("CARGO_BIN_EXE_usb-descriptors").into(),
         ),
     ];
+    archive.file("image.elf", &fs::read(variable("IHD_STM32G474_IMAGE")?)?);
     for (path, program) in programs {
         archive.program(path, &program)?;
     }

@@ -1,6 +1,7 @@
 //! `ihd flash`: the firmware's image onto a board.
 
 mod board_link;
+mod dfu;
 mod report;
 
 use std::path::PathBuf;
@@ -9,17 +10,19 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use clap::Args;
 use ihd_flash::install::{Plan, install};
+use ihd_flash::log::kept::Kept;
 use ihd_flash::{Erase, Image, Programmer};
 use ihd_link::DeviceSpec;
 
 use self::board_link::BoardLink;
 use self::report::Screen;
+use super::output::complain;
 use super::usage::Usage;
 
 /// From reset to hello a board takes 65 ms, and its USB a second or two to be known to the system.
 const HEARD_WITHIN: Duration = Duration::from_secs(10);
 
-/// Put the firmware on a board, through a debug probe.
+/// Put the firmware on a board, through a debug probe or the chip's own USB.
 ///
 /// The chip is identified, what is on it is named, and nothing is written while it heats. The image is written, read back and
 /// compared, the board is reset, and its hello has to be that of the image. The learned lookup stays, unless --erase-all. What
@@ -30,6 +33,7 @@ const HEARD_WITHIN: Duration = Duration::from_secs(10);
     ihd flash --set-option-bytes                 (a new board: RAM parity, brown-out level)\n  \
     ihd flash --image target/firmware/images/stm32g474.elf --device serial:/dev/ttyACM0\n  \
     ihd flash --probe 0483:374e:004200343137510D39383538 --json\n  \
+    ihd flash --dfu                              (no probe: USB at the chip's own pins)\n  \
     ihd flash --erase-all                        (lookup as well: back to the built-in one)\n\n\
     Exit codes: 0 flashed, verified and heard (or no link found: the report says so), 1 no fit image, 2 wrong usage,\n\
     3 probe, chip or link, or the board heats")]
@@ -41,6 +45,10 @@ pub struct FlashArgs {
     /// The debug probe, as VID:PID or VID:PID:SERIAL; without it the only one
     #[arg(long, value_name = "PROBE")]
     probe: Option<String>,
+    /// Through the chip's own bootloader over USB instead of a probe: the one that is plugged in (0483:df11), or the one with this
+    /// serial number; where there is none, the board's firmware is sent there first
+    #[arg(long, value_name = "SERIAL", num_args = 0..=1, require_equals = true, conflicts_with = "probe")]
+    dfu: Option<Option<String>>,
     /// The board's link, on which its hello is waited for: usb, usb:SERIAL or serial:PATH; without it USB and the probe's own
     /// serial port are tried
     #[arg(long, value_name = "DEVICE")]
@@ -67,7 +75,13 @@ impl FlashArgs {
             "--device names a simulated hob, which has no flash; a board's link is usb, usb:SERIAL or serial:PATH"
         );
         let image = Image::choose(self.image.as_deref())?;
-        let (mut programmer, serial) = self.programmer()?;
+        let (mut programmer, serial) = match &self.dfu {
+            Some(serial) => (
+                dfu::programmer(serial.as_deref(), self.device.as_ref())?,
+                None,
+            ),
+            None => self.programmer()?,
+        };
         let plan = Plan {
             image: &image,
             erase: if self.erase_all {
@@ -82,6 +96,7 @@ impl FlashArgs {
         let mut link = BoardLink::new(self.device.clone(), serial.as_deref());
         let mut screen = Screen::new(self.json)?;
         screen.begin(&programmer.describe(), &image)?;
+        keep(&image);
         let begun = Instant::now();
         let done = install(&mut *programmer, Some(&mut link), plan, &mut |step| {
             screen.on(&step)
@@ -101,6 +116,19 @@ impl FlashArgs {
     #[cfg(not(feature = "probe"))]
     fn programmer(&self) -> Result<(Box<dyn Programmer>, Option<String>)> {
         Err(no_probes().into())
+    }
+}
+
+/// Keeps a copy by build id, in which `ihd log` finds the texts of what the board logs.
+fn keep(image: &Image) {
+    let Some(kept) = Kept::of_user() else {
+        return;
+    };
+    if let Err(why) = kept.keep(image) {
+        complain(format_args!(
+            "warning: no copy of the image in {} ({why}): `ihd log` will want it as --image",
+            kept.folder().display()
+        ));
     }
 }
 

@@ -1,0 +1,130 @@
+//! `ihd flash` through a debug probe onto the emulated chip: ST's algorithm executes there, and what was flashed boots.
+
+use std::time::Duration;
+
+use ihd_debug_port::Contact;
+use ihd_debug_port::probe::Desk;
+use ihd_flash::install::{InstallError, Installed, Plan, install};
+use ihd_flash::probe::Probes;
+use ihd_flash::{Erase, Image, ProgramError, Progress};
+use ihd_shared::image::FLASH_ADDRESS;
+use ihd_shared::wire::messages::State;
+use ihd_sim::behavioural::PotKind;
+use ihd_sim::mains::Mains;
+use ihd_sim::plant::Plant;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_stm32g474::bench::Bench;
+use ihd_stm32g474::debugged::DebuggedBoard;
+use ihd_stm32g474::pins::front_end;
+
+use crate::board::{IMAGE, assert_no_violations, connect, with_pot};
+
+fn image() -> Image {
+    Image::read(&IMAGE).expect("the image under test")
+}
+
+/// A board as it comes: nothing in its flash.
+fn blank() -> Bench {
+    let erased = ihd_stm32g474::image::Image::read(&IMAGE).expect("the image under test");
+    let plant = || {
+        let pot = PotKind::Ferromagnetic;
+        Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, front_end(1))
+    };
+    Bench::power_up_with(erased.erased(), plant).expect("the emulator starts")
+}
+
+fn flash(
+    desk: &Desk<DebuggedBoard>,
+    image: &Image,
+    on: &mut dyn FnMut(Progress),
+) -> Result<Installed, InstallError> {
+    let mut programmer = Probes::with(desk.lister()).attach(None)?;
+    let plan = Plan {
+        image,
+        erase: Erase::Image,
+        set_options: false,
+        heard_within: Duration::ZERO,
+        must_be_heard: false,
+    };
+    install(&mut programmer, None, plan, &mut |step| {
+        if let ihd_flash::install::Step::Progress(progress) = step {
+            on(progress);
+        }
+    })
+}
+
+fn in_flash(bench: &Bench, bytes: usize) -> Vec<u8> {
+    bench.with(move |machine| machine.memory(FLASH_ADDRESS, bytes))
+}
+
+#[test]
+fn a_blank_chip_is_flashed_by_sts_algorithm_and_boots() {
+    let (bench, image) = (blank(), image());
+    let desk = Desk::new(DebuggedBoard::new(bench.clone()));
+    let mut last = None;
+    flash(&desk, &image, &mut |progress| last = Some(progress)).unwrap();
+    let flat = image.flat();
+    assert!(
+        matches!(last, Some(Progress::Verifying { done, total }) if done == total),
+        "{last:?}"
+    );
+    assert!(
+        in_flash(&bench, flat.len()) == flat,
+        "what was flashed is not the image"
+    );
+    assert_no_violations(&bench);
+    let mut client = connect(&bench);
+    assert!(client.hello().build.as_str().starts_with(&image.build));
+    let board = client.board().unwrap();
+    assert_eq!(board.build_id, image.build_id.0);
+    assert_eq!(board.image_crc, image.crc);
+    assert_eq!(client.status().unwrap().state, State::Idle);
+    assert_no_violations(&bench);
+}
+
+#[test]
+fn while_it_heats_nothing_is_written_and_the_bridge_goes_on() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.4);
+    bench.with(|machine| machine.chip().hrtim.off_at = None);
+    let before = client.status().unwrap();
+    assert_eq!(before.state, State::Heating);
+    let desk = Desk::new(DebuggedBoard::new(bench.clone()));
+    let why = flash(&desk, &image(), &mut |_| ()).unwrap_err();
+    assert!(matches!(why, InstallError::Heats { .. }), "{why}");
+    let after = client.status().unwrap();
+    assert_eq!((after.state, after.fault), (State::Heating, before.fault));
+    let (off_at, resets) = bench.with(|m| (m.chip().hrtim.off_at, m.resets.len()));
+    assert_eq!((off_at, resets), (None, 0));
+    assert_no_violations(&bench);
+}
+
+#[test]
+fn a_probe_that_is_pulled_in_the_middle_leaves_what_a_second_run_mends() {
+    let (bench, image) = (blank(), image());
+    let desk = Desk::new(DebuggedBoard::new(bench.clone()));
+    let pulled = desk.clone();
+    let middle = image.bytes / 2;
+    let why = flash(&desk, &image, &mut |progress| {
+        if matches!(progress, Progress::Programming { done, .. } if done > middle) {
+            // The progress is told between two accesses.
+            pulled.with(|board| board.set_contact(Contact::NoProbe));
+        }
+    });
+    let why = why.err().expect("the probe is gone");
+    assert!(
+        matches!(why, InstallError::Program(ProgramError::Lost { .. })),
+        "{why}"
+    );
+    desk.with(|board| board.set_contact(Contact::Good));
+    flash(&desk, &image, &mut |_| ()).unwrap();
+    let flat = image.flat();
+    assert!(
+        in_flash(&bench, flat.len()) == flat,
+        "what was flashed is not the image"
+    );
+    let mut client = connect(&bench);
+    assert_eq!(client.status().unwrap().state, State::Idle);
+}
