@@ -12,7 +12,7 @@ use ihd_survey::calibration::Reference;
 
 use crate::desk::{Watched, complete, connected, failed, of, on_bench};
 
-const GO: AtomicBool = AtomicBool::new(false);
+static GO: AtomicBool = AtomicBool::new(false);
 
 fn number(evidence: &[Evidence], name: &str) -> f64 {
     let found = evidence.iter().find(|e| e.name == name);
