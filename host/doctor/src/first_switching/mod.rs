@@ -150,6 +150,10 @@ fn bench_supply(status: &Status, bus_v: f64) -> Check {
 
 /// Switches on, and takes what comes until it is enough.
 fn switch(client: &mut Client, stop: &AtomicBool, seen: &mut Seen) -> Result<(), LinkError> {
+    if stop.load(Ordering::Relaxed) {
+        seen.ended_by = Some("^C".to_owned());
+        return Ok(());
+    }
     client.stream(1, WINDOW_EVERY)?;
     client.set_power(POWER_W)?;
     let begin = client.clock();

@@ -50,7 +50,7 @@ pub fn kind(device: &UsbDevice) -> Option<Kind> {
             ours.then_some(Kind::Board)
         }
         (ST, 0xDF11) => Some(Kind::Bootloader),
-        (ST, 0x3742..=0x374F | 0x3750..=0x375F) => Some(Kind::StLink),
+        (ST, 0x3742..=0x375F) => Some(Kind::StLink),
         (SEGGER, 0x0101..=0x01FF | 0x1001..=0x10FF) => Some(Kind::JLink),
         _ if device.name.contains("CMSIS-DAP") => Some(Kind::CmsisDap),
         _ => None,

@@ -280,7 +280,14 @@ fn a_rule_that_may_not_be_written_names_the_sudo_line() {
 
 #[test]
 fn the_file_of_the_docs_is_the_rule_and_names_every_kind() {
-    for id in ["1209", "0483", "1366", "CMSIS-DAP", "ID_MM_DEVICE_IGNORE"] {
+    for id in [
+        "1209",
+        "0483",
+        "df11",
+        "1366",
+        "CMSIS-DAP",
+        "ID_MM_DEVICE_IGNORE",
+    ] {
         assert!(RULE.contains(id), "{id}");
     }
     assert!(RULE_NAME < "73-seat-late.rules");

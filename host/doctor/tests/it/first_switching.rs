@@ -1,6 +1,7 @@
 //! First switching from a bench supply, against the numbers of docs/first-power-up.md, E.
 
-use std::sync::atomic::AtomicBool;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_doctor::{Evidence, Verdict, first_switching as switching};
 use ihd_link::Client;
@@ -11,7 +12,7 @@ use ihd_survey::calibration::Reference;
 
 use crate::desk::{Watched, complete, connected, failed, of, on_bench};
 
-const GO: AtomicBool = AtomicBool::new(false);
+static GO: AtomicBool = AtomicBool::new(false);
 
 fn number(evidence: &[Evidence], name: &str) -> f64 {
     let found = evidence.iter().find(|e| e.name == name);
@@ -139,12 +140,35 @@ fn without_a_pot_it_says_so_and_switches_off() {
 }
 
 #[test]
-fn an_interrupt_switches_off_and_is_told() {
+fn an_interrupt_before_it_begins_switches_nothing_and_is_told() {
     let (mut client, watched) = watched(&on_bench(40.0));
     let (checks, _) = switching::run(&mut client, None, &AtomicBool::new(true));
     complete(&checks, &switching::NAMES);
     assert!(of(&checks, "switching").finding.contains("^C"));
     assert_eq!(of(&checks, "power_off").verdict, Verdict::Pass);
-    assert_eq!(watched.asked_w.lock().unwrap().last(), Some(&0));
+    assert_eq!(*watched.asked_w.lock().unwrap(), [0]);
     assert_ne!(client.status().unwrap().state, State::Heating);
+}
+
+/// While it switches: by the wall's clock, as ^C comes.
+#[test]
+fn an_interrupt_while_it_switches_switches_off_and_is_told() {
+    let (mut client, watched) = watched(&on_bench(40.0));
+    let stop = Arc::new(AtomicBool::new(false));
+    let (raise, asked_w) = (stop.clone(), watched.asked_w.clone());
+    let person = std::thread::spawn(move || {
+        while !asked_w.lock().unwrap().contains(&1) {
+            std::thread::yield_now();
+        }
+        raise.store(true, Ordering::Relaxed);
+    });
+    let (checks, _) = switching::run(&mut client, None, &stop);
+    person.join().unwrap();
+    complete(&checks, &switching::NAMES);
+    assert!(
+        of(&checks, "switching").finding.contains("^C"),
+        "{checks:#?}"
+    );
+    assert_eq!(of(&checks, "power_off").verdict, Verdict::Pass);
+    assert_eq!(*watched.asked_w.lock().unwrap(), [1, 0]);
 }
