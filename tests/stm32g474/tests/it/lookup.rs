@@ -82,7 +82,7 @@ fn cuts(pages: &Pages, at: impl Iterator<Item = u64>) -> u32 {
         });
         // The power may go before the answer has come.
         let _ = connect(&bench).push_lookup(&version(3));
-        bench.run_s(0.035);
+        bench.run_s(0.06);
         assert_eq!(
             resets(&bench),
             [Reset::Power, Reset::Power],
