@@ -11,6 +11,7 @@ mod fuzz;
 mod guest;
 mod images;
 mod licences;
+mod on_target;
 mod scenarios;
 mod seal;
 mod setup;
@@ -116,6 +117,12 @@ enum Chore {
     /// Test the board's image as it is flashed, on an emulated STM32G474.
     #[command(after_help = "Example:\n  cargo xtask board")]
     Board,
+    /// Run the tests that are for the controller itself (firmware/on-target): in QEMU, and on a board behind a debug probe.
+    ///
+    /// The board's part wants probe-rs and is skipped, with a line that says so, where either is missing. It overwrites
+    /// the board's program: `ihd flash` brings it back.
+    #[command(after_help = "Example:\n  cargo xtask target-tests")]
+    TargetTests,
     /// Run the board's image on an emulated STM32G474 with the simulated power stage, its link on TCP.
     ///
     /// Every `ihd` command then works against the very bytes that are flashed: `--device tcp:ADDRESS`. It is slower than
@@ -207,6 +214,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::Board => session.board(),
+        Chore::TargetTests => session.target_tests(),
         Chore::Hob { image, options } => session.hob(image, &options),
         Chore::Usb => session.usb(),
         Chore::Scenarios { only, quick, check } => {

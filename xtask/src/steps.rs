@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, scenarios};
+use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, on_target, scenarios};
 
 const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator,ihd/probe,ihd-debug-port/probe -- -D warnings";
 /// The test of the firmware's image in QEMU. The whole workspace's features and debug probes, as in the other steps: what they built
@@ -44,7 +44,7 @@ pub enum Step {
     Budget,
     /// Instruction counts on an emulated Cortex-M4F against firmware/budget.toml
     Cycles,
-    /// The image on an emulated Cortex-M4F, talked to by the host's own client
+    /// On an emulated Cortex-M4F: the image, talked to by the host's own client, and the tests for the controller itself
     Emulator,
     /// The board's image as it is flashed, on an emulated STM32G474
     Board,
@@ -178,7 +178,17 @@ impl Session {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
         let image = self.image(MPS2_AN386)?;
         let mut test = self.workspace.cargo(EMULATED_BOARD.split(' '));
-        run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", qemu))
+        run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", &qemu))?;
+        let toolchain = setup::firmware_toolchain(self.wanted)?;
+        on_target::in_emulator(&self.workspace, &toolchain, &qemu)
+    }
+
+    /// The tests for the controller itself: in QEMU, and on a board where there is one.
+    pub fn target_tests(&self) -> anyhow::Result<()> {
+        let qemu = emulator::find(&self.workspace, emulator::ARM)?;
+        let toolchain = setup::firmware_toolchain(self.wanted)?;
+        on_target::in_emulator(&self.workspace, &toolchain, &qemu)?;
+        on_target::on_board(&self.workspace, &toolchain)
     }
 }
 

@@ -23,8 +23,10 @@ use crate::harmonic_branch::{HarmonicBasis, Phasors};
 pub(crate) const LARGEST_ORDER: f64 = 0.9;
 
 /// Exponent n of the load's impedance, Z(s) = s L_0 + K s^n.
+// Read as a value, not as `untagged`: that finds no float where anything in the build switches serde_json's
+// arbitrary_precision on, as defmt's decoder does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, try_from = "serde_json::Value")]
 pub enum ImpedanceOrder {
     /// This one, 0..=0.9: 0 for R and L that hold at every harmonic, as in the paper's eq. (1); 0.5
     /// for eddy currents in a linear load.
@@ -39,6 +41,19 @@ pub enum ImpedanceOrder {
 pub enum Named {
     /// Found along with R and L, one number per window.
     Identified,
+}
+
+impl TryFrom<serde_json::Value> for ImpedanceOrder {
+    type Error = &'static str;
+
+    fn try_from(value: serde_json::Value) -> Result<Self, Self::Error> {
+        match value.as_f64() {
+            Some(n) => Ok(Self::Given(n)),
+            None => serde_json::from_value(value)
+                .map(Self::Named)
+                .map_err(|_| "impedance_order is a number or \"identified\""),
+        }
+    }
 }
 
 impl Default for ImpedanceOrder {

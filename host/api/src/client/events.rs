@@ -3,6 +3,7 @@
 use std::io::{self, BufRead, BufReader, Read};
 
 use ihd_daemon::model::Notice;
+use serde::Deserialize as _;
 
 use crate::model::Missed;
 
@@ -77,13 +78,15 @@ fn event(kind: &str, data: &str) -> io::Result<Watched> {
             let missed: Missed = serde_json::from_str(data).map_err(strange)?;
             Ok(Watched::Missed(missed.missed))
         }
-        _ => match serde_json::from_str(data) {
-            Ok(notice) => Ok(Watched::Notice(Box::new(notice))),
-            Err(_) => {
-                let unknown: serde_json::Value = serde_json::from_str(data).map_err(strange)?;
-                Ok(Watched::Unknown(unknown.to_string()))
-            }
-        },
+        _ => {
+            // As a value first: defmt's decoder switches serde_json's arbitrary_precision on, with which no float is found in
+            // what is flattened or tagged, unless it comes from a value.
+            let value: serde_json::Value = serde_json::from_str(data).map_err(strange)?;
+            Ok(match Notice::deserialize(&value) {
+                Ok(notice) => Watched::Notice(Box::new(notice)),
+                Err(_) => Watched::Unknown(value.to_string()),
+            })
+        }
     }
 }
 
@@ -130,6 +133,34 @@ mod tests {
                 Watched::Heartbeat
             ]
         );
+    }
+
+    /// Whatever features of serde_json another crate of the build has switched on.
+    #[test]
+    fn floats_of_what_is_flattened_are_found() {
+        let live = ihd_daemon::model::Live {
+            half_cycle: 7,
+            state: "Heating".into(),
+            pot: "Ferromagnetic".into(),
+            fault: 0,
+            fault_text: String::new(),
+            limit: "None".into(),
+            asked_w: 1_200,
+            power_w: 1_203.5,
+            f_sw_hz: 51_020,
+            i_crest_a: 44.75,
+            r_ohm: 3.274,
+            l_h: 19.1e-6,
+        };
+        let notice = Notice {
+            at_ms: 1,
+            device: "a".into(),
+            what: What::Telemetry { live },
+        };
+        let text = format!("data: {}\n\n", serde_json::to_string(&notice).unwrap());
+        let mut events = Events::new(io::Cursor::new(text));
+        let seen = events.next().unwrap().unwrap();
+        assert_eq!(seen, Watched::Notice(Box::new(notice)));
     }
 
     #[test]

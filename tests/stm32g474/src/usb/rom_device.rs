@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_rom_bootloader::{Bootloader, Refused};
+use ihd_rom_bootloader::Bootloader;
 
 use super::bus::{Answer, Device, Handshake, Toggle};
 use super::cable::Cable;
@@ -73,10 +73,7 @@ impl RomDevice {
             self.rom().control(*setup, received)
         };
         // One that has gone answers nothing: `attached` tells.
-        let answer = match answer {
-            Ok(answer) => Some(answer),
-            Err(Refused::Stall | Refused::Gone) => None,
-        };
+        let answer = answer.ok();
         self.control = Some(Control { answer, ..control });
     }
 }

@@ -113,7 +113,7 @@ fn a_probe_that_is_pulled_in_the_middle_leaves_what_a_second_run_mends() {
             pulled.with(|board| board.set_contact(Contact::NoProbe));
         }
     });
-    let why = why.err().expect("the probe is gone");
+    let why = why.expect_err("the probe is gone");
     assert!(
         matches!(why, InstallError::Program(ProgramError::Lost { .. })),
         "{why}"

@@ -127,7 +127,7 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.starts_with("board: usb:A1\n  clocks            FAIL       a very"),
+            text.starts_with("board: usb:A1\n  clocks            FAIL        a very"),
             "{text}"
         );
         assert!(text.contains("→ turn it"), "{text}");

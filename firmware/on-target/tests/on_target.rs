@@ -1,0 +1,103 @@
+//! Tests on the controller itself, one after the other, each after a reset: `probe-rs run` runs them on a board, `cargo xtask
+//! target-tests` does that where there is one, and in QEMU where there is none.
+#![no_std]
+#![no_main]
+
+#[cfg(test)]
+#[embedded_test::tests]
+mod tests {
+    use ihd_firmware::realtime::RealTime;
+    use ihd_on_target::digits;
+    use ihd_shared::lookup::RlLookup;
+    use ihd_shared::lookup::prior::prior;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+    use ihd_shared::wire::deframer::Deframer;
+    use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+    use ihd_shared::wire::messages::{AnyMessage, SetPower};
+    use static_cell::ConstStaticCell;
+
+    /// 68 KiB: never on the stack.
+    static PATH: ConstStaticCell<RealTime> = ConstStaticCell::new(RealTime::blank());
+
+    fn path() -> &'static mut RealTime {
+        let path = PATH.take();
+        path.begin(MicroOhm(4_000_000), PicoHenry(25_000_000));
+        path
+    }
+
+    /// Fixed point is fixed: the compiler for this core and its instructions give the digits of the host's build.
+    #[test]
+    #[timeout(20)]
+    fn the_estimator_gives_the_digits_of_the_host() {
+        assert_eq!(digits::run(path()).crc, digits::EXPECTED);
+    }
+
+    #[test]
+    fn a_lookup_survives_its_bytes_and_no_changed_bit() {
+        let mut bytes = prior().to_bytes();
+        assert!(RlLookup::from_bytes(&bytes).is_ok_and(|lookup| lookup == prior()));
+        for at in (0..bytes.len()).step_by(7) {
+            bytes[at] ^= 4;
+            assert!(RlLookup::from_bytes(&bytes).is_err());
+            bytes[at] ^= 4;
+        }
+    }
+
+    #[test]
+    fn a_frame_comes_back() {
+        let mut frame = [0; MAX_ENCODED];
+        let length = encode(&SetPower { power_w: 1_200 }, 7, &mut frame).unwrap();
+        let mut deframer = Deframer::new();
+        let mut heard = 0;
+        for &byte in &frame[..length] {
+            if let Some(Ok(frame)) = deframer.push(byte) {
+                let message = AnyMessage::decode(frame.id, frame.payload).unwrap();
+                assert_eq!(message, AnyMessage::SetPower(SetPower { power_w: 1_200 }));
+                heard += 1;
+            }
+        }
+        assert_eq!(heard, 1);
+    }
+
+    /// Index out of range is a panic here too, and a panic fails a test: else none above could.
+    #[test]
+    #[should_panic]
+    fn a_panic_is_seen() {
+        let pairs = digits::block(0, &mut 1);
+        let at = core::hint::black_box(pairs.len());
+        let _ = core::hint::black_box(pairs[at]);
+    }
+
+    /// DBGMCU_IDCODE (RM0440, 47.6.1): the tests run on the part that they are for.
+    #[cfg(feature = "stm32g474")]
+    #[test]
+    fn the_chip_is_an_stm32g474() {
+        // SAFETY: a register that only reads, at an address that the bus matrix always answers.
+        let id = unsafe { core::ptr::read_volatile(0xE004_2000 as *const u32) };
+        assert_eq!(id & 0xFFF, ihd_shared::image::DEVICE_ID);
+    }
+
+    /// A block at 80 kHz lasts 6 375 cycles of 170 MHz. Here the core runs from HSI16 without wait states, which the emulated
+    /// chip counts with 3 759 cycles (docs/board.md); half as much again is a defect of one of them.
+    #[cfg(feature = "stm32g474")]
+    #[test]
+    #[timeout(20)]
+    fn a_block_takes_the_cycles_that_the_emulated_chip_counts() {
+        let mut core = cortex_m::Peripherals::take().unwrap();
+        core.DCB.enable_trace();
+        core.DWT.enable_cycle_counter();
+        let path = path();
+        digits::run(path);
+        let pairs = digits::block(100, &mut 1);
+        let before = cortex_m::peripheral::DWT::cycle_count();
+        core::hint::black_box(path.replay_block(&ihd_firmware::realtime::Block {
+            pairs: core::hint::black_box(&pairs),
+            zero_crossing: None,
+            bus_dv: 3_000,
+            dc_link_ma: None,
+            lost: 0,
+        }));
+        let cycles = cortex_m::peripheral::DWT::cycle_count().wrapping_sub(before);
+        assert!((1_500..5_600).contains(&cycles), "{cycles} cycles");
+    }
+}

@@ -1,0 +1,145 @@
+//! The tests that run on the controller (firmware/on-target, embedded-test): on a board behind a debug probe where there is one,
+//! and in QEMU, which has the core and nothing else of the part.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, ensure};
+use object::{Object, ObjectSection, ObjectSymbol};
+use serde::Deserialize;
+
+use crate::toolchain::{FirmwareToolchain, TARGET};
+use crate::workspace::{Workspace, first_line, run};
+
+const MANIFEST: &str = "firmware/on-target/Cargo.toml";
+
+/// Where embedded-test keeps what there is to run: of each test a symbol, whose name is JSON, and its entry's address.
+const SECTION: &str = ".embedded_test";
+
+/// A test in the image.
+#[derive(Debug, PartialEq, Eq)]
+struct Test {
+    name: String,
+    should_panic: bool,
+    entry: u32,
+}
+
+#[derive(Deserialize)]
+struct Symbol {
+    name: String,
+    ignored: bool,
+    should_panic: bool,
+}
+
+/// Builds the tests for a part and returns their ELF file.
+fn build(on: &Workspace, toolchain: &FirmwareToolchain, board: bool) -> anyhow::Result<PathBuf> {
+    let mut build = toolchain.cargo(on, "build");
+    build.args(["--manifest-path", MANIFEST, "--tests", "--release"]);
+    build.args(["--message-format", "json-render-diagnostics"]);
+    if board {
+        build.args(["--features", "stm32g474"]);
+    }
+    let output = build.stderr(Stdio::inherit()).output()?;
+    ensure!(
+        output.status.success(),
+        "the tests on the controller do not build"
+    );
+    let text = String::from_utf8_lossy(&output.stdout);
+    let executable = |line: &str| {
+        let message: serde_json::Value = serde_json::from_str(line).ok()?;
+        Some(PathBuf::from(message.get("executable")?.as_str()?))
+    };
+    let file = text.lines().filter_map(executable).next_back();
+    file.with_context(|| format!("cargo named no test of {TARGET}"))
+}
+
+fn tests(image: &[u8]) -> anyhow::Result<Vec<Test>> {
+    let elf = object::File::parse(image)?;
+    let section = elf.section_by_name(SECTION);
+    let section = section.with_context(|| format!("no section {SECTION}"))?;
+    let data = section.data()?;
+    let mut tests = Vec::new();
+    for symbol in elf.symbols() {
+        let Ok(Symbol {
+            name,
+            ignored: false,
+            should_panic,
+        }) = serde_json::from_str(symbol.name().unwrap_or_default())
+        else {
+            continue;
+        };
+        let at = symbol.address().wrapping_sub(section.address()) as usize;
+        let entry = data.get(at..).and_then(|data| data.first_chunk());
+        let entry = u32::from_le_bytes(*entry.with_context(|| format!("{name} has no entry"))?);
+        tests.push(Test {
+            name,
+            should_panic,
+            entry,
+        });
+    }
+    ensure!(!tests.is_empty(), "the image has no tests");
+    Ok(tests)
+}
+
+/// Formatting and clippy, then the tests in QEMU, each from a reset.
+pub fn in_emulator(
+    on: &Workspace,
+    toolchain: &FirmwareToolchain,
+    qemu: &Path,
+) -> anyhow::Result<()> {
+    run(&mut on.cargo(["fmt", "--manifest-path", MANIFEST, "--check"]))?;
+    let mut clippy = toolchain.cargo(on, "clippy");
+    clippy.args(["--manifest-path", MANIFEST, "--tests", "--release"]);
+    run(clippy.args(["--features", "stm32g474", "--", "-D", "warnings"]))?;
+    // Those for the board cannot run here, but link.
+    build(on, toolchain, true)?;
+    let image = build(on, toolchain, false)?;
+    let bytes = std::fs::read(&image).with_context(|| image.display().to_string())?;
+    let tests = tests(&bytes)?;
+    let mut failed = Vec::new();
+    for test in &tests {
+        // Semihosting's command line tells which test, and its exit what came of it: as probe-rs does.
+        let semihosting = format!("enable=on,target=native,arg=run_addr,arg={}", test.entry);
+        let mut command = Command::new(qemu);
+        command.args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"]);
+        command.args(["-serial", "null", "-monitor", "none"]);
+        command.args(["-semihosting-config", &semihosting, "-kernel"]);
+        let output = command.arg(&image).stdin(Stdio::null()).output()?;
+        let passed = output.status.success() != test.should_panic;
+        println!(
+            "on target, QEMU: {} … {}",
+            test.name,
+            if passed { "ok" } else { "FAILED" }
+        );
+        if !passed {
+            print!("{}", String::from_utf8_lossy(&output.stderr));
+            failed.push(test.name.as_str());
+        }
+    }
+    println!(
+        "on target, QEMU: {} passed, {} failed",
+        tests.len() - failed.len(),
+        failed.len()
+    );
+    ensure!(failed.is_empty(), "failed: {}", failed.join(", "));
+    Ok(())
+}
+
+/// Runs them on the board behind a debug probe; says so where there is none.
+pub fn on_board(on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<()> {
+    let Some(version) = first_line(Command::new("probe-rs").arg("--version")) else {
+        println!(
+            "on target, board: skipped, as probe-rs is not installed (`cargo install probe-rs-tools --locked`)"
+        );
+        return Ok(());
+    };
+    let list = Command::new("probe-rs").arg("list").output()?;
+    if !String::from_utf8_lossy(&list.stdout).contains("[0]") {
+        println!("on target, board: skipped, as {version} sees no debug probe");
+        return Ok(());
+    }
+    let image = build(on, toolchain, true)?;
+    run(Command::new("probe-rs")
+        .args(["run", "--chip", "STM32G474RETx"])
+        .arg(image))
+}
