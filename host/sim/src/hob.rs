@@ -61,8 +61,8 @@ const WATCHDOG_S: f64 = 60e-3;
 pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 
 /// FLASH_OPTR of a board whose option bytes are as they should be: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA)
-/// with SRAM_PE, bit 24, cleared.
-const OPTION_BYTES: u32 = 0xFEEF_F8AA;
+/// with SRAM_PE, bit 24, cleared and BOR_LEV, bits 10:8, at 4.
+const OPTION_BYTES: u32 = 0xFEEF_FCAA;
 
 /// What is simulated.
 #[derive(Clone, Copy, Debug, PartialEq)]
