@@ -2,6 +2,7 @@
 
 mod board;
 mod debug_probe;
+mod doctor;
 mod heating;
 mod link;
 mod log;

@@ -1,0 +1,66 @@
+//! What `ihd doctor` asks of a board, asked of the image: the simulated hob has no clocks, comparators, supply or flash.
+
+use ihd_doctor::{Check, Verdict, board};
+use ihd_shared::sampling::Pair;
+use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::machine::Machine;
+
+use crate::board::{Bench, assert_no_violations, connect, with_pot};
+
+fn examine(bench: &Bench) -> Vec<Check> {
+    // Until the mains' detector has seen it.
+    bench.run_s(0.1);
+    let examined = board::examine(&mut connect(bench));
+    assert_eq!(examined.lost, None);
+    for check in &examined.checks {
+        println!(
+            "{:<17} {:<10} {}",
+            check.name,
+            check.verdict.word(),
+            check.finding
+        );
+    }
+    examined.checks
+}
+
+fn names(checks: &[Check], verdict: Verdict) -> Vec<&str> {
+    let those = checks.iter().filter(|check| check.verdict == verdict);
+    those.map(|check| check.name).collect()
+}
+
+#[test]
+fn a_healthy_board_passes_every_check() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let checks = examine(&bench);
+    let all: Vec<_> = checks.iter().map(|check| check.name).collect();
+    assert_eq!(all, board::NAMES);
+    assert_eq!(names(&checks, Verdict::Fail), [""; 0]);
+    assert_eq!(names(&checks, Verdict::NotTested), [""; 0]);
+    assert_no_violations(&bench);
+}
+
+#[test]
+fn what_is_broken_fails_its_own_check() {
+    type Defect = fn(&mut Machine);
+    // The start's own test has found the first two as well.
+    let defects: [(&[&str], Defect); 3] = [
+        (&["fault", "comparators"], |machine| {
+            machine.chip().pins.dead_comparators = [false, true];
+        }),
+        (&["fault", "clocks"], |machine| {
+            let now = machine.now();
+            machine.chip().lsi.set_hz(36_000, now);
+        }),
+        (&["channels"], |machine| {
+            machine.chip().pins.offset = Pair { v: 0, i: 30 };
+        }),
+    ];
+    for (expected, defect) in defects {
+        let bench = with_pot(PotKind::Ferromagnetic);
+        bench.with(move |machine| {
+            defect(machine);
+            machine.power_cycle().unwrap();
+        });
+        assert_eq!(names(&examine(&bench), Verdict::Fail), expected);
+    }
+}
