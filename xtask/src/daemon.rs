@@ -3,7 +3,7 @@
 
 use crate::workspace::{Workspace, run};
 
-const TESTS: &str = "test --package ihd --test daemon -- --include-ignored --nocapture";
+const TESTS: &str = "--test daemon -- --include-ignored --nocapture";
 
 /// At a time: they wait more than they work; what is measured is measured alone.
 const SHORT: &str = "--test-threads=4";
@@ -22,7 +22,7 @@ const FULL: [(&str, &str); 7] = [
 
 /// Runs those tests whose name contains `only`; in `full`, 24 h of simulated time and 200 kills.
 pub fn test(on: &Workspace, only: Option<&str>, full: bool) -> anyhow::Result<()> {
-    let mut test = on.cargo(TESTS.split(' '));
+    let mut test = on.whole("test", TESTS);
     test.arg(if full { ALONE } else { SHORT }).args(only);
     for (name, value) in FULL {
         if full && std::env::var_os(name).is_none() {

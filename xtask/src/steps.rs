@@ -11,10 +11,10 @@ use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
 use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, on_target, scenarios};
 
-const CLIPPY: &str = "clippy --workspace --all-targets -F ihd-tests/emulator,ihd/probe,ihd-debug-port/probe -- -D warnings";
-/// The test of the firmware's image in QEMU. The whole workspace's features and debug probes, as in the other steps: what they built
-/// serves here too.
-const EMULATED_BOARD: &str = "test --workspace --features ihd-tests/emulator,ihd/probe,ihd-debug-port/probe --test it emulated_board --no-fail-fast";
+const CLIPPY: &str = "--all-targets --features ihd-tests/emulator -- -D warnings";
+/// The test of the firmware's image in QEMU.
+const EMULATED_BOARD: &str =
+    "--features ihd-tests/emulator --test it emulated_board --no-fail-fast";
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// One check of the project.
@@ -68,20 +68,16 @@ impl Session {
             Step::Setup => self.set_up(),
             Step::Fmt => self.cargo("fmt --all --check"),
             Step::Licences => licences::check(&self.workspace),
-            Step::Clippy => self.cargo(CLIPPY),
+            Step::Clippy => self.whole("clippy", CLIPPY),
             Step::Tests if setup::has_nextest(&self.workspace) => {
-                self.cargo("nextest run --workspace -F ihd/probe,ihd-debug-port/probe --no-fail-fast")
+                self.whole("nextest run", "--no-fail-fast")
             }
-            Step::Tests => {
-                self.cargo("test --workspace -F ihd/probe,ihd-debug-port/probe --lib --bins --tests --no-fail-fast")
-            }
+            Step::Tests => self.whole("test", "--lib --bins --tests --no-fail-fast"),
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
             Step::Daemon => daemon::test(&self.workspace, None, false),
-            Step::Doctests => self.cargo("test --workspace -F ihd/probe,ihd-debug-port/probe --doc --no-fail-fast"),
+            Step::Doctests => self.whole("test", "--doc --no-fail-fast"),
             Step::Rustdoc => {
-                let mut doc =
-                    self.workspace
-                        .cargo(["doc", "--workspace", "-F", "ihd/probe,ihd-debug-port/probe", "--no-deps"]);
+                let mut doc = self.workspace.whole("doc", "--no-deps");
                 run(doc.env("RUSTDOCFLAGS", "-D warnings"))
             }
             Step::Firmware => self.firmware(),
@@ -96,6 +92,10 @@ impl Session {
 
     fn cargo(&self, line: &str) -> anyhow::Result<()> {
         run(&mut self.workspace.cargo(line.split(' ')))
+    }
+
+    fn whole(&self, subcommand: &str, rest: &str) -> anyhow::Result<()> {
+        run(&mut self.workspace.whole(subcommand, rest))
     }
 
     /// Finds or installs what the other steps need.
@@ -177,7 +177,7 @@ impl Session {
     fn emulator(&self) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
         let image = self.image(MPS2_AN386)?;
-        let mut test = self.workspace.cargo(EMULATED_BOARD.split(' '));
+        let mut test = self.workspace.whole("test", EMULATED_BOARD);
         run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", &qemu))?;
         let toolchain = setup::firmware_toolchain(self.wanted)?;
         on_target::in_emulator(&self.workspace, &toolchain, &qemu)

@@ -8,6 +8,9 @@ use std::process::Command;
 use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
 
+/// Beside each crate's own: debug probes, and the model of one.
+const FEATURES: &str = "ihd/probe,ihd-debug-port/probe";
+
 /// The checkout that xtask was started in.
 pub struct Workspace {
     /// The folder of the workspace's Cargo.toml.
@@ -31,6 +34,15 @@ impl Workspace {
             root: metadata.workspace_root.into(),
             target: metadata.target_directory.into(),
         })
+    }
+
+    /// `cargo <subcommand>` on the whole workspace with the features that every step builds, and the rest of its line: what one step
+    /// has built then serves the next.
+    pub fn whole(&self, subcommand: &str, rest: &str) -> Command {
+        let mut command = self.cargo(subcommand.split(' '));
+        command.args(["--workspace", "--features", FEATURES]);
+        command.args(rest.split(' '));
+        command
     }
 
     /// A cargo that starts in the workspace root and knows nothing of xtask's own package.

@@ -46,7 +46,7 @@ pub fn run(
 ) -> anyhow::Result<()> {
     // The binary of the tests, which are built with other features than `cargo build` would: a release
     // build takes five minutes and makes it a third faster.
-    run_command(&mut workspace.cargo(["test", "--workspace", "--no-run", "--test", "it"]))?;
+    run_command(&mut workspace.whole("test", "--no-run --test it"))?;
     let ihd = workspace.target.join("debug").join("ihd");
     let mut scenarios = read_all(&workspace.root.join(DIRECTORY))?;
     scenarios.retain(|s| only.is_none_or(|only| s.name.contains(only)));
