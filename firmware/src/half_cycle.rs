@@ -218,7 +218,8 @@ impl Gathered {
         // To a code: 0.3 V and 40 mA, of limits of 20 V and 3 A.
         let mean = |sum: i32, full_scale: u32| {
             let code = sum / (sums.offset_blocks.max(1) * ADC_LOCK_P as i32);
-            (code * full_scale as i32) >> (CODE_BITS - 1)
+            // In 64 bits: a host may replay codes that no ADC has.
+            ((i64::from(code) * i64::from(full_scale)) >> (CODE_BITS - 1)) as i32
         };
         let power_mw = unfiltered(power_mw, sums.crest.f_sw_hz);
         Summary {
@@ -264,6 +265,20 @@ mod tests {
         assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
         let afresh = a.finish(8, 0, 0, 0, false).summary();
         assert_eq!(afresh.power_mw, 0, "it must start afresh");
+    }
+
+    /// A host replays what it likes.
+    #[test]
+    fn codes_that_no_adc_has_overflow_nothing() {
+        let mut a = Accumulator::default();
+        let (v, i) = (i16::MAX, i16::MIN);
+        for _ in 0..20_000 {
+            a.add_block(&BlockSums::default(), 0, None);
+            a.look_at_offset(&[Pair { v, i }; ADC_LOCK_P]);
+        }
+        let s = a.finish(0, 45_000, 10_000_000, 0, false).summary();
+        let (v_dv, i_ma) = (32_767 * 6_400 / 2_048, -32_768_i64 * 80_000 / 2_048);
+        assert_eq!((s.v_offset_dv, i64::from(s.i_offset_ma)), (v_dv, i_ma));
     }
 
     #[test]

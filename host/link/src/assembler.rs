@@ -112,9 +112,9 @@ impl Assembler {
         self.under_way.last().map(Unfinished)
     }
 
-    /// Takes a message; other than window messages are ignored. Hands windows and rejections, in
-    /// this order at most one of an old and one of a new window, to `out`. Returns the number of a window
-    /// of which it was the first message.
+    /// Takes a message; other than window messages are ignored. Hands windows and rejections to `out`: those of the windows
+    /// under way that are given up, at most two, then its own. Returns the number of a window of which it was the
+    /// first message.
     pub fn take(
         &mut self,
         message: &AnyMessage<'_>,
