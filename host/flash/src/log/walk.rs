@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use defmt_parser::{Fragment, Parameter, ParserMode, Type, get_max_bitfield_range};
+use defmt_parser::{DisplayHint, Fragment, Parameter, ParserMode, Type, get_max_bitfield_range};
 
 /// Values that one frame may hold, those inside of others included.
 const MOST_VALUES: u32 = 4096;
@@ -151,6 +151,10 @@ fn types(format: &str) -> Option<Vec<Type>> {
     let mut by_number: BTreeMap<usize, Vec<Parameter>> = BTreeMap::new();
     for fragment in fragments {
         if let Fragment::Parameter(parameter) = fragment {
+            // What shows it (cbor-edn 0.0.6) panics on an empty string of no known length, and recurses without end.
+            if parameter.hint == Some(DisplayHint::Cbor) {
+                return None;
+            }
             by_number
                 .entry(parameter.index)
                 .or_default()
@@ -231,6 +235,13 @@ mod tests {
     fn values_in_each_other_without_end_are_no_frame() {
         let parts = &[(1, "{=?}")];
         assert!(!fits("{=?}", parts, &[1, 0].repeat(2_000)));
+    }
+
+    /// Found by fuzzing: 5F FF.
+    #[test]
+    fn what_the_decoder_would_panic_on_is_no_frame() {
+        assert!(fits("{=[u8]:02x}", &[], &[2, 0, 0, 0, 0x5f, 0xff]));
+        assert!(!fits("{=[u8]:cbor}", &[], &[2, 0, 0, 0, 0x5f, 0xff]));
     }
 
     #[test]
