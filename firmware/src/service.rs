@@ -50,48 +50,41 @@ pub struct Identity {
     pub chip: Option<[u8; 12]>,
 }
 
-/// What only the board can do. Whatever it has not got, it says so and is not asked again for that order.
+/// What only the board can do. A board without one of these leaves it as it stands here; it is not asked again for that
+/// order.
 pub trait Facilities {
     /// Whether [`Facilities::restart`] leads there.
-    fn has_program(&self, into: Program) -> bool;
+    fn has_program(&self, _into: Program) -> bool {
+        false
+    }
     /// Ends the program, outputs open, for `into`. A board does not come back; a simulated hob begins anew.
-    fn restart(&mut self, into: Program);
+    fn restart(&mut self, _into: Program) {}
     /// Codes of bus and mains now.
-    fn slow_codes(&mut self) -> Option<SlowCodes>;
+    fn slow_codes(&mut self) -> Option<SlowCodes> {
+        None
+    }
     /// The chip's reference voltage, as converted last.
-    fn reference(&mut self) -> Option<Reference>;
+    fn reference(&mut self) -> Option<Reference> {
+        None
+    }
     /// Trips both comparators by their thresholds. The bridge is open and nothing asks for it.
-    fn comparators(&mut self) -> Option<Comparators>;
+    fn comparators(&mut self) -> Option<Comparators> {
+        None
+    }
     /// Begins to count the clocks; false where there are none.
-    fn begin_clocks(&mut self) -> bool;
+    fn begin_clocks(&mut self) -> bool {
+        false
+    }
     /// What was counted, once it is enough.
-    fn clocks(&mut self) -> Option<Clocks>;
+    fn clocks(&mut self) -> Option<Clocks> {
+        None
+    }
 }
 
 /// A device that is a processor alone.
 pub struct NoFacilities;
 
-impl Facilities for NoFacilities {
-    fn has_program(&self, _: Program) -> bool {
-        false
-    }
-    fn restart(&mut self, _: Program) {}
-    fn slow_codes(&mut self) -> Option<SlowCodes> {
-        None
-    }
-    fn reference(&mut self) -> Option<Reference> {
-        None
-    }
-    fn comparators(&mut self) -> Option<Comparators> {
-        None
-    }
-    fn begin_clocks(&mut self) -> bool {
-        false
-    }
-    fn clocks(&mut self) -> Option<Clocks> {
-        None
-    }
-}
+impl Facilities for NoFacilities {}
 
 /// What is under way.
 enum Order {

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use ihd_firmware::channels::{Reference, SlowCodes};
+use ihd_firmware::channels::SlowCodes;
 use ihd_firmware::drive::Bridge;
 use ihd_firmware::health::Heartbeat;
 use ihd_firmware::housekeeping::Housekeeping;
@@ -23,7 +23,7 @@ use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::{Clocks, Comparators, Program};
+use ihd_shared::wire::messages::Program;
 use ihd_signal::truth::Truth;
 
 use super::adc::{Adc, Noise};
@@ -174,18 +174,6 @@ impl Facilities for Board {
     }
     fn slow_codes(&mut self) -> Option<SlowCodes> {
         Some(self.slow)
-    }
-    fn reference(&mut self) -> Option<Reference> {
-        None
-    }
-    fn comparators(&mut self) -> Option<Comparators> {
-        None
-    }
-    fn begin_clocks(&mut self) -> bool {
-        false
-    }
-    fn clocks(&mut self) -> Option<Clocks> {
-        None
     }
 }
 
