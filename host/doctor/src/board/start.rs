@@ -3,15 +3,13 @@
 use ihd_flash::OptionBytes;
 use ihd_link::BoardFacts;
 use ihd_shared::fault::Fault;
+use ihd_shared::image::{DEVICE_ID, FLASH_BYTES};
 use ihd_shared::wire::messages::{Hello, Status};
 
 use crate::{Check, Evidence};
 
-/// DEV_ID of DBGMCU_IDCODE: STM32G47x and G48x (RM0440, 47.6.1).
-const G474: u32 = 0x469;
-
 /// KiB of flash that the image and its lookups are laid out for.
-const FLASH_KIB: u16 = 512;
+const FLASH_KIB: u16 = (FLASH_BYTES / 1024) as u16;
 
 /// Why it started, and what was wrong before.
 pub(super) fn reset_cause(hello: &Hello) -> Check {
@@ -91,7 +89,7 @@ pub(super) fn chip(facts: &BoardFacts) -> Check {
         Evidence::told("starts since power-on", facts.starts.into(), ""),
         Evidence::told("image", facts.image_bytes.into(), "bytes"),
     ];
-    if facts.id_code & 0xFFF == G474 && facts.flash_kib == FLASH_KIB {
+    if facts.id_code & 0xFFF == DEVICE_ID && facts.flash_kib == FLASH_KIB {
         return Check::pass(NAME, finding).with_evidence(told);
     }
     let remedy = "The firmware is for an STM32G474 with 512 KiB; what runs on another is untested";
