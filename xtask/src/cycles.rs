@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail, ensure};
 
 use crate::budget::{Limits, verdict};
+use crate::emulator;
 use crate::workspace::{Workspace, spelled};
 
 /// What this writes, and into which part of it.
@@ -37,12 +37,8 @@ pub type Counts = BTreeMap<String, f64>;
 
 /// Runs the counting image in the emulator `qemu`.
 pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<Counts> {
-    let mut qemu = Command::new(qemu);
-    qemu.args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
-        .args(["-serial", "null", "-monitor", "none", "-icount", "shift=0"])
-        .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
-        .arg(image)
-        .stdin(Stdio::null());
+    let mut qemu = emulator::an386(qemu, "enable=on,target=native", image);
+    qemu.args(["-icount", "shift=0"]);
     let line = spelled(&qemu);
     let output = qemu.output();
     let output = output.with_context(|| format!("could not start `{line}`"))?;

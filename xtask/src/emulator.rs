@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::Context;
 
@@ -27,6 +27,18 @@ impl Emulator {
     const fn new(package: &'static str, program: &'static str) -> Self {
         Self { package, program }
     }
+}
+
+/// The machine on which the firmware's images run, with semihosting as told, about to run `image`.
+pub fn an386(qemu: &Path, semihosting: &str, image: &Path) -> Command {
+    let mut command = Command::new(qemu);
+    command
+        .args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"])
+        .args(["-serial", "null", "-monitor", "none"])
+        .args(["-semihosting-config", semihosting, "-kernel"])
+        .arg(image)
+        .stdin(Stdio::null());
+    command
 }
 
 /// A program that runs the emulator, installed if need be.

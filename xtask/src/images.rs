@@ -38,10 +38,13 @@ pub fn run_on_board(on: &Workspace, image: &Path) -> anyhow::Result<()> {
         "probe-rs is not installed: `cargo install probe-rs-tools --locked`; or without it `ihd flash --image {}`",
         sealed.display()
     );
+    probe_rs_run(&sealed)
+}
+
+/// `probe-rs run`: flashes an ELF file and shows its log, or runs the tests that it holds.
+pub fn probe_rs_run(elf: &Path) -> anyhow::Result<()> {
     let mut probe_rs = Command::new("probe-rs");
-    run(probe_rs
-        .args(["run", "--chip", "STM32G474RETx"])
-        .arg(&sealed))
+    run(probe_rs.args(["run", "--chip", "STM32G474RETx"]).arg(elf))
 }
 
 impl Image {

@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 use crate::toolchain::{FirmwareToolchain, TARGET};
 use crate::workspace::{Workspace, first_line, run};
+use crate::{emulator, images};
 
 const MANIFEST: &str = "firmware/on-target/Cargo.toml";
 
@@ -100,11 +101,7 @@ pub fn in_emulator(
     for test in &tests {
         // Semihosting's command line tells which test, and its exit what came of it: as probe-rs does.
         let semihosting = format!("enable=on,target=native,arg=run_addr,arg={}", test.entry);
-        let mut command = Command::new(qemu);
-        command.args(["-M", "mps2-an386", "-cpu", "cortex-m4", "-display", "none"]);
-        command.args(["-serial", "null", "-monitor", "none"]);
-        command.args(["-semihosting-config", &semihosting, "-kernel"]);
-        let output = command.arg(&image).stdin(Stdio::null()).output()?;
+        let output = emulator::an386(qemu, &semihosting, &image).output()?;
         let passed = output.status.success() != test.should_panic;
         println!(
             "on target, QEMU: {} … {}",
@@ -139,7 +136,5 @@ pub fn on_board(on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result
         return Ok(());
     }
     let image = build(on, toolchain, true)?;
-    run(Command::new("probe-rs")
-        .args(["run", "--chip", "STM32G474RETx"])
-        .arg(image))
+    images::probe_rs_run(&image)
 }
