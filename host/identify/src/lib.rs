@@ -21,7 +21,7 @@ pub mod trajectory;
 use std::time::Duration;
 
 use ihd_signal::truth::Truth;
-use ihd_signal::{Segment, SegmentError};
+use ihd_signal::{Remark, Segment, SegmentError};
 use serde::{Deserialize, Serialize};
 
 /// Who estimates.
@@ -116,6 +116,8 @@ pub struct Estimate {
     pub elapsed: Duration,
     /// What the reader of the estimate has to know: limits met, what failed on the way.
     pub notes: Vec<String>,
+    /// What programs have to know of it, for the gate.
+    pub remarks: Vec<Remark>,
 }
 
 /// What the estimators may be given. The default fits every capture of a hob.
@@ -243,6 +245,7 @@ impl Estimate {
             nmse_i_pct: None,
             elapsed: Duration::ZERO,
             notes: Vec::new(),
+            remarks: Vec::new(),
         }
     }
 

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use ihd_signal::Remark;
+pub use ihd_signal::Severity;
 use serde::Serialize;
 
 /// Voltage or current.
@@ -37,28 +39,6 @@ impl fmt::Display for Channel {
         f.pad(match self {
             Self::Voltage => "voltage",
             Self::Current => "current",
-        })
-    }
-}
-
-/// How much a finding matters to R and L.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// Worth knowing; costs nothing.
-    Note,
-    /// R and L lose accuracy, or a part of the capture is lost.
-    Warning,
-    /// R and L would be wrong.
-    Error,
-}
-
-impl fmt::Display for Severity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Note => "note",
-            Self::Warning => "warning",
-            Self::Error => "error",
         })
     }
 }
@@ -226,8 +206,8 @@ impl Finding {
     /// How much it matters.
     pub fn severity(&self) -> Severity {
         match self {
-            Self::FrequencyStep { .. } | Self::CarrierAbsent { .. } => Severity::Note,
-            Self::Aliasing { r_pct, .. } if *r_pct < ALIASING_WARNING_PCT => Severity::Note,
+            Self::FrequencyStep { .. } | Self::CarrierAbsent { .. } => Severity::Info,
+            Self::Aliasing { r_pct, .. } if *r_pct < ALIASING_WARNING_PCT => Severity::Info,
             Self::PieceTooShort { .. }
             | Self::FrequencyDiffers { .. }
             | Self::MainsDiffers { .. }
@@ -245,6 +225,79 @@ impl Finding {
             | Self::Inverted { .. }
             | Self::NegativeResistance { .. }
             | Self::Dead { .. } => Severity::Error,
+        }
+    }
+}
+
+impl Finding {
+    /// Its kind in `snake_case`, as in JSON.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NotFinite { .. } => "not_finite",
+            Self::TimeNotAscending { .. } => "time_not_ascending",
+            Self::Gap { .. } => "gap",
+            Self::PieceTooShort { .. } => "piece_too_short",
+            Self::CarrierAbsent { .. } => "carrier_absent",
+            Self::FrequencyStep { .. } => "frequency_step",
+            Self::FrequencyDiffers { .. } => "frequency_differs",
+            Self::MainsDiffers { .. } => "mains_differs",
+            Self::MainsUnknown { .. } => "mains_unknown",
+            Self::Clipping { .. } => "clipping",
+            Self::Offset { .. } => "offset",
+            Self::Implausible { .. } => "implausible",
+            Self::Noisy { .. } => "noisy",
+            Self::CoarselySampled { .. } => "coarsely_sampled",
+            Self::Aliasing { .. } => "aliasing",
+            Self::Swapped { .. } => "swapped",
+            Self::Inverted { .. } => "inverted",
+            Self::NegativeResistance { .. } => "negative_resistance",
+            Self::Dead { .. } => "dead",
+        }
+    }
+
+    /// The number that was judged; `None` where there is no single one.
+    fn value(&self) -> Option<f64> {
+        Some(match self {
+            Self::NotFinite { samples, .. } | Self::Clipping { samples, .. } => *samples as f64,
+            Self::TimeNotAscending { times, .. } => *times as f64,
+            Self::Gap { longest_s, .. } => *longest_s,
+            Self::PieceTooShort { total_s, .. } => *total_s,
+            Self::CarrierAbsent { from_s, to_s } => to_s - from_s,
+            Self::FrequencyStep { to_hz, .. } => *to_hz,
+            Self::FrequencyDiffers { measured_hz, .. } | Self::MainsDiffers { measured_hz, .. } => {
+                *measured_hz
+            }
+            Self::MainsUnknown { half_cycles, .. } => *half_cycles,
+            Self::Offset { mean, .. } => *mean,
+            Self::Implausible { peak, .. } => *peak,
+            Self::Noisy { snr_db, .. } => *snr_db,
+            Self::CoarselySampled { samples_per_period } => *samples_per_period,
+            Self::Aliasing { r_pct, .. } => *r_pct,
+            Self::Inverted { r_ohm, .. } | Self::NegativeResistance { r_ohm, .. } => *r_ohm,
+            Self::Swapped { .. } | Self::Dead { .. } => return None,
+        })
+    }
+
+    /// What it was judged against, in the same unit.
+    fn limit(&self) -> Option<f64> {
+        Some(match self {
+            Self::FrequencyDiffers { specified_hz, .. }
+            | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
+            Self::Implausible { most, .. } => *most,
+            Self::CoarselySampled { .. } => super::COARSE,
+            Self::Aliasing { .. } => ALIASING_WARNING_PCT,
+            _ => return None,
+        })
+    }
+
+    /// The finding as what `ihd identify` and the gate say beside an estimate.
+    pub fn remark(&self) -> Remark {
+        Remark {
+            code: self.code(),
+            severity: self.severity(),
+            text: self.to_string(),
+            value: self.value().filter(|x| x.is_finite()),
+            limit: self.limit().filter(|x| x.is_finite()),
         }
     }
 }
@@ -403,6 +456,33 @@ impl fmt::Display for Finding {
                 "the {channel} does not show the switching frequency: is its probe connected, and \
                  the right column chosen?"
             ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_finding_has_one_name_in_json_and_as_a_remark() {
+        for finding in [
+            Finding::Gap {
+                gaps: 1,
+                t_s: 0.0,
+                longest_s: 1e-3,
+                missing: 7,
+            },
+            Finding::Dead {
+                channel: Channel::Current,
+            },
+            Finding::CoarselySampled {
+                samples_per_period: 9.0,
+            },
+        ] {
+            let json = serde_json::to_value(&finding).unwrap();
+            assert_eq!(json["kind"], finding.code());
+            assert_eq!(finding.remark().code, finding.code());
         }
     }
 }

@@ -270,7 +270,7 @@ fn lines(survey: &Survey) -> Vec<(RGBColor, String)> {
     )];
     for finding in &survey.findings {
         let colour = match finding.severity() {
-            Severity::Note => BLACK,
+            Severity::Info => BLACK,
             Severity::Warning => RGBColor(180, 95, 0),
             Severity::Error => CURRENT,
         };

@@ -148,7 +148,7 @@ impl IdentifyArgs {
         for finding in survey
             .findings
             .iter()
-            .filter(|f| f.severity() > Severity::Note)
+            .filter(|f| f.severity() > Severity::Info)
         {
             output::complain(format_args!("{}: {finding}", finding.severity()));
         }
