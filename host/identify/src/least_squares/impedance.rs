@@ -14,6 +14,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::phasors::Fit;
 use super::{LeastSquaresSettings, intervals};
+use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
 
 /// Phasors that are compared in each interval.
@@ -32,6 +33,7 @@ pub fn fit(
     settings: &LeastSquaresSettings,
     noise: WhiteNoise,
     estimate: &mut Estimate,
+    residual: &mut ModelResidual,
 ) -> Result<(), IdentifyError> {
     let omega = TAU * segment.f_sw_hz;
     let duration_s = phasors.duration_s;
@@ -67,10 +69,22 @@ pub fn fit(
         problem.add_bend(j, 1.0 / (bend * bend * z2));
     }
     let solution = problem.solve()?;
+    let left: Vec<f64> = (0..points)
+        .map(|k| solution.left(&spline, phasors, at(k), omega))
+        .collect();
     let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
     for k in 0..periods {
         let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
         let (found, sigma) = solution.at(&spline, tau_s);
+        let nearest = ((tau_s / duration_s * points as f64) as usize).min(points - 1);
+        let near =
+            &left[nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
+        let beyond = near.iter().sum::<f64>() / near.len() as f64 - variance;
+        let [v, i] = phasors.excess.at(tau_s);
+        let chi2 = 1.0 + (0.5 * (v + z2 * i) + beyond.max(0.0)) / variance;
+        let sigma = sigma.map(|s| s * chi2.sqrt());
+        let relative = [sigma[0] / found[0], sigma[1] / found[1]];
+        residual.add(phasors.at(tau_s).i.norm_sqr(), chi2, relative);
         let t_s = phasors.t0_s + tau_s;
         estimate.push(
             t_s,
@@ -146,6 +160,13 @@ impl Problem {
 }
 
 impl Solution {
+    /// Mean square of one component of V − R·I − ωL·(jI + I'/ω) at a time, in V².
+    fn left(&self, spline: &CubicSpline, phasors: &Fit, tau_s: f64, omega: f64) -> f64 {
+        let (p, ([r, x], _)) = (phasors.at(tau_s), self.at(spline, tau_s));
+        let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
+        0.5 * (p.v - p.i * r - d * x).norm_sqr()
+    }
+
     /// R and ωL in ohm at a time, and their standard deviations.
     fn at(&self, spline: &CubicSpline, tau_s: f64) -> ([f64; 2], [f64; 2]) {
         let local = spline.at(tau_s);

@@ -4,8 +4,10 @@
 use std::ops::Range;
 
 use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 use ihd_spline::CubicSpline;
 use ihd_spline::harmonic::{HarmonicFit, phasor};
+use ihd_spline::residual::Excess;
 use nalgebra::Complex;
 
 use super::{LeastSquaresSettings, intervals};
@@ -30,6 +32,8 @@ pub struct Fit {
     pub t0_s: f64,
     /// Duration of the stretch in seconds.
     pub duration_s: f64,
+    /// What the fit leaves of the fundamental beyond white noise.
+    pub excess: Excess,
     orders: usize,
     v: Vec<f64>,
     i: Vec<f64>,
@@ -54,6 +58,7 @@ impl Fit {
         segment: &Segment,
         range: Range<usize>,
         settings: &LeastSquaresSettings,
+        noise: WhiteNoise,
     ) -> Result<Self, IdentifyError> {
         let per_period = segment.samples_per_period();
         let (v_v, i_a) = (&segment.v_v[range.clone()], &segment.i_a[range.clone()]);
@@ -83,7 +88,10 @@ impl Fit {
                  not at a small multiple of f_sw"
             ),
         })?;
+        let white = [noise.v_v, noise.i_a];
+        let excess = Excess::of(&fit, [v_v, i_a], [&v, &i], white);
         Ok(Self {
+            excess,
             samples_per_interval: v_v.len() as f64 / count as f64,
             t0_s: segment.t_s(range.start),
             duration_s,
