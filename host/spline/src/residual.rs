@@ -11,8 +11,8 @@ use crate::harmonic::{HarmonicFit, phasor};
 
 type Phasor = Complex<f64>;
 
-/// A window's length as a share of a spline's interval: its band is four times the spline's.
-const WINDOW: f64 = 0.5;
+/// A window's length as a share of a spline's interval: its band is twice the spline's.
+const WINDOW: f64 = 1.0;
 
 /// Fewest switching periods of a window: its lobe of 3 bins keeps the other harmonics out.
 const LEAST_PERIODS: f64 = 6.0;
@@ -21,13 +21,13 @@ const LEAST_PERIODS: f64 = 6.0;
 const OVERLAP: f64 = 4.0;
 
 /// Share of white noise in a window that a spline's own freedom has not taken.
-const LEFT: f64 = 0.74;
+const LEFT: f64 = 0.49;
 
 /// Times of a window at which the fitted phasor is taken.
 const TIMES: usize = 8;
 
 /// Windows on either side over which squares are averaged.
-const REACH: usize = 6;
+const REACH: usize = 4;
 
 /// What of the mean square of white noise counts as chance: means of so many windows seldom are above.
 const CHANCE: f64 = 1.8;
@@ -207,7 +207,7 @@ mod tests {
         // 3 kHz away is beyond the splines, and within the windows.
         let tone = excess(|t| 8.0 * libm::cos(TAU * (48e3 * t).fract()), 0.5);
         let middle = tone.at(5e-3);
-        assert!((20.0..80.0).contains(&middle[0]), "{middle:?}");
+        assert!((8.0..64.0).contains(&middle[0]), "{middle:?}");
     }
 
     #[test]

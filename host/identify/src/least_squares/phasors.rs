@@ -13,6 +13,12 @@ use nalgebra::Complex;
 use super::{LeastSquaresSettings, intervals};
 use crate::{IdentifyError, Method};
 
+/// Duration of the bridge's edges in seconds, from the hob's ratings.
+const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
+
+/// How far the edges' duration may be off, relative.
+const EDGE_SPREAD: f64 = 0.1;
+
 /// Harmonics that are fitted. R and L come from the first; the others are there because their
 /// modulation reaches over to it.
 const ORDERS: [u32; 4] = [1, 3, 5, 7];
@@ -34,6 +40,10 @@ pub struct Fit {
     pub duration_s: f64,
     /// What the fit leaves of the fundamental beyond white noise.
     pub excess: Excess,
+    /// Amplitude of what the sampling folds onto the fundamental, over that of an edge's fundamental.
+    aliased: f64,
+    /// The third harmonic over its share of an edge's.
+    third: f64,
     orders: usize,
     v: Vec<f64>,
     i: Vec<f64>,
@@ -91,6 +101,12 @@ impl Fit {
         let white = [noise.v_v, noise.i_a];
         let excess = Excess::of(&fit, [v_v, i_a], [&v, &i], white);
         Ok(Self {
+            aliased: aliased(
+                segment.f_sw_hz,
+                per_period,
+                1.0 / (2.0 * duration_s / count as f64),
+            ),
+            third: sinc(3.0 * segment.f_sw_hz * EDGE_S) / 3.0,
             excess,
             samples_per_interval: v_v.len() as f64 / count as f64,
             t0_s: segment.t_s(range.start),
@@ -100,6 +116,16 @@ impl Fit {
             v,
             i,
         })
+    }
+
+    /// Amplitude in volt of the edges' harmonics that the sampling may have folded onto the fundamental, without an
+    /// anti-alias filter: their strength is that of the third harmonic, which the current hardly has.
+    pub fn aliased_v(&self, tau_s: f64) -> f64 {
+        if self.orders < 2 {
+            return self.at(tau_s).v.norm() * self.aliased;
+        }
+        let local = self.spline.at(tau_s);
+        phasor(&self.v, self.orders, 1, &local, &local.values).norm() / self.third * self.aliased
     }
 
     /// The fundamental at `tau_s` seconds after the stretch's first sample.
@@ -112,4 +138,37 @@ impl Fit {
             i_slope: of(&self.i, &local.slopes_per_s),
         }
     }
+}
+
+fn sinc(x: f64) -> f64 {
+    let angle = std::f64::consts::PI * x;
+    if angle == 0.0 {
+        1.0
+    } else {
+        libm::sin(angle) / angle
+    }
+}
+
+/// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental once sampled,
+/// 1/h · sinc(h f t_e), with the mean square over what t_e may be.
+fn aliased(f_sw_hz: f64, per_period: f64, band_hz: f64) -> f64 {
+    let last = (2.0 / (f_sw_hz * EDGE_S)) as u32;
+    let folded = |h: &u32| {
+        let off = |shift: f64| {
+            let turns = (f64::from(*h) + shift) / per_period;
+            (turns - turns.round()).abs() * per_period * f_sw_hz
+        };
+        f64::from(*h) > 0.5 * per_period && off(1.0).min(off(-1.0)) < band_hz
+    };
+    let square = |h: u32| {
+        let at = |edge: f64| sinc(f64::from(h) * f_sw_hz * EDGE_S * edge) / f64::from(h);
+        let [low, middle, high] = [1.0 - EDGE_SPREAD, 1.0, 1.0 + EDGE_SPREAD].map(at);
+        (low * low + middle * middle + high * high) / 3.0
+    };
+    (3..=last)
+        .step_by(2)
+        .filter(folded)
+        .map(square)
+        .sum::<f64>()
+        .sqrt()
 }
