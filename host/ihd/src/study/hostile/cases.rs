@@ -119,8 +119,9 @@ pub(super) fn as_device(s: &mut Settings) {
 pub(super) fn aluminium(s: &mut Settings) {
     s.load = LoadKind::Surrogate;
     s.pot = Pot::new(Metal::Aluminium, 0.21);
-    s.winding_r_ohm = 0.22;
+    s.winding_r_ohm = 0.14;
     s.f_sw_hz = 67e3;
+    s.sensing.i_full_scale_a = 160.0;
 }
 
 fn operating_points() -> Vec<Case> {
