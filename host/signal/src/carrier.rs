@@ -45,8 +45,8 @@ pub struct Sweep {
     pub mean_hz: f64,
     /// Half of what lies between the smallest and the largest frequency, in hertz.
     pub deviation_hz: f64,
-    /// How often it goes up and down, in hertz; `None` where that is not seen twice.
-    pub rate_hz: Option<f64>,
+    /// How often it would go up and down, in hertz, if it were a sine.
+    pub rate_hz: f64,
 }
 
 /// The switching frequency at evenly spaced times.
@@ -176,20 +176,13 @@ impl Carrier {
         f.sort_by(f64::total_cmp);
         let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();
         let (low, high) = (rank(0.02).unwrap_or(mean_hz), rank(0.98).unwrap_or(mean_hz));
-        let (middle, deviation_hz) = (0.5 * (low + high), 0.5 * (high - low));
-        // Passages through the middle, each only after a quarter of the deviation beyond it.
-        let (mut side, mut passages) = (0.0, Vec::new());
-        for (t_s, f, _) in strong().filter(|v| (v.1 - middle).abs() > 0.25 * deviation_hz) {
-            let now = (f - middle).signum();
-            if side * now < 0.0 {
-                passages.push(t_s);
-            }
-            side = now;
-        }
-        let rate_hz = match passages[..] {
-            [first, .., last] => Some(0.5 * (passages.len() - 1) as f64 / (last - first)),
-            _ => None,
-        };
+        let deviation_hz = 0.5 * (high - low);
+        // Of a sine the slope is 2π·rate times the deviation, both rms.
+        let slopes = self.f_hz.windows(2).zip(&self.weight);
+        let slope = slopes.map(|(f, w)| w * ((f[1] - f[0]) / self.step_s).powi(2));
+        let off = self.f_hz.iter().zip(&self.weight);
+        let off: f64 = off.map(|(f, w)| w * (f - mean_hz).powi(2)).sum();
+        let rate_hz = (slope.sum::<f64>() / off.max(f64::MIN_POSITIVE)).sqrt() / TAU;
         Sweep {
             mean_hz,
             deviation_hz,
