@@ -16,6 +16,7 @@ mod model_residual;
 pub mod network;
 pub mod pinn;
 pub mod reconstruction;
+mod reference;
 pub mod rls;
 mod sweep;
 pub mod trajectory;
@@ -193,7 +194,7 @@ fn at_constant_frequency(
     settings: &Settings,
     watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    match method {
+    let mut estimate = match method {
         Method::Kf => kf::identify(segment, settings),
         Method::Ekf => ekf::identify(segment, settings),
         Method::EkfPaper => ekf::literal::identify(segment),
@@ -206,7 +207,11 @@ fn at_constant_frequency(
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
         Method::Pinn => pinn::identify(&segment.without_offsets(), settings, watch),
+    }?;
+    if !matches!(method, Method::LeastSquares | Method::Pinn) {
+        reference::hold_against(&mut estimate, segment, settings);
     }
+    Ok(estimate)
 }
 
 /// Why a segment could not be identified.

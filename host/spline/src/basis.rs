@@ -3,7 +3,27 @@
 //! A window lies between two mains zero crossings, and the envelope has its kinks only there: one
 //! smooth piece with clamped ends needs no inner knot of higher multiplicity.
 
+use std::f64::consts::FRAC_PI_2;
+
 const DEGREE: usize = 3;
+
+/// Noise of a phasor in the first interval, as a share of its amplitude there: more bends R and L, as noise of the
+/// current is noise of the regressor.
+const END_NOISE: f64 = 0.01;
+
+/// Shortest interval at a mains zero crossing, in seconds, whose phasor noise leaves to 1 % of its amplitude there:
+/// `noise` is the variance of one sample's white noise over the mean square of the signal, samples `dt_s` seconds
+/// apart. Infinite where the noise is.
+pub fn quiet_interval_s(noise: f64, dt_s: f64, half_cycle_s: f64) -> f64 {
+    // The largest amplitude of a half-cycle is twice its rms, and within the first interval half its slope.
+    let slope = FRAC_PI_2 * 2.0 / half_cycle_s;
+    let cube = 2.0 * noise * dt_s / (END_NOISE * slope).powi(2);
+    if cube.is_finite() {
+        libm::cbrt(cube)
+    } else {
+        f64::INFINITY
+    }
+}
 
 /// Basis of cubic B-splines on `[0, duration]`.
 #[derive(Debug, Clone)]
