@@ -154,3 +154,52 @@ fn log_determinant(factor: &Cholesky<f64, Dyn>) -> f64 {
         .map(|x| x.ln())
         .sum::<f64>()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::parameters::Parameters;
+    use crate::trial;
+
+    /// The correction of a network on the constant load of the trial, 4 ohm and 20 uH, and the outputs with it.
+    fn corrected(network: &Parameters, noise: f64) -> Option<[f64; OUTPUTS]> {
+        let samples = trial::samples();
+        let branch = trial::fitted(&samples);
+        let physics = trial::physics(&branch, &samples, network, &[0], 64);
+        let outputs = |tau_s: f64| {
+            let (r, l) = network.r_l_at(samples.t0_s + tau_s);
+            [r / network.r_scale_ohm, l / network.l_scale_h]
+        };
+        let all: Vec<_> = physics.tau_s.iter().map(|tau| outputs(*tau)).collect();
+        let z = 4.0_f64.hypot(20e-6 * samples.omega);
+        let problem = Problem {
+            physics: &physics,
+            residuals: &physics.residuals(&all),
+            spline: &branch.basis.spline,
+            noise,
+            z: [
+                z / network.r_scale_ohm,
+                z / (samples.omega * network.l_scale_h),
+            ],
+        };
+        let added = Correction::fit(&problem)?.at(5e-3).0;
+        let before = outputs(5e-3);
+        Some([before[0] + added[0], before[1] + added[1]])
+    }
+
+    #[test]
+    fn what_the_network_is_off_by_is_taken_up_without_noise() {
+        // The untrained network is at about 5 ohm and 25 uH.
+        let found = corrected(&trial::network(), 1e-14).expect("there is something to explain");
+        assert!(
+            (found[0] - 1.0).abs() < 2e-3 && (found[1] - 1.0).abs() < 2e-3,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn a_network_that_explains_the_samples_is_left_alone() {
+        let right = trial::network().constant([1.0, 1.0]);
+        assert_eq!(corrected(&right, 1e-7), None);
+    }
+}
