@@ -1,5 +1,6 @@
 //! R(t) and L(t) of the last pass: the RL-MLP and the splines on top of it, with what σ has to hold beside noise.
 
+use ihd_spline::CubicSpline;
 use ihd_spline::residual::Excess;
 
 use super::pass::Pass;
@@ -43,10 +44,13 @@ impl<'a> Corrected<'a> {
         };
         let outputs: Vec<_> = physics.tau_s.iter().map(at).collect();
         let residuals = physics.residuals(&outputs);
+        let intervals = branch.basis.spline.functions().saturating_sub(3).max(1);
+        // Uniform: each interval has slow times enough, also the first.
+        let uniform = CubicSpline::new(intervals, samples.duration_s());
         let problem = Problem {
             physics: &physics,
             residuals: &residuals,
-            spline: &branch.basis.spline,
+            spline: &uniform,
             noise: pass.noise,
             z: [z / network.r_scale_ohm, z / (omega * network.l_scale_h)],
         };
@@ -55,7 +59,6 @@ impl<'a> Corrected<'a> {
             .then(|| Correction::fit(&problem))
             .flatten();
         let z_squared = (z * samples.impedance_scale()).powi(2);
-        let intervals = branch.basis.spline.functions().saturating_sub(3).max(1);
         let white = pass.white.0 + z_squared * pass.white.1;
         // One residual carries sqrt(w_f / 2K) of a component.
         let by_weight = 2.0 * physics.tau_s.len() as f64 / config.w_f;
