@@ -13,12 +13,12 @@ use crate::parameters::OUTPUTS;
 /// Widths that the evidence chooses from, as shares of |Z| at full current.
 const WIDTHS: [f64; 9] = [1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1];
 
-/// R and L are functions of the current whose slopes are largest where it is small: the width grows as the current
-/// falls to this power.
-const GROWTH: f64 = 0.75;
+/// What a network weighted with I² leaves is at the ends: the width grows as the current falls to this power, so that
+/// the evidence for the ends is not held back by a middle that needs nothing.
+const GROWTH: f64 = 1.5;
 
 /// Log evidence that a width must be better than none by.
-const LEAST_EVIDENCE: f64 = 3.0;
+const LEAST_EVIDENCE: f64 = 1.0;
 
 /// Splines on R and L, in the network's units.
 pub(crate) struct Correction {
@@ -139,7 +139,7 @@ impl Problem<'_> {
         let shares = sums
             .iter()
             .zip(&weights)
-            .map(|(s, w)| (s / w / largest).clamp(1e-3, 1.0));
+            .map(|(s, w)| (s / w / largest).clamp(1e-2, 1.0));
         shares
             .flat_map(|share| self.z.map(|z| share.powf(2.0 * GROWTH) / (z * z)))
             .collect()
