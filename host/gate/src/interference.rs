@@ -25,6 +25,10 @@ const LEAST_PHASORS: usize = 128;
 /// Intervals of R and L in a half-cycle that the load is given here: what moves faster is left for the tones.
 const SMOOTH_INTERVALS: usize = 8;
 
+/// Switching periods of a boxcar: among two, three and four there is one that whole samples nearly fill, at 61/3 samples
+/// a period too, so that the harmonics lie on its zeros.
+const BOXCAR_PERIODS: f64 = 3.0;
+
 /// Power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
 const LINE: f64 = 30.0;
 
@@ -36,6 +40,9 @@ const NEIGHBOURS: usize = 32;
 
 /// Lines that the window's main lobe covers on either side.
 const LOBE: usize = 4;
+
+/// Largest offset that is looked at, as a share of the phasors' rate, which is about f_sw.
+const MOST_OFFSET: f64 = 0.25;
 
 /// Tones that are taken out of one stretch at most.
 const MOST_TONES: usize = 6;
@@ -113,7 +120,7 @@ pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
     let boxcar = Boxcar::fitting(
         segment.samples_per_period(),
         segment.f_sw_hz,
-        1.0 / segment.f_sw_hz,
+        BOXCAR_PERIODS / segment.f_sw_hz,
     );
     let smooth = Settings {
         least_squares: LeastSquaresSettings {
@@ -260,8 +267,8 @@ fn strongest_line(x: &[Complex<f64>], weight: &[f64]) -> Option<i64> {
     let n = x.len();
     let power = spectrum(x, weight)?;
     let of = |k: i64| power[k.rem_euclid(n as i64) as usize];
-    // Beyond, the kernel leaves nothing.
-    let most = (0.45 * n as f64) as i64;
+    // Beyond, the kernel's first zero is near.
+    let most = (MOST_OFFSET * n as f64) as i64;
     let stands_out = |k: &i64| {
         let around = (LOBE..LOBE + NEIGHBOURS).flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
         let floor = median(around.collect()).unwrap_or(f64::INFINITY) / LN_2;
