@@ -316,3 +316,81 @@ fn peak(hz: f64, spacing_hz: f64, power: impl Fn(f64) -> f64) -> f64 {
     }
     0.5 * (low + high)
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    const OMEGA: f64 = TAU * 45e3;
+
+    /// Two half-cycles through 3 Ω and 18 µH, with a tone in the voltage and white noise of 50 dB.
+    fn segment(offset_hz: f64, v: f64) -> Segment {
+        let dt_s = 80e-9;
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut noise = |sigma: f64| -> f64 {
+            let x: f64 = StandardNormal.sample(&mut rng);
+            sigma * x
+        };
+        let (mut v_v, mut i_a) = (Vec::new(), Vec::new());
+        for k in 0..250_000 {
+            let t = f64::from(k) * dt_s;
+            let (mains, turn) = (TAU * 50.0, OMEGA * t);
+            let (envelope, slope) = (
+                40.0 * (mains * t).sin().abs(),
+                40.0 * mains * (mains * t).cos() * (mains * t).sin().signum(),
+            );
+            let i = envelope * turn.cos();
+            let d = slope * turn.cos() - envelope * OMEGA * turn.sin();
+            let tone = v * ((OMEGA + TAU * offset_hz) * t + 0.7).cos();
+            v_v.push(3.0 * i + 18e-6 * d + tone + noise(0.4));
+            i_a.push(i + noise(0.06));
+        }
+        Segment {
+            f_sw_hz: 45e3,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+            t0_s: 0.0,
+            dt_s,
+            v_v,
+            i_a,
+        }
+    }
+
+    fn reference(segment: &Segment) -> Estimate {
+        run(Method::LeastSquares, segment, &Settings::default()).expect("a steady load")
+    }
+
+    #[test]
+    fn a_tone_is_found_where_it_is_and_taken_out_it_costs_nothing() {
+        for (offset_hz, v) in [(1200.0, 8.0), (-2_030.0, 4.0), (730.0, 2.0)] {
+            let with = segment(offset_hz, v);
+            let tones = find(&with, &reference(&with));
+            let strongest = tones
+                .iter()
+                .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()));
+            let found = strongest.expect("a tone");
+            assert!((found.offset_hz - offset_hz).abs() < 8.0, "{found:?}");
+            assert!((found.v.norm() / v - 1.0).abs() < 0.1, "{found:?}");
+            let clean = segment(0.0, 0.0);
+            let error = |s: &Segment| {
+                let all = comparison::differences(&clean, &reference(s), &reference(&clean));
+                all.iter().map(|d| d.mean_pct[0]).fold(0.0, f64::max)
+            };
+            let (before, after) = (error(&with), error(&without(&with, &tones)));
+            assert!(
+                after < 0.25 * before,
+                "{offset_hz}: {before} % to {after} %"
+            );
+        }
+    }
+
+    #[test]
+    fn there_is_no_tone_where_there_is_none() {
+        let clean = segment(0.0, 0.0);
+        assert_eq!(find(&clean, &reference(&clean)), []);
+    }
+}
