@@ -10,6 +10,7 @@
 //! - **offsets** are the channels' means: the resonance capacitor carries no direct current, and a
 //!   coil without direct current has no mean voltage.
 
+pub mod blind;
 mod delay;
 mod estimate;
 mod reference;
