@@ -16,6 +16,7 @@ pub mod network;
 pub mod pinn;
 pub mod reconstruction;
 pub mod rls;
+mod sweep;
 pub mod trajectory;
 
 use std::time::Duration;
@@ -174,6 +175,23 @@ pub fn run_watched(
     watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
     segment.check()?;
+    if let Some(carrier) = sweep::of(method, segment) {
+        // Its truth would be that of another clock.
+        return sweep::identify(method, segment, &carrier, |warped| {
+            let (truth, report) = (None, &mut *watch.report);
+            at_constant_frequency(method, warped, settings, &mut Watch { truth, report })
+        });
+    }
+    at_constant_frequency(method, segment, settings, watch)
+}
+
+/// The method on a segment of one frequency.
+fn at_constant_frequency(
+    method: Method,
+    segment: &Segment,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Estimate, IdentifyError> {
     match method {
         Method::Kf => kf::identify(segment, settings),
         Method::Ekf => ekf::identify(segment, settings),

@@ -8,6 +8,7 @@
 
 pub mod atomic;
 pub mod capture;
+pub mod carrier;
 pub mod correlation;
 pub mod load;
 pub mod noise;

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::Capture;
+use ihd_signal::carrier::{Carrier, Sweep};
 use nalgebra::Complex;
 
 use super::lines::{HOPS, LARGEST_HZ, LEAST_HZ, Lines};
@@ -28,6 +29,9 @@ const EDGE: f64 = 0.1;
 /// Change of frequency that counts as a step, in hertz: an eighth of the spectrum's resolution.
 const STEP_HZ: f64 = 150.0;
 
+/// Time in seconds over which a step of the frequency is smoothed by what follows the carrier.
+const SMOOTHED_S: f64 = 0.25e-3;
+
 /// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides it.
 const OFF_HOPS: usize = 10;
 
@@ -36,8 +40,10 @@ const OFF_HOPS: usize = 10;
 pub struct Piece {
     /// The run it is a part of, cut to it.
     pub run: Run,
-    /// Switching frequency in hertz, to some 20 Hz.
+    /// Switching frequency in hertz, to some 20 Hz; the mean of one that moves.
     pub f_hz: f64,
+    /// How it moves, where it does.
+    pub sweep: Option<Sweep>,
 }
 
 /// What a search found.
@@ -157,7 +163,7 @@ fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
     run.part(start..end)
 }
 
-/// Cuts a range of frames where the frequency steps.
+/// Cuts a range of frames where the frequency steps; one that moves without steps is a piece as a whole.
 fn steps(
     capture: &Capture,
     run: &Run,
@@ -166,9 +172,11 @@ fn steps(
     frames: Range<usize>,
     out: &mut Vec<Piece>,
 ) {
-    let cuts = steady(&held(lines, valid, frames.clone()));
+    let held = held(lines, valid, frames.clone());
+    let cuts = steady(&held);
     let end = run.samples.end;
     let mut from = run.samples.start;
+    let mut pieces = Vec::new();
     for (n, (range, f)) in cuts.iter().enumerate() {
         let (mut to, mut next) = (end, end);
         if let Some((after, f_after)) = cuts.get(n + 1) {
@@ -179,12 +187,53 @@ fn steps(
             let guard = (2.0 / (f.min(*f_after) * run.dt_s)) as usize;
             (to, next) = (boundary.saturating_sub(guard), boundary + guard);
         }
-        out.push(Piece {
+        pieces.push(Piece {
             run: run.part(from..to),
             f_hz: *f,
+            sweep: None,
         });
         from = next;
     }
+    match moving(capture, run, &held, &pieces) {
+        Some(whole) => out.push(whole),
+        None => out.append(&mut pieces),
+    }
+}
+
+/// The run as one piece, where its frequency moves within the pieces that it would have if it stepped; `held_hz` are
+/// the frames' frequencies in hertz.
+fn moving(capture: &Capture, run: &Run, held_hz: &[f64], pieces: &[Piece]) -> Option<Piece> {
+    let mean = held_hz.iter().sum::<f64>() / held_hz.len().max(1) as f64;
+    let (v, i) = (&capture.v_v, &capture.i_a);
+    let range = run.samples.clone();
+    let carrier = Carrier::follow(&v[range.clone()], &i[range], run.t0_s, run.dt_s, mean)?;
+    // The carrier is smoothed over the edges of a step.
+    let inside = |p: &Piece, t_s: f64| {
+        let (from_s, to_s) = (
+            p.run.t0_s + SMOOTHED_S,
+            p.run.t_s(p.run.samples.end) - SMOOTHED_S,
+        );
+        (from_s..to_s).contains(&t_s)
+    };
+    let of_piece: Vec<f64> = (pieces.iter())
+        .map(|p| mean_hz(&carrier, |t_s| inside(p, t_s)).unwrap_or(p.f_hz))
+        .collect();
+    let expected = |t_s: f64| {
+        let at = pieces.iter().position(|p| inside(p, t_s))?;
+        of_piece.get(at).copied()
+    };
+    carrier.moves_from(expected).then(|| Piece {
+        run: run.clone(),
+        f_hz: carrier.mean_hz(),
+        sweep: Some(carrier.sweep()),
+    })
+}
+
+/// Mean frequency in hertz at the times chosen, weighted with the carrier's power.
+fn mean_hz(carrier: &Carrier, chosen: impl Fn(f64) -> bool) -> Option<f64> {
+    let of = carrier.values().filter(|v| chosen(v.0));
+    let (sum, weights) = of.fold((0.0, 0.0), |(sum, all), (_, f, w)| (sum + f * w, all + w));
+    (weights > 0.0).then(|| sum / weights)
 }
 
 /// Frequencies of frames in hertz; weak ones carry that of the last strong one. Empty when none is

@@ -97,6 +97,15 @@ pub enum Finding {
         /// After, in hertz.
         to_hz: f64,
     },
+    /// The switching frequency moves without steps; it is followed.
+    FrequencySweep {
+        /// Mean in hertz.
+        mean_hz: f64,
+        /// Half of what lies between the smallest and the largest frequency, in hertz.
+        deviation_hz: f64,
+        /// How often it goes up and down, in hertz, where that is seen.
+        rate_hz: Option<f64>,
+    },
     /// The capture states another switching frequency than it shows.
     FrequencyDiffers {
         /// Given by the user or stated by the capture, in hertz.
@@ -206,7 +215,9 @@ impl Finding {
     /// How much it matters.
     pub fn severity(&self) -> Severity {
         match self {
-            Self::FrequencyStep { .. } | Self::CarrierAbsent { .. } => Severity::Info,
+            Self::FrequencyStep { .. }
+            | Self::FrequencySweep { .. }
+            | Self::CarrierAbsent { .. } => Severity::Info,
             Self::Aliasing { r_pct, .. } if *r_pct < ALIASING_WARNING_PCT => Severity::Info,
             Self::PieceTooShort { .. }
             | Self::FrequencyDiffers { .. }
@@ -239,6 +250,7 @@ impl Finding {
             Self::PieceTooShort { .. } => "piece_too_short",
             Self::CarrierAbsent { .. } => "carrier_absent",
             Self::FrequencyStep { .. } => "frequency_step",
+            Self::FrequencySweep { .. } => "frequency_sweep",
             Self::FrequencyDiffers { .. } => "frequency_differs",
             Self::MainsDiffers { .. } => "mains_differs",
             Self::MainsUnknown { .. } => "mains_unknown",
@@ -264,6 +276,7 @@ impl Finding {
             Self::PieceTooShort { total_s, .. } => *total_s,
             Self::CarrierAbsent { from_s, to_s } => to_s - from_s,
             Self::FrequencyStep { to_hz, .. } => *to_hz,
+            Self::FrequencySweep { deviation_hz, .. } => *deviation_hz,
             Self::FrequencyDiffers { measured_hz, .. } | Self::MainsDiffers { measured_hz, .. } => {
                 *measured_hz
             }
@@ -349,6 +362,20 @@ impl fmt::Display for Finding {
                 from_hz * 1e-3,
                 to_hz * 1e-3
             ),
+            Self::FrequencySweep {
+                mean_hz,
+                deviation_hz,
+                rate_hz,
+            } => {
+                let rate = rate_hz.map_or(String::new(), |hz| format!(", {hz:.0} times a second"));
+                write!(
+                    f,
+                    "the switching frequency moves by {:.2} kHz around {:.2} kHz{rate}: least squares, lock-in and \
+                     pinn follow it",
+                    deviation_hz * 1e-3,
+                    mean_hz * 1e-3
+                )
+            }
             Self::FrequencyDiffers {
                 specified_hz,
                 measured_hz,

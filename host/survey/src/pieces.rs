@@ -1,7 +1,7 @@
 //! A capture in pieces of one switching frequency.
 
-use ihd_signal::Capture;
 use ihd_signal::segment::MIN_PERIODS;
+use ihd_signal::{Capture, FrequencyStep};
 
 use super::Hints;
 use super::carrier::{self, Piece};
@@ -80,9 +80,10 @@ pub(super) fn find(
 /// Runs cut where the capture states another switching frequency.
 fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     let mut out = Vec::new();
+    let steps = lone_steps(&capture.f_sw);
     for run in runs {
         let mut start = run.samples.start;
-        for step in capture.f_sw.iter().skip(1) {
+        for step in &steps {
             let at = (step.t_s - run.t0_s) / run.dt_s;
             // The period that the step cuts belongs to neither side.
             let guard = (1.0 / (step.f_sw_hz * run.dt_s)).clamp(0.0, run.samples.len() as f64);
@@ -97,6 +98,20 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     }
     out.retain(|run| run.samples.len() > 1);
     out
+}
+
+/// Stated changes of the frequency between which it stays; where they follow upon each other it moves.
+fn lone_steps(stated: &[FrequencyStep]) -> Vec<FrequencyStep> {
+    let near = |a: &FrequencyStep, b: &FrequencyStep| {
+        (b.t_s - a.t_s).abs() < MIN_PERIODS / a.f_sw_hz.max(b.f_sw_hz)
+    };
+    (1..stated.len())
+        .filter(|&k| {
+            let after = stated.get(k + 1);
+            !near(&stated[k - 1], &stated[k]) && !after.is_some_and(|after| near(&stated[k], after))
+        })
+        .map(|k| stated[k])
+        .collect()
 }
 
 /// Why no piece was found.
@@ -122,6 +137,10 @@ fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> 
 
 /// The frequency from the slope of the phase, and the phasors at it.
 fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
+    if piece.sweep.is_some() {
+        let track = track::track(capture, &piece.run, piece.f_hz);
+        return (piece, track);
+    }
     // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
     let f_hz = piece.f_hz.round();
     let rough = track::track(capture, &piece.run, f_hz);
@@ -136,13 +155,22 @@ fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
     (Piece { f_hz, ..piece }, track)
 }
 
-/// Steps of the frequency, and where it is not the one specified.
+/// Sweeps and steps of the frequency, and where it is not the one specified.
 pub(super) fn frequency_findings(
     capture: &Capture,
     hints: &Hints,
     pieces: &[Piece],
     findings: &mut Vec<Finding>,
 ) {
+    for piece in pieces {
+        if let Some(sweep) = piece.sweep {
+            findings.push(Finding::FrequencySweep {
+                mean_hz: sweep.mean_hz,
+                deviation_hz: sweep.deviation_hz,
+                rate_hz: sweep.rate_hz,
+            });
+        }
+    }
     for pair in pieces.windows(2) {
         let [a, b] = pair else { continue };
         if (a.f_hz - b.f_hz).abs() > STEP_HZ {

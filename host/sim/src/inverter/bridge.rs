@@ -14,14 +14,15 @@ pub(super) enum Edge {
 
 /// Node voltage as a share of the bus, 0 to 1.
 ///
-/// In a period of T: upper gate on from the dead time to T/2, lower gate from T/2 + dead time to
-/// T. With both off, the coil current moves the node: out of the node (positive) pulls it to 0,
+/// In a period of T: upper gate on from the dead time to duty · T, lower gate from duty · T + dead
+/// time to T; the duty is one half unless set. With both off, the coil current moves the node: out of the node (positive) pulls it to 0,
 /// into it lifts it to 1; without current it stays until the next gate switches hard. Either every
 /// move is a linear edge of a given duration (paper: 0.2 µs), and a current too small to finish its edge
 /// within the dead time is not modelled; or the current charges the node's capacitance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfBridge {
     pub(super) dead_s: f64,
+    pub(super) duty: f64,
     pub(super) edge: Edge,
     pub(super) level: f64,
     /// Only kept with a node capacitance.
@@ -50,9 +51,16 @@ impl HalfBridge {
         Ok(Self::at_rest(dead_s, Edge::Node(capacitance_f)))
     }
 
+    /// The same bridge with its upper switch on for this share of the period, 0.2 to 0.8, dead time included.
+    pub fn with_duty(self, duty: f64) -> Result<Self, InverterError> {
+        super::in_range("duty", duty, 0.2, 0.8, "0.2 to 0.8")?;
+        Ok(Self { duty, ..self })
+    }
+
     fn at_rest(dead_s: f64, edge: Edge) -> Self {
         Self {
             dead_s,
+            duty: 0.5,
             edge,
             level: 0.0,
             gate: None,
@@ -82,7 +90,7 @@ impl HalfBridge {
                 return self.advance_node(on, period_s, (from_s, to_s), i_a, charge_c);
             }
         };
-        let half_s = 0.5 * period_s;
+        let half_s = self.duty * period_s;
         if on && self.level == 1.0 && from_s >= self.dead_s && to_s <= half_s {
             return 1.0;
         }
@@ -223,6 +231,23 @@ mod tests {
         assert_eq!(bridge.level(), 1.0);
         bridge.advance(false, T, (3e-6, 4e-6), 10.0, 325.0);
         assert_eq!(bridge.level(), 0.0);
+    }
+
+    #[test]
+    fn the_duty_is_the_nodes_mean() {
+        let lagging = |t: f64| {
+            if (0.1 * T..0.5 * T).contains(&t) {
+                5.0
+            } else {
+                -5.0
+            }
+        };
+        let bridge = HalfBridge::new(0.5e-6, 0.2e-6).unwrap();
+        assert!(bridge.clone().with_duty(0.05).is_err());
+        let mut bridge = bridge.with_duty(0.35).unwrap();
+        let (levels, mean) = period(&mut bridge, lagging);
+        assert!((mean - 0.35).abs() < 1e-9, "{mean}");
+        assert_eq!((levels[340], levels[370]), (1.0, 0.0));
     }
 
     #[test]

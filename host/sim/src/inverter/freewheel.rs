@@ -20,7 +20,8 @@ impl Inverter {
         let (dt_s, i_a) = (self.dt_s(), self.circuit.i_a);
         let to_s = self.period_start_s + (self.step + 1) as f64 * dt_s;
         let flux = self.load.predict(i_a);
-        let open_v = self.circuit.v_c_v + flux.change0_wb / dt_s;
+        let induced_v = self.induced_v(to_s);
+        let open_v = self.circuit.v_c_v + flux.change0_wb / dt_s + induced_v;
         let bus_v = self.bus.v();
         let upper = match i_a {
             i if i > 0.0 => Some(false),
@@ -68,8 +69,8 @@ impl Inverter {
         self.link_charge_c += level * before.i_a * dt_s;
         let bus_v = self.bus.advance(to_s, dt_s, level * before.i_a);
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
+        self.step_loop(mean_v, flux);
         let circuit = &mut self.circuit;
-        circuit.step_flux(mean_v, flux.r_ohm, flux.change0_wb, flux.l_h, dt_s);
         if (circuit.i_a < 0.0) != upper {
             // The diode blocks: within this step the current ends.
             *circuit = before;

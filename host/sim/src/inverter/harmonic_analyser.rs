@@ -60,6 +60,20 @@ impl Sums {
         steps: f64,
         growth: impl Fn(usize) -> Complex<f64>,
     ) -> PeriodTruth {
+        self.truth_of_rate(t_s, f_sw_hz, steps, |k| {
+            let i = self.i[k] * (2.0 / steps);
+            Complex::new(0.0, TAU * f_sw_hz * ORDERS[k] as f64) * i + growth(k)
+        })
+    }
+
+    /// Likewise from the phasors D_h themselves.
+    fn truth_of_rate(
+        &self,
+        t_s: f64,
+        f_sw_hz: f64,
+        steps: f64,
+        rate: impl Fn(usize) -> Complex<f64>,
+    ) -> PeriodTruth {
         let mut out = PeriodTruth {
             t_s,
             f_sw_hz,
@@ -69,9 +83,9 @@ impl Sums {
             r_power_ohm: self.power / self.square,
             p_w: self.power / steps,
         };
-        for (k, order) in ORDERS.into_iter().enumerate() {
+        for k in 0..ORDERS.len() {
             let (v, i) = (self.v[k] * (2.0 / steps), self.i[k] * (2.0 / steps));
-            let rate = Complex::new(0.0, TAU * f_sw_hz * order as f64) * i + growth(k);
+            let rate = rate(k);
             // Two real equations in R and L.
             let determinant = i.re * rate.im - i.im * rate.re;
             out.r_ohm[k] = (v.re * rate.im - v.im * rate.re) / determinant;
@@ -93,6 +107,25 @@ impl PeriodSums {
         let growth = |k: usize| (next.plain.i[k] - self.plain.i[k]) * (2.0 / steps * f_sw_hz);
         let triangle = self.rising.mixed(1.0, &falling, 1.0);
         triangle.truth(t_s, f_sw_hz, steps, growth)
+    }
+
+    /// Likewise where the periods have the frequencies `f_hz`, with `i_a` the current between them: a carrier
+    /// that moves from period to period.
+    ///
+    /// The sums run over the carrier's phase, in which di/dt is f · di/dτ, so each period gives its own
+    /// frequency to jhω I_h and to the growth; what the triangle's top leaves is (f1 − f2) times `i_a`.
+    pub fn across_change(&self, next: &Self, t_s: f64, f_hz: [f64; 2], i_a: f64) -> PeriodTruth {
+        let scale = 2.0 / self.steps as f64;
+        let falling = next.plain.mixed(1.0, &next.rising, -1.0);
+        let top = Complex::new(2.0 * (f_hz[0] - f_hz[1]) * i_a, 0.0);
+        let rate = |k: usize| {
+            let turning = self.rising.i[k] * f_hz[0] + falling.i[k] * f_hz[1];
+            let growth = next.plain.i[k] * f_hz[1] - self.plain.i[k] * f_hz[0];
+            (Complex::new(0.0, TAU * ORDERS[k] as f64) * turning + growth) * scale + top
+        };
+        let triangle = self.rising.mixed(1.0, &falling, 1.0);
+        let f_sw_hz = 0.5 * (f_hz[0] + f_hz[1]);
+        triangle.truth_of_rate(t_s, f_sw_hz, self.steps as f64, rate)
     }
 
     /// Whether both are of periods of as many steps.
@@ -189,6 +222,35 @@ mod tests {
             assert!((truth.l_h[k] / l - 1.0).abs() < 1e-4, "L {}", truth.l_h[k]);
         }
         assert!((truth.i_a - 10.0 * 4.5 / 4.0).abs() < 0.3);
+    }
+
+    /// The carrier's phase runs on through a step of its frequency by 1 %, a hundred times what a sweep does.
+    #[test]
+    fn a_carrier_that_moves_leaves_r_and_l_as_they_are() {
+        let (r, l, steps) = (3.0, 22e-6, 1111);
+        let f_hz = [45e3, 45.45e3];
+        let current =
+            |tau: f64| (10.0 + 0.3 * tau) * (TAU * tau + 0.7).sin() + 0.8 * (3.0 * TAU * tau).cos();
+        let slope = |tau: f64| {
+            0.3 * (TAU * tau + 0.7).sin() + TAU * (10.0 + 0.3 * tau) * (TAU * tau + 0.7).cos()
+                - 3.0 * TAU * 0.8 * (3.0 * TAU * tau).sin()
+        };
+        let sums: Vec<_> = (0..2)
+            .map(|p| {
+                let mut analyser = HarmonicAnalyser::new(steps);
+                for n in 0..=steps {
+                    let tau = f64::from(p) + n as f64 / steps as f64;
+                    let v = r * current(tau) + l * f_hz[p as usize] * slope(tau);
+                    analyser.push(n, v, current(tau));
+                }
+                analyser.sums().clone()
+            })
+            .collect();
+        let truth = sums[0].across_change(&sums[1], 0.0, f_hz, current(1.0));
+        for k in [0, 1] {
+            assert!((truth.r_ohm[k] / r - 1.0).abs() < 1e-4, "{truth:?}");
+            assert!((truth.l_h[k] / l - 1.0).abs() < 1e-4, "{truth:?}");
+        }
     }
 
     /// A load whose L is half as large for the third harmonic: what a growing third harmonic leaks

@@ -94,6 +94,8 @@ pub enum LoadState {
         hold: u32,
         /// How the load's temperature bends the law.
         warmth: Warmth,
+        /// Factors of R and L on what the law says.
+        factors: (f64, f64),
     },
     /// The field model; several for a pot off centre.
     Field {
@@ -119,6 +121,7 @@ impl LoadState {
             held: (0.0, 0.0),
             hold: 0,
             warmth: Warmth::default(),
+            factors: (1.0, 1.0),
         }
     }
 
@@ -137,11 +140,32 @@ impl LoadState {
         })
     }
 
-    /// Another law under the same envelope, in a period of `steps` steps.
+    /// Another law under the same envelope and factors, in a period of `steps` steps.
     pub fn with_law(&self, law: Law, steps: usize) -> Self {
         match self {
-            Self::Law { envelope, .. } => Self::following(law, envelope.resized(steps)),
+            Self::Law {
+                envelope, factors, ..
+            } => {
+                let mut new = Self::following(law, envelope.resized(steps));
+                new.scale(factors.0, factors.1);
+                new
+            }
             Self::Field { .. } => Self::law(law, steps),
+        }
+    }
+
+    /// Exchanges a law for that of another frequency, in a period of as many steps; nothing for the field.
+    pub fn set_law(&mut self, new: Law) {
+        if let Self::Law { law, hold, .. } = self {
+            (*law, *hold) = (new, 0);
+        }
+    }
+
+    /// From now on R and L are so many times the law's, in place of earlier factors; nothing for the
+    /// field model, which has no such numbers.
+    pub fn scale(&mut self, r_factor: f64, l_factor: f64) {
+        if let Self::Law { factors, hold, .. } = self {
+            (*factors, *hold) = ((r_factor, l_factor), 0);
         }
     }
 
@@ -183,6 +207,7 @@ impl LoadState {
             law,
             envelope,
             warmth,
+            factors,
             ..
         } = self
         else {
@@ -190,7 +215,7 @@ impl LoadState {
         };
         let i_a = envelope.amplitude_a();
         let (r_ohm, l_h) = warmth.bend(law.r_l(i_a));
-        Some((r_ohm, l_h, i_a))
+        Some((factors.0 * r_ohm, factors.1 * l_h, i_a))
     }
 
     /// Changes the time step of the field model and keeps its state; `false` for a law, which has
@@ -214,12 +239,13 @@ impl LoadState {
                 held,
                 hold,
                 warmth,
+                factors,
             } => {
                 if *hold == 0 {
                     (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
                 }
                 *hold -= 1;
-                let (r_ohm, l_h) = *held;
+                let (r_ohm, l_h) = (factors.0 * held.0, factors.1 * held.1);
                 FluxStep {
                     change0_wb: -l_h * i_a,
                     l_h,

@@ -9,6 +9,8 @@ pub mod harmonic_analyser;
 pub mod load;
 pub mod node;
 
+use std::f64::consts::TAU;
+
 use ihd_firmware::drive::Bridge;
 use thiserror::Error;
 
@@ -68,6 +70,18 @@ pub struct Instant {
     pub coil_v: f64,
     /// Coil current in ampere.
     pub i_a: f64,
+    /// Part of the coil's voltage that another field induces, in volt.
+    pub induced_v: f64,
+}
+
+/// A sine that another coil's field induces in this one: a voltage in series with the load's, inside the
+/// coil's terminals, so that both the coil's voltage and its current show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tone {
+    /// Frequency in hertz.
+    pub f_hz: f64,
+    /// Amplitude in volt.
+    pub v: f64,
 }
 
 /// The power stage in operation.
@@ -81,6 +95,10 @@ pub struct Inverter {
     pub circuit: Circuit,
     /// Load.
     pub load: LoadState,
+    /// Resistance of whichever switch or diode conducts, in ohm: in the loop, outside the coil.
+    pub bridge_r_ohm: f64,
+    /// What another field induces in the coil.
+    pub induced: Option<Tone>,
     f_sw_hz: f64,
     dt_s: f64,
     steps: usize,
@@ -107,6 +125,8 @@ impl Inverter {
             bridge,
             circuit: Circuit::default(),
             load,
+            bridge_r_ohm: 0.0,
+            induced: None,
             f_sw_hz,
             dt_s: 1.0 / (f_sw_hz * steps as f64),
             steps,
@@ -165,7 +185,7 @@ impl Inverter {
 
     /// The quantities now.
     pub fn instant(&self) -> Instant {
-        let driven_v = self.bus.v() * self.bridge.level();
+        let driven_v = self.bus.v() * self.bridge.level() - self.bridge_r_ohm * self.circuit.i_a;
         let bridge_v = self.floating_v.unwrap_or(driven_v);
         Instant {
             t_s: self.now_s(),
@@ -173,7 +193,23 @@ impl Inverter {
             bridge_v,
             coil_v: bridge_v - self.circuit.v_c_v,
             i_a: self.circuit.i_a,
+            induced_v: self.induced_v(self.now_s()),
         }
+    }
+
+    /// What another field induces at `t_s`, in volt.
+    fn induced_v(&self, t_s: f64) -> f64 {
+        self.induced
+            .map_or(0.0, |tone| tone.v * libm::sin(TAU * tone.f_hz * t_s))
+    }
+
+    /// One step of the loop under a mean voltage `node_v` of the driven node behind its switches.
+    fn step_loop(&mut self, node_v: f64, flux: &FluxStep) {
+        let dt_s = self.dt_s;
+        let induced_v = self.induced_v(self.now_s() + 0.5 * dt_s);
+        let r_ohm = flux.r_ohm + self.bridge_r_ohm;
+        self.circuit
+            .step_flux(node_v - induced_v, r_ohm, flux.change0_wb, flux.l_h, dt_s);
     }
 
     /// One step.
@@ -206,17 +242,17 @@ impl Inverter {
             .advance(self.period_start_s + from_s + dt_s, dt_s, level * i_a);
         // The bus moves by some 1e-5 of its peak within a step.
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
-        self.circuit
-            .step_flux(mean_v, flux.r_ohm, flux.change0_wb, flux.l_h, dt_s);
+        self.step_loop(mean_v, &flux);
         self.meter_energy(mean_v, before, dt_s);
         self.finish(&flux);
     }
 
-    /// Counts the energy of a step with a mean voltage of the node, from `before` until now.
+    /// Counts the energy of a step with a mean voltage of the node behind its switches, from `before` until now.
     fn meter_energy(&mut self, node_v: f64, before: Circuit, dt_s: f64) {
         let now = self.circuit;
-        let coil_v = node_v - 0.5 * (before.v_c_v + now.v_c_v);
-        self.load_energy_j += coil_v * 0.5 * (before.i_a + now.i_a) * dt_s;
+        let mean_a = 0.5 * (before.i_a + now.i_a);
+        let coil_v = node_v - self.bridge_r_ohm * mean_a - 0.5 * (before.v_c_v + now.v_c_v);
+        self.load_energy_j += coil_v * mean_a * dt_s;
     }
 
     /// Hands the new current to the load, and counts the step.

@@ -52,7 +52,7 @@ impl HalfBridge {
         i_a: f64,
         charge_c: f64,
     ) -> f64 {
-        let half_s = 0.5 * period_s;
+        let half_s = self.duty * period_s;
         let (lower_s, dead_s) = (half_s + self.dead_s, self.dead_s);
         match self.gate {
             Some(Gate::Upper) if on && from_s >= dead_s && to_s <= half_s => return 1.0,

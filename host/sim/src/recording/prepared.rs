@@ -44,16 +44,31 @@ impl PreparedLoad {
     ) -> Result<LoadState, InverterError> {
         let law = match self {
             Self::Field(models) => return LoadState::field(models, 1.0 / (f_sw_hz * steps as f64)),
-            Self::Surrogate(pot) => Law::Surrogate(Box::new(pot.at(f_sw_hz))),
-            Self::Behavioural(kind) => {
-                Law::Behavioural(behavioural::BehaviouralLoad::new(*kind, f_sw_hz))
-            }
+            Self::Surrogate(pot) => surrogate_law(pot, f_sw_hz),
+            Self::Behavioural(kind) => behavioural_law(*kind, f_sw_hz),
         };
         Ok(match before {
             Some(state) => state.with_law(law, steps),
             None => LoadState::law(law, steps),
         })
     }
+
+    /// The law at a switching frequency in hertz; `None` for the field model.
+    pub fn law(&self, f_sw_hz: f64) -> Option<Law> {
+        match self {
+            Self::Field(_) => None,
+            Self::Surrogate(pot) => Some(surrogate_law(pot, f_sw_hz)),
+            Self::Behavioural(kind) => Some(behavioural_law(*kind, f_sw_hz)),
+        }
+    }
+}
+
+fn surrogate_law(pot: &SurrogatePot, f_sw_hz: f64) -> Law {
+    Law::Surrogate(Box::new(pot.at(f_sw_hz)))
+}
+
+fn behavioural_law(kind: PotKind, f_sw_hz: f64) -> Law {
+    Law::Behavioural(behavioural::BehaviouralLoad::new(kind, f_sw_hz))
 }
 
 /// Field models of a pot with their weights; empty without a pot.

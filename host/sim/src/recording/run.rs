@@ -7,13 +7,13 @@ use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Capture, FrequencyStep, Segment, TimeBase};
 
 use super::prepared::PreparedLoad;
-use super::sampler::Sampler;
+use super::sampler::{Sampler, convert};
 use super::sensing::Rate;
 use super::settings::{Change, Settings};
 use crate::inverter::bridge::HalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::{HarmonicAnalyser, PeriodSums};
-use crate::inverter::{Inverter, InverterError};
+use crate::inverter::{Inverter, InverterError, Tone};
 use crate::mains::Mains;
 
 /// What came out.
@@ -48,6 +48,21 @@ impl Recording {
         s.i_full_scale_a / f64::from(1u32 << (s.bits - 1))
     }
 
+    /// The same waveforms and truth with another seed's noise and spikes.
+    pub fn with_seed(&self, seed: u64) -> Self {
+        let sensing = &self.settings.sensing;
+        let (v_code, i_code) = convert(sensing, &self.t_s, &self.v_clean_v, &self.i_clean_a, seed);
+        Self {
+            settings: Settings {
+                seed,
+                ..self.settings.clone()
+            },
+            v_code,
+            i_code,
+            ..self.clone()
+        }
+    }
+
     /// The recording as a capture, named `name`.
     pub fn capture(&self, name: &str) -> Capture {
         let settings = &self.settings;
@@ -69,7 +84,11 @@ impl Recording {
             i_a: scaled(&self.i_code, self.ampere_per_code()),
             v_full_scale_v: Some(settings.sensing.v_full_scale_v),
             i_full_scale_a: Some(settings.sensing.i_full_scale_a),
-            f_sw: FrequencyStep::of_truth(&self.truth),
+            // A moving carrier has no steps to state.
+            f_sw: match settings.sweep {
+                Some(_) => Vec::new(),
+                None => FrequencyStep::of_truth(&self.truth),
+            },
             mains_hz: Some(settings.mains_hz),
             zero_crossing_s: Some(-settings.start_s),
             truth: self.truth.clone(),
@@ -100,22 +119,13 @@ pub fn record(
     mut progress: impl FnMut(f64),
 ) -> Result<Recording, InverterError> {
     settings.check()?;
-    let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
     let mut prepared = PreparedLoad::new(settings.load, &settings.pot, settings.winding_r_ohm)?;
-    let steps = settings.steps(settings.f_sw_hz);
-    let mut inverter = Inverter::new(
-        Bus::new(mains, settings.bus_capacitance_f, settings.start_s)?,
-        HalfBridge::new(settings.dead_s, settings.edge_s)?,
-        prepared.start(settings.f_sw_hz, steps, None)?,
-        settings.f_sw_hz,
-        steps,
-        settings.start_s,
-    );
-    let mut analyser = HarmonicAnalyser::new(steps);
+    let mut inverter = power_stage(settings, &prepared)?;
+    let mut periods = Periods::new(inverter.steps());
     let mut sampler = Sampler::new(&settings.sensing, inverter.instant());
     let mut truth = Vec::new();
-    let mut before: Option<PeriodSums> = None;
     let mut bridge = Bridge::Switching;
+    let mut set_hz = settings.f_sw_hz;
     let mut events = settings.events.iter().peekable();
     let end_s = settings.start_s + settings.duration_s;
     while inverter.now_s() < end_s {
@@ -124,40 +134,35 @@ pub fn record(
             match event.change {
                 Change::On => bridge = Bridge::Switching,
                 Change::Off => bridge = Bridge::Open,
-                Change::Frequency(f) => change_frequency(&mut inverter, &prepared, f, settings)?,
+                Change::Frequency(f) => {
+                    set_hz = f;
+                    change_frequency(&mut inverter, &prepared, f, settings)?;
+                }
                 Change::Pot(pot) => {
                     prepared = PreparedLoad::new(settings.load, &pot, settings.winding_r_ohm)?;
                     let f = inverter.f_sw_hz();
                     inverter.load = prepared.start(f, inverter.steps(), Some(&inverter.load))?;
                 }
+                Change::Load { r_factor, l_factor } => inverter.load.scale(r_factor, l_factor),
             }
-            analyser = HarmonicAnalyser::new(inverter.steps());
-            before = None;
+            periods = Periods::new(inverter.steps());
         }
-        truth.push(record_period(
-            &mut inverter,
-            bridge,
-            &mut analyser,
-            &mut before,
-            &mut sampler,
-            settings.start_s,
-        ));
+        if settings.sweep.is_some() {
+            sweep_to(
+                &mut inverter,
+                &prepared,
+                settings.swept_hz(set_hz, elapsed_s),
+            )?;
+        }
+        truth.push(periods.record(&mut inverter, bridge, &mut sampler, settings.start_s));
         progress((elapsed_s / settings.duration_s).min(1.0));
     }
     progress(1.0);
-    let (mut v_code, mut i_code) = sampler.finish(settings.seed);
     // The last switching period runs over the end; a picosecond absorbs rounding of the times.
-    let cut_s = end_s - 1e-12;
-    let n = v_code
-        .len()
-        .min(sampler.t_s.partition_point(|t| *t < cut_s));
+    sampler.cut(end_s - 1e-12);
+    let (v_code, i_code) = sampler.finish(settings.seed);
     let mut t_s = sampler.t_s;
-    t_s.truncate(n);
-    v_code.truncate(n);
-    i_code.truncate(n);
     t_s.iter_mut().for_each(|t| *t -= settings.start_s);
-    sampler.v_v.truncate(n);
-    sampler.i_a.truncate(n);
     Ok(Recording {
         settings: settings.clone(),
         t_s,
@@ -169,30 +174,90 @@ pub fn record(
     })
 }
 
-/// One switching period; returns the truth at its start, from it and the period `before`, or that of
-/// its middle where there is none to go with it.
-fn record_period(
+/// The power stage at rest, with the load `prepared`.
+fn power_stage(settings: &Settings, prepared: &PreparedLoad) -> Result<Inverter, InverterError> {
+    let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
+    let steps = settings.steps(settings.f_sw_hz);
+    let mut inverter = Inverter::new(
+        Bus::new(mains, settings.bus_capacitance_f, settings.start_s)?,
+        HalfBridge::new(settings.dead_s, settings.edge_s)?.with_duty(settings.duty)?,
+        prepared.start(settings.f_sw_hz, steps, None)?,
+        settings.f_sw_hz,
+        steps,
+        settings.start_s,
+    );
+    inverter.bridge_r_ohm = settings.bridge_r_ohm;
+    inverter.induced = settings.neighbour.map(|n| Tone {
+        f_hz: settings.f_sw_hz + n.offset_hz,
+        v: n.v,
+    });
+    Ok(inverter)
+}
+
+/// Takes truth from the waveform, period by period.
+struct Periods {
+    analyser: HarmonicAnalyser,
+    /// Sums and frequency in hertz of the period before, where it goes with the next.
+    before: Option<(PeriodSums, f64)>,
+}
+
+impl Periods {
+    fn new(steps: usize) -> Self {
+        Self {
+            analyser: HarmonicAnalyser::new(steps),
+            before: None,
+        }
+    }
+
+    /// One switching period; returns the truth at its start, from it and the period before, or that of
+    /// its middle where there is none to go with it. What a neighbour induces is no part of the load.
+    fn record(
+        &mut self,
+        inverter: &mut Inverter,
+        bridge: Bridge,
+        sampler: &mut Sampler,
+        start_s: f64,
+    ) -> PeriodTruth {
+        let f_sw_hz = inverter.f_sw_hz();
+        let mut last = inverter.instant();
+        let (from_s, from_a) = (last.t_s - start_s, last.i_a);
+        self.analyser
+            .push(0, last.coil_v - last.induced_v, last.i_a);
+        for n in 1..=inverter.steps() {
+            last = inverter.advance(bridge);
+            self.analyser
+                .push(n, last.coil_v - last.induced_v, last.i_a);
+            sampler.push(last, f_sw_hz);
+        }
+        let sums = self.analyser.sums();
+        match self.before.replace((sums.clone(), f_sw_hz)) {
+            Some((before, before_hz)) if before.fits(sums) && before_hz == f_sw_hz => {
+                before.across(sums, from_s, f_sw_hz)
+            }
+            Some((before, before_hz)) if before.fits(sums) => {
+                before.across_change(sums, from_s, [before_hz, f_sw_hz], from_a)
+            }
+            _ => (self.analyser).truth(from_s + 0.5 / f_sw_hz, f_sw_hz, last.i_a),
+        }
+    }
+}
+
+/// A period of another length in as many steps; everything else goes on.
+fn sweep_to(
     inverter: &mut Inverter,
-    bridge: Bridge,
-    analyser: &mut HarmonicAnalyser,
-    before: &mut Option<PeriodSums>,
-    sampler: &mut Sampler,
-    start_s: f64,
-) -> PeriodTruth {
-    let f_sw_hz = inverter.f_sw_hz();
-    let mut last = inverter.instant();
-    let from_s = last.t_s - start_s;
-    analyser.push(0, last.coil_v, last.i_a);
-    for n in 1..=inverter.steps() {
-        last = inverter.advance(bridge);
-        analyser.push(n, last.coil_v, last.i_a);
-        sampler.push(last, f_sw_hz);
+    prepared: &PreparedLoad,
+    f_sw_hz: f64,
+) -> Result<(), InverterError> {
+    let steps = inverter.steps();
+    let mut load = inverter.load.clone();
+    match prepared.law(f_sw_hz) {
+        Some(law) => load.set_law(law),
+        None => {
+            load.set_dt(1.0 / (f_sw_hz * steps as f64))?;
+        }
     }
-    let sums = analyser.sums();
-    match before.replace(sums.clone()) {
-        Some(before) if before.fits(sums) => before.across(sums, from_s, f_sw_hz),
-        _ => analyser.truth(from_s + 0.5 / f_sw_hz, f_sw_hz, last.i_a),
-    }
+    inverter.restart(load, f_sw_hz, steps);
+    Ok(())
 }
 
 /// The field keeps its state across a change of frequency, only its time step moves a little.
@@ -213,7 +278,7 @@ fn change_frequency(
 
 #[cfg(test)]
 mod tests {
-    use super::super::settings::{Event, LoadKind};
+    use super::super::settings::{Event, LoadKind, Neighbour, Sweep};
     use super::*;
     use crate::behavioural;
     use crate::behavioural::PotKind;
@@ -347,6 +412,171 @@ mod tests {
             without < 0.2 && small > without && large > 3.0,
             "{without} {small} {large}"
         );
+    }
+
+    /// Every period has its own frequency, and the law's R and L there.
+    #[test]
+    fn a_swept_carrier_has_its_frequency_and_load_in_every_period() {
+        let s = Settings {
+            sweep: Some(Sweep {
+                deviation_hz: 3e3,
+                rate_hz: 500.0,
+            }),
+            ..behavioural(10e-3)
+        };
+        let r = record(&s, |_| ()).unwrap();
+        let mut from_s = 0.0;
+        for t in r.truth.windows(2) {
+            // Truth stands at the boundary between two periods, with the mean of both frequencies.
+            assert!((t[1].f_sw_hz - s.swept_hz(45e3, t[1].t_s)).abs() < 300.0);
+            assert!(t[1].t_s > from_s);
+            from_s = t[1].t_s;
+            if t[1].i_a > 5.0 {
+                let law = behavioural::BehaviouralLoad::new(PotKind::Ferromagnetic, t[1].f_sw_hz);
+                let (r_ohm, l_h) = law.r_l(t[1].i_a);
+                assert!((t[1].r_ohm[0] / r_ohm - 1.0).abs() < 0.02, "{t:?} {r_ohm}");
+                assert!((t[1].l_h[0] / l_h - 1.0).abs() < 0.01, "{t:?} {l_h}");
+            }
+        }
+        let reached =
+            |f: fn(f64, f64) -> f64, from| r.truth.iter().map(|t| t.f_sw_hz).fold(from, f);
+        assert!((reached(f64::max, 0.0) - 48e3).abs() < 50.0);
+        assert!((reached(f64::min, 1e6) - 42e3).abs() < 50.0);
+        // The sweep's mean is the carrier's: so many periods fit.
+        assert!(r.truth.len().abs_diff(450) <= 1, "{}", r.truth.len());
+        assert!(r.capture("swept").f_sw.is_empty());
+    }
+
+    /// Between edges the node stands at the bus less r·i: the plateau v + ∫i/C shows r, R and L do not.
+    #[test]
+    fn the_bridges_resistance_is_no_part_of_the_coil() {
+        let with = |bridge_r_ohm| {
+            let s = Settings {
+                bridge_r_ohm,
+                start_s: 3e-3,
+                ..behavioural(4e-3)
+            };
+            record(&s, |_| ()).unwrap()
+        };
+        let law = behavioural::BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
+        let r_ohm = 0.2;
+        let bridged = with(r_ohm);
+        for t in bridged.truth.iter().skip(20) {
+            assert!((t.r_ohm[0] / law.r_l(t.i_a).0 - 1.0).abs() < 0.01, "{t:?}");
+        }
+        // The lower switch's plateau: from 0.6 to 0.9 of every period the node is at −r i.
+        let (mut charge_c, mut cross, mut square) = (0.0, 0.0, 0.0);
+        let dt_s = 20e-9;
+        for k in 1..bridged.t_s.len() {
+            charge_c += 0.5 * (bridged.i_clean_a[k] + bridged.i_clean_a[k - 1]) * dt_s;
+            if (0.6..0.9).contains(&(bridged.t_s[k] * 45e3).fract()) {
+                let node_v = bridged.v_clean_v[k] + charge_c / 1080e-9;
+                cross += node_v * bridged.i_clean_a[k];
+                square += bridged.i_clean_a[k].powi(2);
+            }
+        }
+        assert!(
+            (-cross / square / r_ohm - 1.0).abs() < 0.02,
+            "{}",
+            -cross / square
+        );
+    }
+
+    /// What R and L leave of the coil's voltage is the neighbour's tone, in amplitude and frequency.
+    #[test]
+    fn a_neighbour_is_what_r_and_l_leave_unexplained() {
+        let s = Settings {
+            load: LoadKind::Behavioural,
+            pot: Pot::NONE,
+            start_s: 2e-3,
+            duration_s: 5e-3,
+            neighbour: Some(Neighbour {
+                offset_hz: 1.2e3,
+                v: 8.0,
+            }),
+            ..Settings::default()
+        };
+        let r = record(&s, |_| ()).unwrap();
+        let law = behavioural::BehaviouralLoad::new(PotKind::None, 45e3);
+        let (r_ohm, l_h) = law.r_l(1.0);
+        let truth = &r.truth[100];
+        assert!((truth.r_ohm[0] / r_ohm - 1.0).abs() < 1e-2, "{truth:?}");
+        assert!((truth.l_h[0] / l_h - 1.0).abs() < 1e-3, "{truth:?}");
+        let dt_s = 20e-9;
+        let (mut re, mut im, mut n) = (0.0, 0.0, 0.0);
+        for k in 1..r.t_s.len() - 1 {
+            let slope = (r.i_clean_a[k + 1] - r.i_clean_a[k - 1]) / (2.0 * dt_s);
+            let left_v = r.v_clean_v[k] - r_ohm * r.i_clean_a[k] - l_h * slope;
+            let angle = std::f64::consts::TAU * 46.2e3 * (r.t_s[k] + s.start_s);
+            (re, im, n) = (
+                re + left_v * angle.sin(),
+                im + left_v * angle.cos(),
+                n + 1.0,
+            );
+        }
+        let (re, im) = (2.0 * re / n, 2.0 * im / n);
+        assert!((re / 8.0 - 1.0).abs() < 0.02 && im.abs() < 0.2, "{re} {im}");
+    }
+
+    #[test]
+    fn a_load_step_scales_the_law_until_the_next() {
+        let step = |t_s, r_factor, l_factor| Event {
+            t_s,
+            change: Change::Load { r_factor, l_factor },
+        };
+        let s = Settings {
+            events: vec![step(4e-3, 0.6, 1.35), step(6e-3, 1.0, 1.0)],
+            ..behavioural(8e-3)
+        };
+        let r = record(&s, |_| ()).unwrap();
+        let law = behavioural::BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
+        for (from_s, to_s, r_factor, l_factor) in [
+            (3e-3, 3.9e-3, 1.0, 1.0),
+            (4.3e-3, 5.9e-3, 0.6, 1.35),
+            (6.3e-3, 7.9e-3, 1.0, 1.0),
+        ] {
+            for t in r.truth.iter().filter(|t| (from_s..to_s).contains(&t.t_s)) {
+                let (r_ohm, l_h) = law.r_l(t.i_a);
+                assert!(
+                    (t.r_ohm[0] / (r_factor * r_ohm) - 1.0).abs() < 0.01,
+                    "{t:?}"
+                );
+                assert!((t.l_h[0] / (l_factor * l_h) - 1.0).abs() < 0.01, "{t:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn another_seed_is_another_noise_on_the_same_waveform() {
+        let mut s = behavioural(1e-3);
+        s.sensing.snr_db = Some(30.0);
+        let first = record(&s, |_| ()).unwrap();
+        let again = first.with_seed(2);
+        assert!(again.v_clean_v == first.v_clean_v && again.truth == first.truth);
+        let noise_a = |r: &Recording| -> Vec<f64> {
+            let seen = r.i_code.iter().map(|c| f64::from(*c) * r.ampere_per_code());
+            seen.zip(&r.i_clean_a).map(|(y, x)| y - x).collect()
+        };
+        let (a, b) = (noise_a(&first), noise_a(&again));
+        let power = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        assert!((power(&a, &b) / power(&a, &a)).abs() < 0.03, "uncorrelated");
+        s.seed = 2;
+        assert!(again == record(&s, |_| ()).unwrap());
+    }
+
+    #[test]
+    fn a_mains_of_47_hertz_has_its_zero_crossings_there() {
+        let s = Settings {
+            mains_hz: 47.0,
+            ..behavioural(22e-3)
+        };
+        let r = record(&s, |_| ()).unwrap();
+        for crossing_s in [0.5 / 47.0, 1.0 / 47.0] {
+            let least = (r.truth.iter().filter(|t| (t.t_s - crossing_s).abs() < 1e-3))
+                .min_by(|a, b| a.i_a.total_cmp(&b.i_a))
+                .unwrap();
+            assert!((least.t_s - crossing_s).abs() < 0.1e-3, "{least:?}");
+        }
     }
 
     #[test]

@@ -15,8 +15,9 @@ pub enum Rate {
     Hz(f64),
 }
 
-/// Everything between the coil and the numbers.
+/// Everything between the coil and the numbers. What a file does not state is as in [`Sensing::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Sensing {
     /// Sampling.
     pub rate: Rate,
@@ -38,6 +39,17 @@ pub struct Sensing {
     pub i_offset_a: f64,
     /// Corner of the first-order anti-alias filter in hertz; 0: none.
     pub pole_hz: f64,
+    /// Corner of a first-order low pass that the voltage channel alone has, in hertz, 10 kHz to
+    /// 100 MHz: a probe's bandwidth; 0: none.
+    pub v_pole_hz: f64,
+    /// Likewise of the current channel.
+    pub i_pole_hz: f64,
+    /// Corner of a first-order high pass in the current channel in hertz, 1 Hz to 50 kHz: the droop of
+    /// a current transformer or a Rogowski coil's integrator; 0: none.
+    pub i_droop_hz: f64,
+    /// Soft saturation of the current probe: it shows s·tanh(i/s), with s this in ampere, 1 to 10000;
+    /// 0: none.
+    pub i_saturation_a: f64,
     /// How much later the current is sampled than the voltage, in seconds.
     pub skew_s: f64,
     /// White noise on both channels: SNR in decibel, σ² = P_signal/10^(SNR/10) (paper, section V).
@@ -66,6 +78,10 @@ impl Default for Sensing {
             v_offset_v: 0.0,
             i_offset_a: 0.0,
             pole_hz: 0.0,
+            v_pole_hz: 0.0,
+            i_pole_hz: 0.0,
+            i_droop_hz: 0.0,
+            i_saturation_a: 0.0,
             skew_s: 0.0,
             snr_db: None,
             ringing: 0.0,
@@ -111,6 +127,7 @@ impl Sensing {
         if self.pole_hz != 0.0 {
             in_range("pole_hz", self.pole_hz, 1e4, 5e6, "0, or 10 kHz to 5 MHz")?;
         }
+        self.check_probes()?;
         in_range("skew_s", self.skew_s, -10e-6, 10e-6, "-10 to 10 µs")?;
         if let Some(snr_db) = self.snr_db {
             in_range("snr_db", snr_db, -20.0, 200.0, "-20 to 200 dB")?;
@@ -126,11 +143,53 @@ impl Sensing {
         )?;
         in_range("spikes_per_s", self.spikes_per_s, 0.0, 1e6, "0 to 1e6")
     }
+
+    fn check_probes(&self) -> Result<(), InverterError> {
+        let own_pole = "0, or 10 kHz to 100 MHz";
+        for (field, corner_hz) in [("v_pole_hz", self.v_pole_hz), ("i_pole_hz", self.i_pole_hz)] {
+            if corner_hz != 0.0 {
+                in_range(field, corner_hz, 1e4, 1e8, own_pole)?;
+            }
+        }
+        if self.i_droop_hz != 0.0 {
+            let droop = "0, or 1 Hz to 50 kHz";
+            in_range("i_droop_hz", self.i_droop_hz, 1.0, 50e3, droop)?;
+        }
+        if self.i_saturation_a != 0.0 {
+            let saturation = "0, or 1 A to 10 kA";
+            in_range("i_saturation_a", self.i_saturation_a, 1.0, 1e4, saturation)?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_from_before_the_probes_is_read_as_without_them() {
+        let mut old = serde_json::to_value(Sensing::default()).unwrap();
+        let fields = old.as_object_mut().unwrap();
+        for new in ["v_pole_hz", "i_pole_hz", "i_droop_hz", "i_saturation_a"] {
+            assert!(fields.remove(new).is_some(), "{new}");
+        }
+        let back: Sensing = serde_json::from_value(old).unwrap();
+        assert_eq!(back, Sensing::default());
+    }
+
+    #[test]
+    fn impossible_probes_are_refused_by_name() {
+        let refused = |change: fn(&mut Sensing)| {
+            let mut s = Sensing::default();
+            change(&mut s);
+            s.check(0.2e-6).unwrap_err().to_string()
+        };
+        assert!(refused(|s| s.i_pole_hz = 1.0).contains("i_pole_hz"));
+        assert!(refused(|s| s.v_pole_hz = f64::NAN).contains("v_pole_hz"));
+        assert!(refused(|s| s.i_droop_hz = -1.0).contains("i_droop_hz"));
+        assert!(refused(|s| s.i_saturation_a = 0.1).contains("i_saturation_a"));
+    }
 
     #[test]
     fn a_rate_below_the_edges_is_refused_unless_meant() {

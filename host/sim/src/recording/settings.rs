@@ -1,5 +1,7 @@
 //! Settings of a recording, the paper's presets, and their limits.
 
+use std::f64::consts::TAU;
+
 use ihd_shared::hob::EDGE_NS;
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +35,32 @@ pub enum Change {
     Off,
     /// Bridge on.
     On,
+    /// R and L of a law are so many times the law's from now on, until the next such change.
+    Load {
+        /// Factor of R, 0.1 to 10.
+        r_factor: f64,
+        /// Factor of L, 0.1 to 10.
+        l_factor: f64,
+    },
+}
+
+/// A carrier that moves: f_sw(t) = f + deviation · sin(2π · rate · t), t since the recording's start,
+/// constant within a switching period.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sweep {
+    /// Largest deviation in hertz, 0 to 10 kHz.
+    pub deviation_hz: f64,
+    /// How often it goes up and down, in hertz, 1 to 5000.
+    pub rate_hz: f64,
+}
+
+/// A hob zone nearby, whose field induces a sine in the coil.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Neighbour {
+    /// Its frequency less that of the recording's start, in hertz, -50 to 50 kHz.
+    pub offset_hz: f64,
+    /// Amplitude of the induced voltage in volt, 0 to 200.
+    pub v: f64,
 }
 
 /// A change and its time in seconds after the recording's start; it takes effect at the next
@@ -45,11 +73,20 @@ pub struct Event {
     pub change: Change,
 }
 
-/// Everything that determines a recording.
+/// Everything that determines a recording. What a file does not state is as in [`Settings::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Settings {
     /// Switching frequency in hertz, 20 to 100 kHz.
     pub f_sw_hz: f64,
+    /// Moves the switching frequency around where it stands.
+    pub sweep: Option<Sweep>,
+    /// Share of the period in which the upper switch is on, 0.2 to 0.8; 0.5 is the hob's.
+    pub duty: f64,
+    /// Resistance of the bridge's switches in ohm, 0 to 1: in the loop, and no part of the coil.
+    pub bridge_r_ohm: f64,
+    /// Another zone's field in the coil.
+    pub neighbour: Option<Neighbour>,
     /// Mains frequency in hertz, 50 or 60 usually.
     pub mains_hz: f64,
     /// Third, fifth and seventh harmonic of the mains as shares of its fundamental.
@@ -86,6 +123,10 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             f_sw_hz: 45e3,
+            sweep: None,
+            duty: 0.5,
+            bridge_r_ohm: 0.0,
+            neighbour: None,
             mains_hz: 50.0,
             mains_harmonics: [0.0; 3],
             bus_capacitance_f: 0.0,
@@ -133,10 +174,17 @@ impl Settings {
         libm::round(1.0 / (f_sw_hz * self.dt_s)).max(8.0) as usize
     }
 
+    /// Switching frequency in hertz at `t_s` after the start, where the hob is set to `f_sw_hz`.
+    pub fn swept_hz(&self, f_sw_hz: f64, t_s: f64) -> f64 {
+        self.sweep.map_or(f_sw_hz, |s| {
+            f_sw_hz + s.deviation_hz * libm::sin(TAU * s.rate_hz * t_s)
+        })
+    }
+
     /// Checks everything that is not checked where it is used; names the field.
     pub fn check(&self) -> Result<(), InverterError> {
-        let f_range = "20 to 100 kHz";
-        in_range("f_sw_hz", self.f_sw_hz, 20e3, 100e3, f_range)?;
+        self.check_frequency("f_sw_hz", self.f_sw_hz)?;
+        self.check_disturbances()?;
         in_range("mains_hz", self.mains_hz, 40.0, 70.0, "40 to 70 Hz")?;
         for share in self.mains_harmonics {
             in_range("mains_harmonics", share, -0.2, 0.2, "-0.2 to 0.2")?;
@@ -158,6 +206,34 @@ impl Settings {
                 allowed: "1 ns to a quarter of the edge (50 ns for 0.2 µs)",
             });
         }
+        self.check_events()?;
+        self.sensing.check(self.edge_s)
+    }
+
+    /// A switching frequency, with the sweep around it.
+    fn check_frequency(&self, field: &'static str, f_sw_hz: f64) -> Result<(), InverterError> {
+        let deviation_hz = self.sweep.map_or(0.0, |s| s.deviation_hz);
+        let (from_hz, to_hz) = (20e3 + deviation_hz, 100e3 - deviation_hz);
+        let allowed = "20 to 100 kHz, the sweep included";
+        in_range(field, f_sw_hz, from_hz, to_hz, allowed)
+    }
+
+    fn check_disturbances(&self) -> Result<(), InverterError> {
+        if let Some(sweep) = self.sweep {
+            let deviation_hz = sweep.deviation_hz;
+            in_range("sweep deviation_hz", deviation_hz, 0.0, 10e3, "0 to 10 kHz")?;
+            in_range("sweep rate_hz", sweep.rate_hz, 1.0, 5e3, "1 to 5000 Hz")?;
+        }
+        if let Some(neighbour) = self.neighbour {
+            let offset_hz = neighbour.offset_hz;
+            let allowed = "-50 to 50 kHz";
+            in_range("neighbour offset_hz", offset_hz, -50e3, 50e3, allowed)?;
+            in_range("neighbour v", neighbour.v, 0.0, 200.0, "0 to 200 V")?;
+        }
+        in_range("bridge_r_ohm", self.bridge_r_ohm, 0.0, 1.0, "0 to 1 ohm")
+    }
+
+    fn check_events(&self) -> Result<(), InverterError> {
         let mut last_s = 0.0;
         for event in &self.events {
             in_range(
@@ -168,11 +244,22 @@ impl Settings {
                 "in order, within the recording",
             )?;
             last_s = event.t_s;
-            if let Change::Frequency(f) = event.change {
-                in_range("event frequency_hz", f, 20e3, 100e3, f_range)?;
+            match event.change {
+                Change::Frequency(f) => self.check_frequency("event frequency_hz", f)?,
+                Change::Load { r_factor, l_factor } => {
+                    // The field model has no R and L to scale.
+                    let (least, most) = match self.load {
+                        LoadKind::Field => (1.0, 1.0),
+                        LoadKind::Surrogate | LoadKind::Behavioural => (0.1, 10.0),
+                    };
+                    let allowed = "0.1 to 10, with a reduced or behavioural load";
+                    in_range("event r_factor", r_factor, least, most, allowed)?;
+                    in_range("event l_factor", l_factor, least, most, allowed)?;
+                }
+                Change::Pot(_) | Change::Off | Change::On => {}
             }
         }
-        self.sensing.check(self.edge_s)
+        Ok(())
     }
 }
 
@@ -192,6 +279,78 @@ mod tests {
                 .unwrap_err()
                 .to_string()
                 .contains("paper-60")
+        );
+    }
+
+    #[test]
+    fn settings_from_before_the_disturbances_are_read_as_without_them() {
+        let mut old = serde_json::to_value(Settings::default()).unwrap();
+        let fields = old.as_object_mut().unwrap();
+        for new in ["sweep", "duty", "bridge_r_ohm", "neighbour"] {
+            assert!(fields.remove(new).is_some(), "{new}");
+        }
+        let back: Settings = serde_json::from_value(old).unwrap();
+        assert_eq!(back, Settings::default());
+        let all = Settings {
+            sweep: Some(Sweep {
+                deviation_hz: 5e3,
+                rate_hz: 100.0,
+            }),
+            neighbour: Some(Neighbour {
+                offset_hz: 1.2e3,
+                v: 8.0,
+            }),
+            load: LoadKind::Behavioural,
+            events: vec![Event {
+                t_s: 1e-3,
+                change: Change::Load {
+                    r_factor: 0.6,
+                    l_factor: 1.35,
+                },
+            }],
+            ..Settings::default()
+        };
+        assert_eq!(all.check(), Ok(()));
+        let text = serde_json::to_string(&all).unwrap();
+        assert_eq!(serde_json::from_str::<Settings>(&text).unwrap(), all);
+    }
+
+    #[test]
+    fn impossible_disturbances_are_refused_by_name() {
+        let field = |change: fn(&mut Settings)| {
+            let mut s = Settings::default();
+            change(&mut s);
+            s.check().unwrap_err().to_string()
+        };
+        assert!(
+            field(|s| s.sweep = Some(Sweep {
+                deviation_hz: 1e3,
+                rate_hz: 0.0
+            }))
+            .contains("rate_hz")
+        );
+        assert!(field(|s| s.bridge_r_ohm = -0.1).contains("bridge_r_ohm"));
+        // 22 kHz less 3 kHz are below the lowest frequency.
+        assert!(
+            field(|s| {
+                s.f_sw_hz = 22e3;
+                s.sweep = Some(Sweep {
+                    deviation_hz: 3e3,
+                    rate_hz: 100.0,
+                });
+            })
+            .contains("f_sw_hz")
+        );
+        // The field model has no R and L to scale.
+        assert!(
+            field(|s| s.events = vec![Event {
+                t_s: 1e-3,
+                change: Change::Load {
+                    r_factor: 2.0,
+                    l_factor: 1.0
+                },
+            }])
+            .contains("r_factor")
         );
     }
 

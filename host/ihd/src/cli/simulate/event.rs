@@ -1,12 +1,14 @@
-//! Events on the command line: `3ms:fsw=60k`, `5ms:pot=none`, `7ms:off`.
+//! Events on the command line: `3ms:fsw=60k`, `5ms:pot=none`, `5ms:load=0.6,1.35`, `7ms:off`.
 
 use ihd_sim::recording::settings::{Change, Event};
 
-use super::quantity::quantity;
+use super::quantity::{list, quantity};
 
 /// An event that could not be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no event: {why}; write TIME:fsw=60k, TIME:pot=none, TIME:off or TIME:on")]
+#[error(
+    "`{text}` is no event: {why}; write TIME:fsw=60k, TIME:pot=none, TIME:load=0.6,1.35, TIME:off or TIME:on"
+)]
 pub struct NotAnEvent {
     text: String,
     why: String,
@@ -30,6 +32,10 @@ pub fn event(text: &str) -> Result<Event, NotAnEvent> {
             pot.parse()
                 .map_err(|e: ihd_sim::pot::UnknownPotName| wrong(e.to_string()))?,
         ),
+        Some(("load", factors)) => {
+            let [r_factor, l_factor] = list(factors).map_err(|e| wrong(e.to_string()))?;
+            Change::Load { r_factor, l_factor }
+        }
         _ => return Err(wrong(format!("unknown change `{what}`"))),
     };
     Ok(Event { t_s, change })
@@ -55,6 +61,13 @@ mod tests {
             Ok(Event {
                 t_s: 0.5,
                 change: Change::Pot(Pot::NONE)
+            })
+        );
+        assert_eq!(
+            event("5ms:load=0.6,1.35").map(|e| e.change),
+            Ok(Change::Load {
+                r_factor: 0.6,
+                l_factor: 1.35
             })
         );
         assert_eq!(event("1us:off").map(|e| e.change), Ok(Change::Off));

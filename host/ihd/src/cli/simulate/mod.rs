@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use ihd_sim::pot::Pot;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{Event, LoadKind, Settings};
+use ihd_sim::recording::settings::{Event, LoadKind, Neighbour, Settings, Sweep};
 use ihd_sim::recording::{file, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -60,6 +60,18 @@ pub struct SimulateArgs {
     /// Switching frequency in Hz
     #[arg(long, value_parser = quantity)]
     fsw: Option<f64>,
+    /// Sweep the switching frequency by so many Hz up and down, so many times a second: 5k,100
+    #[arg(long, value_parser = list::<2>, value_name = "HZ,HZ")]
+    sweep: Option<[f64; 2]>,
+    /// Share of the period in which the upper switch is on, 0.2 to 0.8
+    #[arg(long, value_parser = quantity)]
+    duty: Option<f64>,
+    /// Resistance of the bridge's switches in ohm, outside the coil
+    #[arg(long, value_parser = quantity, value_name = "OHM")]
+    bridge_resistance: Option<f64>,
+    /// Another zone's field induces a sine in the coil: so many Hz above the switching frequency, so many V: 1.2k,8
+    #[arg(long, value_parser = list::<2>, value_name = "HZ,V")]
+    neighbour: Option<[f64; 2]>,
     /// Mains frequency in Hz
     #[arg(long, value_parser = quantity)]
     mains: Option<f64>,
@@ -99,7 +111,8 @@ pub struct SimulateArgs {
     /// Integration step in s
     #[arg(long, value_parser = quantity)]
     step: Option<f64>,
-    /// Change something meanwhile: TIME:fsw=60k, TIME:pot=none, TIME:off or TIME:on; repeatable
+    /// Change something meanwhile: TIME:fsw=60k, TIME:pot=none, TIME:load=0.6,1.35 (R and L of a law times
+    /// these), TIME:off or TIME:on; repeatable
     #[arg(long, value_parser = event, value_name = "EVENT")]
     at: Vec<Event>,
     #[command(flatten)]
@@ -146,6 +159,18 @@ struct SensingArgs {
     /// Corner of the anti-alias filter in Hz; 0: none
     #[arg(long, value_parser = quantity)]
     pole: Option<f64>,
+    /// Corners of a low pass that each channel has of its own in Hz, V,I; 0: none
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    poles: Option<[f64; 2]>,
+    /// Corner of the current probe's droop (high pass) in Hz; 0: none
+    #[arg(long, value_parser = quantity, value_name = "HZ")]
+    droop: Option<f64>,
+    /// Soft saturation of the current probe in A, s·tanh(i/s); 0: none
+    #[arg(long, value_parser = quantity, value_name = "A")]
+    saturation: Option<f64>,
+    /// Half the ranges of the channels in V and A
+    #[arg(long, value_parser = list::<2>, value_name = "V,I")]
+    full_scale: Option<[f64; 2]>,
     /// How much later the current is sampled, in s
     #[arg(long, value_parser = quantity)]
     skew: Option<f64>,
@@ -177,6 +202,13 @@ impl SimulateArgs {
     pub fn settings(&self) -> Result<Settings> {
         let mut s = Settings::preset(&self.preset).map_err(Usage::of)?;
         set(&mut s.f_sw_hz, self.fsw);
+        s.sweep = self.sweep.map(|[deviation_hz, rate_hz]| Sweep {
+            deviation_hz,
+            rate_hz,
+        });
+        set(&mut s.duty, self.duty);
+        set(&mut s.bridge_r_ohm, self.bridge_resistance);
+        s.neighbour = (self.neighbour).map(|[offset_hz, v]| Neighbour { offset_hz, v });
         set(&mut s.mains_hz, self.mains);
         set(
             &mut s.mains_harmonics,
@@ -240,6 +272,14 @@ impl SensingArgs {
             (sensing.v_offset_v, sensing.i_offset_a) = (v, i);
         }
         set(&mut sensing.pole_hz, self.pole);
+        if let Some([v, i]) = self.poles {
+            (sensing.v_pole_hz, sensing.i_pole_hz) = (v, i);
+        }
+        set(&mut sensing.i_droop_hz, self.droop);
+        set(&mut sensing.i_saturation_a, self.saturation);
+        if let Some([v, i]) = self.full_scale {
+            (sensing.v_full_scale_v, sensing.i_full_scale_a) = (v, i);
+        }
         set(&mut sensing.skew_s, self.skew);
         set(&mut sensing.ringing, self.ringing);
         set(&mut sensing.spikes_per_s, self.spikes);

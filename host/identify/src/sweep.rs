@@ -1,0 +1,94 @@
+//! A carrier that moves: the estimator is given samples in warped time, in which it stands still
+//! ([`ihd_signal::carrier`]), and what it finds is put back on the capture's clock.
+
+use std::ops::Range;
+
+use ihd_signal::carrier::{Carrier, Warp};
+use ihd_signal::{Remark, Segment, Severity};
+
+use super::{Estimate, IdentifyError, Method, reconstruction};
+
+/// The carrier of a segment, where it moves and the method takes it as constant.
+pub(super) fn of(method: Method, segment: &Segment) -> Option<Carrier> {
+    let constant = matches!(method, Method::LeastSquares | Method::Lockin | Method::Pinn);
+    let carrier = constant.then(|| Carrier::of(segment)).flatten()?;
+    carrier.moves().then_some(carrier)
+}
+
+/// Parts that are warped for themselves: those that the method takes for themselves, so that mains zero crossings stay
+/// where they are.
+fn parts(method: Method, segment: &Segment) -> Vec<Range<usize>> {
+    match method {
+        Method::LeastSquares | Method::Pinn => {
+            let halves = segment.half_cycles().into_iter();
+            halves.map(|(from, to)| from..to).collect()
+        }
+        _ => std::iter::once(0..segment.len()).collect(),
+    }
+}
+
+/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one.
+///
+/// # Errors
+/// The last part's where none could be identified.
+pub(super) fn identify(
+    method: Method,
+    segment: &Segment,
+    carrier: &Carrier,
+    mut identify: impl FnMut(&Segment) -> Result<Estimate, IdentifyError>,
+) -> Result<Estimate, IdentifyError> {
+    let mut whole = Estimate::new(method, carrier.mean_hz());
+    whole.v_hat_v = vec![0.0; segment.len()];
+    whole.i_hat_a = vec![0.0; segment.len()];
+    let mut failed = None;
+    for range in parts(method, segment) {
+        let warp = Warp::new(segment, carrier, range.clone());
+        let warped = warp.samples();
+        if let Err(short) = warped.check() {
+            failed = Some(short.into());
+            continue;
+        }
+        match identify(&warped) {
+            Ok(mut found) => {
+                reconstruction::complete(&warped, &mut found);
+                whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&found.v_hat_v));
+                whole.i_hat_a[range].copy_from_slice(&warp.unwarped(&found.i_hat_a));
+                append(&mut whole, found, &warp);
+            }
+            Err(e) => failed = Some(e),
+        }
+    }
+    if let (true, Some(e)) = (whole.t_s.is_empty(), failed) {
+        return Err(e);
+    }
+    reconstruction::complete(segment, &mut whole);
+    whole.remarks.push(remark(carrier));
+    Ok(whole)
+}
+
+/// Puts what was found in warped time on the capture's clock.
+fn append(whole: &mut Estimate, found: Estimate, warp: &Warp<'_>) {
+    let from = whole.t_s.len();
+    whole.t_s.extend(found.t_s.iter().map(|t| warp.time_s(*t)));
+    let rates: Vec<f64> = whole.t_s[from..].iter().map(|t| warp.rate(*t)).collect();
+    let over_rate = |x: &[f64]| -> Vec<f64> { x.iter().zip(&rates).map(|(x, r)| x / r).collect() };
+    whole.l_h.extend(over_rate(&found.l_h));
+    whole.l_sigma_h.extend(over_rate(&found.l_sigma_h));
+    whole.r_ohm.extend(found.r_ohm);
+    whole.r_sigma_ohm.extend(found.r_sigma_ohm);
+    whole.r_power_ohm.extend(found.r_power_ohm);
+    whole.elapsed += found.elapsed;
+    whole.notes.extend(found.notes);
+    whole.remarks.extend(found.remarks);
+}
+
+fn remark(carrier: &Carrier) -> Remark {
+    let sweep = carrier.sweep();
+    let text = format!(
+        "the switching frequency moves by {:.2} kHz around {:.2} kHz: it is followed, and R and L are those at the \
+         frequency of each instant",
+        sweep.deviation_hz * 1e-3,
+        sweep.mean_hz * 1e-3
+    );
+    Remark::new("carrier_followed", Severity::Info, text).with(sweep.deviation_hz, None)
+}

@@ -1,0 +1,262 @@
+//! The switching frequency through time, from the phase of voltage and current; and time warped so that it stands
+//! still.
+//!
+//! With a smooth phase φ(t) and τ = φ(t)/ω0 the coil's v = R·i + L·di/dt becomes v = R·i + L'·di/dτ with
+//! L' = L·φ̇/ω0. That holds for any φ, so an error of the tracked phase costs nothing as long as what is left of
+//! the carrier's rotation is slow: [`warp`] takes samples to constant frequency, the estimator gives R and L' there, and
+//! L = L'·ω0/φ̇.
+
+mod smooth;
+pub mod warp;
+
+use std::f64::consts::TAU;
+
+use nalgebra::Complex;
+
+pub use self::warp::Warp;
+use crate::Segment;
+
+/// Cut-off of what is followed, in hertz: a sweep of 1 kHz is followed to 2 %, and what is left is slow.
+const CUT_OFF_HZ: f64 = 2.7e3;
+
+/// Switching periods of a frame, under a Hann window: it has no gain at the mean and at the harmonics.
+const FRAME_PERIODS: f64 = 2.0;
+
+/// A load whose R and L follow the current turns the phase of coil voltage and current by less than this, in hertz; and
+/// a carrier that moves less is no cost to estimators that take it as constant.
+const MOVES_HZ: f64 = 150.0;
+
+/// Share of the energy beyond it from which on the carrier moves.
+const MOST_OFTEN: f64 = 0.2;
+
+/// What a step of the load shows for some periods, in hertz.
+const MOVES_FAR_HZ: f64 = 400.0;
+
+/// Share of the energy beyond that: a third of a millisecond in a half-cycle.
+const MOST_RARELY: f64 = 0.04;
+
+/// Share of the largest power above which a value of the frequency is one of the carrier, and not of noise.
+const STRONG: f64 = 0.05;
+
+/// How a carrier moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sweep {
+    /// Mean in hertz, weighted with the carrier's power.
+    pub mean_hz: f64,
+    /// Half of what lies between the smallest and the largest frequency, in hertz.
+    pub deviation_hz: f64,
+    /// How often it goes up and down, in hertz; `None` where that is not seen twice.
+    pub rate_hz: Option<f64>,
+}
+
+/// The switching frequency at evenly spaced times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Carrier {
+    /// Time of the first value in seconds.
+    t0_s: f64,
+    /// Time from one value to the next in seconds, about a switching period.
+    step_s: f64,
+    /// Frequencies in hertz.
+    f_hz: Vec<f64>,
+    /// What each is worth: the carrier's power there as a share of the largest.
+    weight: Vec<f64>,
+    /// Periods since the first value, at each.
+    periods: Vec<f64>,
+}
+
+impl Carrier {
+    /// Follows the carrier through a segment.
+    pub fn of(segment: &Segment) -> Option<Self> {
+        let Segment { t0_s, dt_s, .. } = *segment;
+        Self::follow(&segment.v_v, &segment.i_a, t0_s, dt_s, segment.f_sw_hz)
+    }
+
+    /// Follows the carrier through evenly spaced samples of voltage and current, the first at `t0_s` seconds; `f_hz` is
+    /// its frequency within a third. `None` where there is too little to follow.
+    pub fn follow<T: Copy + Into<f64>>(
+        v_v: &[T],
+        i_a: &[T],
+        t0_s: f64,
+        dt_s: f64,
+        f_hz: f64,
+    ) -> Option<Self> {
+        let per_period = 1.0 / (f_hz * dt_s);
+        if !(per_period.is_finite() && per_period > 2.0) {
+            return None;
+        }
+        let frame = (FRAME_PERIODS * per_period).round() as usize;
+        let hop = (per_period.round() as usize).max(1);
+        let turns = Frames::new(frame, hop, f_hz * dt_s).turns([v_v, i_a]);
+        if turns.len() < 4 {
+            return None;
+        }
+        let step_s = hop as f64 * dt_s;
+        let largest = turns.iter().map(|z| z.norm()).fold(0.0, f64::max);
+        if largest.is_nan() || largest <= 0.0 {
+            return None;
+        }
+        let weight: Vec<f64> = turns.iter().map(|z| z.norm() / largest).collect();
+        let off_hz: Vec<f64> = turns.iter().map(|z| z.arg() / (TAU * step_s)).collect();
+        let stiffness = (TAU * CUT_OFF_HZ * step_s).powi(-4);
+        let off_hz = smooth::whittaker(&off_hz, &weight, stiffness);
+        // Faster or slower than that is no carrier that anybody can demodulate.
+        let f: Vec<f64> = off_hz
+            .iter()
+            .map(|off| f_hz + off.clamp(-f_hz / 3.0, f_hz / 3.0))
+            .collect();
+        let mut at = 0.0;
+        let mut periods = vec![0.0];
+        periods.extend(f.windows(2).map(|w| {
+            at += 0.5 * (w[0] + w[1]) * step_s;
+            at
+        }));
+        Some(Self {
+            // Between the middles of two frames.
+            t0_s: t0_s + (0.5 * (frame + hop) as f64) * dt_s,
+            step_s,
+            f_hz: f,
+            weight,
+            periods,
+        })
+    }
+
+    /// Frequency in hertz at a time in seconds; before the first and after the last value it stands still.
+    pub fn hz(&self, t_s: f64) -> f64 {
+        let (k, w) = self.place(t_s);
+        self.f_hz[k] + w.clamp(0.0, 1.0) * (self.f_hz[k + 1] - self.f_hz[k])
+    }
+
+    /// Periods since the first value: the integral of [`Carrier::hz`].
+    pub fn periods(&self, t_s: f64) -> f64 {
+        let (k, w) = self.place(t_s);
+        let inside = w.clamp(0.0, 1.0);
+        let (a, b) = (self.f_hz[k], self.f_hz[k + 1]);
+        let linear = inside * (a + 0.5 * inside * (b - a));
+        let beyond = (w - inside) * if w < 0.0 { a } else { b };
+        self.periods[k] + (linear + beyond) * self.step_s
+    }
+
+    /// The value before a time, and the share of the step after it; beyond the ends the share is below 0 or above 1.
+    fn place(&self, t_s: f64) -> (usize, f64) {
+        let at = (t_s - self.t0_s) / self.step_s;
+        let k = (at.max(0.0) as usize).min(self.f_hz.len() - 2);
+        (k, at - k as f64)
+    }
+
+    /// Mean in hertz, weighted with the carrier's power.
+    pub fn mean_hz(&self) -> f64 {
+        let sum: f64 = self.f_hz.iter().zip(&self.weight).map(|(f, w)| f * w).sum();
+        sum / self.weight.iter().sum::<f64>()
+    }
+
+    /// Whether it moves so much that time has to be warped.
+    pub fn moves(&self) -> bool {
+        let mean = self.mean_hz();
+        self.moves_from(|_| Some(mean))
+    }
+
+    /// Whether it moves away from a frequency in hertz that is expected at each time in seconds; where none is, nothing is
+    /// judged.
+    pub fn moves_from(&self, expected_hz: impl Fn(f64) -> Option<f64>) -> bool {
+        let off: Vec<(f64, f64)> = (self.values())
+            .filter_map(|(t_s, f, w)| Some(((f - expected_hz(t_s)?).abs(), w)))
+            .collect();
+        let share_beyond = |hz: f64| {
+            let beyond: f64 = off.iter().filter(|o| o.0 > hz).map(|o| o.1).sum();
+            beyond / off.iter().map(|o| o.1).sum::<f64>()
+        };
+        share_beyond(MOVES_HZ) > MOST_OFTEN || share_beyond(MOVES_FAR_HZ) > MOST_RARELY
+    }
+
+    /// How it moves.
+    pub fn sweep(&self) -> Sweep {
+        let mean_hz = self.mean_hz();
+        let strong = || self.values().filter(|v| v.2 > STRONG);
+        let mut f: Vec<f64> = strong().map(|v| v.1).collect();
+        f.sort_by(f64::total_cmp);
+        let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();
+        let (low, high) = (rank(0.02).unwrap_or(mean_hz), rank(0.98).unwrap_or(mean_hz));
+        let (middle, deviation_hz) = (0.5 * (low + high), 0.5 * (high - low));
+        // Passages through the middle, each only after a quarter of the deviation beyond it.
+        let (mut side, mut passages) = (0.0, Vec::new());
+        for (t_s, f, _) in strong().filter(|v| (v.1 - middle).abs() > 0.25 * deviation_hz) {
+            let now = (f - middle).signum();
+            if side * now < 0.0 {
+                passages.push(t_s);
+            }
+            side = now;
+        }
+        let rate_hz = match passages[..] {
+            [first, .., last] => Some(0.5 * (passages.len() - 1) as f64 / (last - first)),
+            _ => None,
+        };
+        Sweep {
+            mean_hz,
+            deviation_hz,
+            rate_hz,
+        }
+    }
+
+    /// Values in order of time: time in seconds, frequency in hertz, and the share of the largest power.
+    pub fn values(&self) -> impl Iterator<Item = (f64, f64, f64)> {
+        let pairs = self.f_hz.iter().zip(&self.weight).enumerate();
+        pairs.map(|(k, (f, w))| (self.t0_s + k as f64 * self.step_s, *f, *w))
+    }
+}
+
+/// Hann-windowed frames of two periods, one a period.
+struct Frames {
+    hop: usize,
+    cos: Vec<f64>,
+    minus_sin: Vec<f64>,
+    /// What the carrier's expected frequency turns in a hop.
+    expected: Complex<f64>,
+}
+
+impl Frames {
+    fn new(frame: usize, hop: usize, periods_per_sample: f64) -> Self {
+        let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
+        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / frame as f64);
+        Self {
+            hop,
+            cos: (0..frame).map(|k| hann(k) * libm::cos(turn(k))).collect(),
+            minus_sin: (0..frame).map(|k| -hann(k) * libm::sin(turn(k))).collect(),
+            expected: Complex::from_polar(1.0, -turn(hop)),
+        }
+    }
+
+    /// How much further than expected the fundamental turns from each frame to the next: both channels, each by its
+    /// own power, as a phasor whose magnitude is its worth.
+    fn turns<T: Copy + Into<f64>>(&self, channels: [&[T]; 2]) -> Vec<Complex<f64>> {
+        let mut sum: Vec<Complex<f64>> = Vec::new();
+        for x in channels {
+            let phasors = self.phasors(x);
+            let power: f64 = phasors.iter().map(Complex::norm_sqr).sum();
+            let scale = if power > 0.0 { 1.0 / power } else { 0.0 };
+            sum.resize(phasors.len().saturating_sub(1), Complex::new(0.0, 0.0));
+            for (sum, w) in sum.iter_mut().zip(phasors.windows(2)) {
+                *sum += w[1] * w[0].conj() * self.expected * scale;
+            }
+        }
+        sum
+    }
+
+    /// The fundamental of each frame, its angle counted from the frame's first sample.
+    fn phasors<T: Copy + Into<f64>>(&self, x: &[T]) -> Vec<Complex<f64>> {
+        let frames = x.windows(self.cos.len()).step_by(self.hop);
+        frames
+            .map(|x| {
+                let (mut re, mut im) = (0.0, 0.0);
+                for (x, (c, s)) in x.iter().zip(self.cos.iter().zip(&self.minus_sin)) {
+                    let x: f64 = (*x).into();
+                    re += x * c;
+                    im += x * s;
+                }
+                Complex::new(re, im)
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;
