@@ -74,7 +74,7 @@ pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<C
 }
 
 /// Largest share of the capacitor's voltage that may be left with the same shape in every plateau.
-const MISFIT: f64 = 4e-3;
+const MISFIT: f64 = 2e-3;
 
 impl Chosen {
     /// Whether the plateaus are flat but for noise, or nearly.

@@ -17,6 +17,7 @@ mod choose;
 mod correction;
 mod edges;
 mod fit;
+mod look;
 mod plateau;
 mod remarks;
 #[cfg(test)]
@@ -33,6 +34,7 @@ pub use self::correction::Correction;
 use self::edges::Stretch;
 pub use self::fit::Found;
 use self::fit::Model;
+pub use self::look::{Ask, Looked, Mode, look};
 use crate::{Finding, Severity, Survey};
 
 /// Why a capture shows nothing of its sensors.
