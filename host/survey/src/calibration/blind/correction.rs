@@ -9,13 +9,14 @@ use ihd_signal::Capture;
 use ihd_signal::segment::Segment;
 use nalgebra::Complex;
 use realfft::RealFftPlanner;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::super::delay::delay;
 use crate::time::runs;
 
 /// What makes two channels alike. Zero: nothing to do.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Correction {
     /// How much later the current was sampled, in seconds: it is delayed by that.
     pub skew_s: f64,
@@ -28,8 +29,16 @@ pub struct Correction {
 }
 
 impl Correction {
+    /// Whether there is nothing to do.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
     /// Makes the channels of a capture alike, run by run.
     pub fn apply(&self, capture: &mut Capture) {
+        if self.is_none() {
+            return;
+        }
         for run in runs(capture, &mut Vec::new()) {
             let (Some(v), Some(i)) = (
                 capture.v_v.get_mut(run.samples.clone()),

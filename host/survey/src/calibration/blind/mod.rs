@@ -339,6 +339,9 @@ struct Settled {
 /// Least skew that may be a slow voltage, in seconds: a bandwidth of 2.7 MHz.
 const SLOW_S: f64 = 60e-9;
 
+/// Shares of the skew that a slow voltage's search begins with.
+const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
+
 /// Rounds in which the time constant of a slow voltage is found, and the change in seconds that ends them.
 const ROUNDS: usize = 6;
 const ROUND_S: f64 = 0.2e-9;
@@ -354,32 +357,43 @@ fn settle(stretches: &[Stretch]) -> Result<Settled, BlindError> {
             v_tau_s: 0.0,
         });
     }
-    let mut v_tau_s = late.value;
-    let mut matched = None;
-    for _ in 0..ROUNDS {
+    let variance = |c: &Chosen| c.fit.left.0 / c.fit.left.1 as f64;
+    let matched = |v_tau_s: f64| {
         let alike = Correction {
             v_tau_s,
             ..Correction::default()
         };
         let filtered: Vec<Stretch> = stretches.iter().map(|s| s.corrected(&alike)).collect();
-        let Ok(now) = choose(&filtered, Some(v_tau_s)) else {
+        choose(&filtered, Some(v_tau_s)).ok()
+    };
+    // The tails make a slow voltage look slower: what explains most begins.
+    let starts = STARTS.map(|share| share * late.value);
+    let tried = starts
+        .into_iter()
+        .filter_map(|tau_s| Some((tau_s, matched(tau_s)?)));
+    let best = tried.min_by(|a, b| variance(&a.1).total_cmp(&variance(&b.1)));
+    let mut settled = best;
+    for _ in 0..ROUNDS {
+        let Some((tau_s, now)) = &settled else {
             break;
         };
         let step_s = now.skew_s.value;
-        matched = Some(now);
-        if step_s.abs() < ROUND_S || v_tau_s + step_s <= 0.0 {
+        if step_s.abs() < ROUND_S || tau_s + step_s <= 0.0 {
             break;
         }
-        v_tau_s += step_s;
+        let next_s = tau_s + step_s;
+        match matched(next_s) {
+            Some(next) if variance(&next) < variance(now) => settled = Some((next_s, next)),
+            _ => break,
+        }
     }
-    let variance = |c: &Chosen| c.fit.left.0 / c.fit.left.1 as f64;
     let better = |m: &Chosen| {
         // The tail has a number on each side.
         let gain = (variance(&plain) / variance(m) - 1.0) * plain.fit.left.1 as f64;
         gain > TOLD_APART + 2.0 * (plain.fit.left.1 as f64).ln()
     };
-    Ok(match matched.filter(better) {
-        Some(chosen) => Settled { chosen, v_tau_s },
+    Ok(match settled.filter(|(_, m)| better(m)) {
+        Some((v_tau_s, chosen)) => Settled { chosen, v_tau_s },
         None => Settled {
             chosen: plain,
             v_tau_s: 0.0,

@@ -133,8 +133,9 @@ fn a_slow_current_probe_is_known_as_such_and_taken_out() {
 fn a_slow_voltage_probe_and_a_droop_are_taken_out_too() {
     let clean = capture(&settings(scope(), 3));
     let truth = load(&clean);
-    let faults: [fn(&mut Capture); 2] = [
+    let faults: [fn(&mut Capture); 3] = [
         |c| low_pass(&mut c.v_v, DT_S, 159e-9),
+        |c| low_pass(&mut c.v_v, DT_S, 1.0 / (TAU * 200e3)),
         |c| {
             let mut slow = c.i_a.clone();
             low_pass(&mut slow, DT_S, 1.0 / (TAU * 1e3));
