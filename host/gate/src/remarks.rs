@@ -27,7 +27,8 @@ fn works_with_phasors(method: Method) -> bool {
 /// A remark as it concerns a method.
 pub fn for_method(remark: &Remark, method: Method) -> Remark {
     let mut remark = remark.clone();
-    if remark.code == "aliasing" && remark.value.is_some_and(|pct| pct > ALIASING_ERROR_PCT) {
+    let costly = remark.value.is_some_and(|pct| pct > ALIASING_ERROR_PCT);
+    if remark.code == "aliasing" && remark.severity == Severity::Warning && costly {
         remark.severity = Severity::Error;
     }
     let elsewhere = TIME_DOMAIN_ONLY.contains(&remark.code) && works_with_phasors(method);

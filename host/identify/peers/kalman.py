@@ -18,8 +18,8 @@ import demodulation
 # Standard deviations a sample of 20 ns, in units of the capture's rms: see `ihd_identify::ekf::Tuning`.
 CURRENT, SLOPE, IMPEDANCE, START = 4e-4, 1.3e-3, 3e-4, 0.25
 CURRENT_FLOOR, VOLTAGE_FLOOR = 4e-3, 6e-3
-# Of the three states: of 2e-5, 5e-5, 1e-4, 2e-4, 4e-4 the one with the least sum of errors over the table.
-THREE_IMPEDANCE = 1e-4
+# Of the three states: of 3e-5, 1e-4, 3e-4, 6e-4 and 1.2e-3 the one with the least sum of errors over three captures.
+THREE_IMPEDANCE = 3e-4
 THREE_CURRENT_FLOOR, THREE_VOLTAGE_FLOOR = 1e-3, 2e-3
 
 

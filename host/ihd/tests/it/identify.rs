@@ -140,6 +140,7 @@ fn the_help_of_both_commands_has_an_example() {
     for args in [
         ["identify", "--help"].as_slice(),
         &["study", "estimators", "--help"],
+        &["study", "hostile", "--help"],
     ] {
         let output = ihd().args(args).output().expect("it runs");
         assert!(String::from_utf8_lossy(&output.stdout).contains("Examples:"));

@@ -187,3 +187,52 @@ fn words(standing: &Standing) -> String {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use ihd_identify::Method;
+
+    use super::*;
+    use crate::study::paper::report::tests::cell;
+
+    fn by(contender: Contender, r_pct: f64) -> Cell {
+        let mut cell = cell(1, r_pct);
+        cell.job.contender = contender;
+        cell
+    }
+
+    #[test]
+    fn the_least_is_bold_and_who_is_next_to_it_is_counted() {
+        let ours = || Contender::Pinn(OURS.into());
+        let other = || Contender::Other(Method::LeastSquares);
+        // R is .005 % behind at 45 kHz and .02 % at 50 kHz; L is 1 % for both, so the same.
+        let mut cells = vec![by(ours(), 0.305), by(other(), 0.3)];
+        let farther = [by(ours(), 0.32), by(other(), 0.3)];
+        cells.extend(farther.map(|mut cell| {
+            cell.job.f_sw_hz = 50e3;
+            cell
+        }));
+        let text = markdown(&cells);
+        assert!(
+            text.contains("| .305/**1.00** | **.300**/**1.00** |"),
+            "{text}"
+        );
+        assert!(text.contains("in 4 pairs"), "{text}");
+        assert!(text.contains("`hybrid` 2, `least-squares` 4"), "{text}");
+        assert!(
+            text.contains(
+                "within 0.01 % in 3 of 4; at most 0.020 % behind (R at behavioural, 30 dB, 50 kHz)"
+            ),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn the_mean_is_over_the_seeds() {
+        let mut second = by(Contender::Pinn(OURS.into()), 0.4);
+        second.job.seed = 2;
+        let other = by(Contender::Other(Method::Lockin), 0.5);
+        let text = markdown(&[by(Contender::Pinn(OURS.into()), 0.2), second, other]);
+        assert!(text.contains("| **.300**/"), "{text}");
+    }
+}

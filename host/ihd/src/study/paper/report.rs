@@ -187,13 +187,13 @@ fn published(out: &mut String, f_sw_hz: f64, snr_db: Option<f64>) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use ihd_identify::Method;
 
     use super::*;
     use crate::study::paper::{Errors, Job};
 
-    fn cell(seed: u64, r_pct: f64) -> Cell {
+    pub(in crate::study::paper) fn cell(seed: u64, r_pct: f64) -> Cell {
         Cell {
             job: Job {
                 load: LoadKind::Behavioural,

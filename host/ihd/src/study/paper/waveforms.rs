@@ -4,9 +4,12 @@
 use std::fmt::Write;
 
 use super::published::pinn;
-use super::report::{distinct, number};
+use super::report::distinct;
 use super::{Cell, Contender};
 use crate::study::estimators::published::ekf_nmse;
+
+/// Voltage and current in percent.
+type Pair = (f64, f64);
 
 /// The table; nothing where nobody gives waveforms.
 pub(super) fn markdown(cells: &[Cell]) -> String {
@@ -17,56 +20,96 @@ pub(super) fn markdown(cells: &[Cell]) -> String {
     }
     let mut out = String::from(
         "\n## Waveforms (Table 3)\n\nNMSE of v/i in %, mean over the seeds, against the waveforms without noise \
-         behind a Butterworth low-pass of second order and 0.5 MHz, forwards and backwards · the \
-         reconstruction behind it too · neither. `unfiltered` is what the waveforms without noise \
-         themselves get: who gives every edge right is no better in Table 3's measure.\n\n\
-         | load, SNR, kHz | who | reference filtered (Table 3) | both | neither |\n|---|---|---:|---:|---:|\n",
+         behind a Butterworth low-pass of second order and 0.5 MHz, forwards and backwards · the same, \
+         the reconstruction behind it too. `unfiltered` is what the waveforms without noise themselves get: \
+         in Table 3's measure nobody who gives the edges right is better.\n\n|",
     );
-    for point in distinct(&cells, |c| (c.job.load, c.job.snr_db, c.job.f_sw_hz)) {
-        let (load, snr_db, f_sw_hz) = point;
-        let at = |c: &&&Cell| (c.job.load, c.job.snr_db, c.job.f_sw_hz) == point;
-        let here: Vec<&Cell> = cells.iter().filter(at).copied().collect();
-        let snr = snr_db.map_or("noiseless".into(), |db| format!("{db} dB"));
-        let place = format!("{load:?}, {snr}, {}", f_sw_hz * 1e-3).to_lowercase();
-        let mut row = |who: &str, values: [Option<(f64, f64)>; 3]| {
-            let text = |pair: Option<(f64, f64)>| {
-                pair.map_or("".into(), |(v, i)| format!("{}/{}", number(v), number(i)))
-            };
-            let [filtered, both, neither] = values.map(text);
-            let _ = writeln!(out, "| {place} | {who} | {filtered} | {both} | {neither} |");
-        };
-        for contender in distinct(&here, |c| c.job.contender.clone()) {
-            let own = |value: fn(&Cell) -> Option<(f64, f64)>| mean(&here, &contender, value);
-            row(
-                contender.name(),
-                [
-                    own(|c| c.nmse_filtered_pct),
-                    own(|c| c.nmse_both_filtered_pct),
-                    own(|c| c.nmse_pct),
-                ],
-            );
-        }
-        row(
-            "unfiltered",
-            [here[0].nmse_unfiltered_itself_pct, None, None],
-        );
-        row(
-            "*paper's PINN*",
-            [pinn(f_sw_hz, snr_db).map(|p| p.nmse_pct), None, None],
-        );
-        row("*paper's EKF*", [ekf_nmse(f_sw_hz, snr_db), None, None]);
+    let frequencies = distinct(&cells, |c| c.job.f_sw_hz);
+    for f_sw_hz in &frequencies {
+        let _ = write!(out, " | {} kHz", f_sw_hz * 1e-3);
+    }
+    let _ = writeln!(out, " |\n|---|{}", "---:|".repeat(frequencies.len()));
+    for place in distinct(&cells, |c| (c.job.load, c.job.snr_db)) {
+        let here = cells.iter().filter(|c| (c.job.load, c.job.snr_db) == place);
+        rows(&mut out, &here.copied().collect::<Vec<_>>(), &frequencies);
     }
     out
+}
+
+/// The rows of one load and SNR: everybody, the waveforms themselves, the paper.
+fn rows(out: &mut String, cells: &[&Cell], frequencies: &[f64]) {
+    let snr_db = cells[0].job.snr_db;
+    let snr = snr_db.map_or("noiseless".into(), |db| format!("{db} dB"));
+    let place = format!("{:?}", cells[0].job.load).to_lowercase() + ", " + &snr;
+    let mut row = |who: &str, value: &dyn Fn(f64) -> (Option<Pair>, Option<Pair>)| {
+        let _ = write!(out, "| {place}: {who}");
+        for f_sw_hz in frequencies {
+            let _ = match value(*f_sw_hz) {
+                (Some(one), Some(both)) => write!(out, " | {} · {}", pair(one), pair(both)),
+                (Some(one), None) => write!(out, " | {}", pair(one)),
+                (None, _) => write!(out, " | –"),
+            };
+        }
+        out.push_str(" |\n");
+    };
+    for contender in distinct(cells, |c| c.job.contender.clone()) {
+        row(contender.name(), &|f| {
+            let of = |value| mean(cells, &contender, f, value);
+            (
+                of(|c| c.nmse_filtered_pct),
+                of(|c| c.nmse_both_filtered_pct),
+            )
+        });
+    }
+    row("unfiltered", &|f| {
+        let here = cells.iter().find(|c| c.job.f_sw_hz == f);
+        (here.and_then(|c| c.nmse_unfiltered_itself_pct), None)
+    });
+    row("*paper's PINN*", &|f| {
+        (pinn(f, snr_db).map(|p| p.nmse_pct), None)
+    });
+    row("*paper's EKF*", &|f| (ekf_nmse(f, snr_db), None));
 }
 
 fn mean(
     cells: &[&Cell],
     contender: &Contender,
-    value: fn(&Cell) -> Option<(f64, f64)>,
-) -> Option<(f64, f64)> {
-    let of = cells.iter().filter(|c| c.job.contender == *contender);
-    let pairs: Vec<(f64, f64)> = of.filter_map(|c| value(c)).collect();
+    f_sw_hz: f64,
+    value: fn(&Cell) -> Option<Pair>,
+) -> Option<Pair> {
+    let of = |c: &&&Cell| c.job.contender == *contender && c.job.f_sw_hz == f_sw_hz;
+    let pairs: Vec<Pair> = cells.iter().filter(of).filter_map(|c| value(c)).collect();
     let n = pairs.len() as f64;
     let sum = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
     (n > 0.0).then_some((sum.0 / n, sum.1 / n))
+}
+
+fn pair((v, i): Pair) -> String {
+    format!("{}/{}", number(v), number(i))
+}
+
+/// Two digits that matter, down to a thousandth of a percent.
+fn number(x: f64) -> String {
+    let text = match x {
+        x if x >= 9.95 => format!("{x:.0}"),
+        x if x >= 0.995 => format!("{x:.1}"),
+        x if x >= 0.0995 => format!("{x:.2}"),
+        x if x >= 0.0005 => format!("{x:.3}"),
+        _ => "0".into(),
+    };
+    match text.strip_prefix("0.") {
+        Some(decimals) => format!(".{decimals}"),
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::number;
+
+    #[test]
+    fn small_and_large_percentages_are_short() {
+        let of = [0.0002, 0.0045, 0.19, 0.998, 12.4].map(number);
+        assert_eq!(of, ["0", ".004", ".19", "1.0", "12"]);
+    }
 }
