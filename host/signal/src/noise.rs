@@ -1,22 +1,44 @@
-//! White noise of both channels, measured between the harmonics.
+//! White noise of a channel: the floor of its spectrum between the lines, the one measure of it for survey and
+//! estimators.
 //!
-//! At 1.5 f_sw a half-bridge has nothing: what is found there is noise. Windows of sin⁶ over 16
-//! periods keep the carrier's and the third harmonic's own modulation out (8 bins away their
-//! sidelobes are below 1e-6), and the median over the windows ignores the zero crossings.
+//! What lies between the harmonics of f_sw is noise, or edges that the sampling folds there, or a neighbour's coil. So
+//! many places are looked at, up to the eighth harmonic where the estimators work, and the quiet ones count: a low
+//! quantile over the places, of the median over the frames (zero crossings and steps of the load are single
+//! frames). Both are known functions of σ for white noise, so that the result is unbiased for it.
 
-use std::f64::consts::{LN_2, PI};
+use std::f64::consts::PI;
+
+use nalgebra::Complex;
+use realfft::RealFftPlanner;
 
 use super::Segment;
-use super::correlation::Correlator;
 
-/// Where the noise is looked for, in multiples of f_sw.
-const ORDER: f64 = 1.5;
+/// Switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
+const MOST_PERIODS: f64 = 96.0;
 
-/// Switching periods of one window.
-const PERIODS: f64 = 16.0;
+/// Fewest, where the samples are few.
+const LEAST_PERIODS: f64 = 12.0;
 
-/// Most windows that are looked at: their median is within 20 %.
-const MOST_WINDOWS: usize = 16;
+/// Frames that short stretches are divided into.
+const WANTED_FRAMES: f64 = 6.0;
+
+/// Most frames that are looked at.
+const MOST_FRAMES: usize = 32;
+
+/// Samples of a period that are kept at least: of more, a low-pass keeps every so many.
+const KEPT_PER_PERIOD: f64 = 64.0;
+
+/// Highest order of f_sw that is looked at.
+const HIGHEST_ORDER: f64 = 8.75;
+
+/// Bins on either side of a harmonic that its lobe (4 bins) and modulation fill.
+const LINE_BINS: f64 = 6.5;
+
+/// Most of the way to the next harmonic that a harmonic takes, in orders.
+const LINE_MOST: f64 = 0.36;
+
+/// The quantile of the places that is taken: lines may fill most of the rest.
+const QUANTILE: f64 = 0.2;
 
 /// Standard deviation of one sample's white noise; zero where it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -28,38 +50,12 @@ pub struct WhiteNoise {
 }
 
 impl WhiteNoise {
-    /// Of a segment; zero when it is shorter than one window of 16 switching periods.
+    /// Of a segment; zero when it is shorter than 12 switching periods.
     pub fn measure(segment: &Segment) -> Self {
-        let length = (PERIODS * segment.samples_per_period()).round() as usize;
-        let weight: Vec<f64> = (0..length)
-            .map(|n| {
-                let s = libm::sin(PI * (n as f64 + 0.5) / length as f64);
-                let square = s * s;
-                square * square * square
-            })
-            .collect();
-        let power: f64 = weight.iter().map(|w| w * w).sum();
-        let correlator = Correlator::new(segment, length, [ORDER]);
-        let windows = segment.len() / length.max(1);
-        let stride = windows.div_ceil(MOST_WINDOWS).max(1);
-        let (mut v, mut i) = (Vec::new(), Vec::new());
-        let weighted =
-            |x: &[f64]| -> Vec<f64> { x.iter().zip(&weight).map(|(x, w)| x * w).collect() };
-        for k in (0..windows).step_by(stride) {
-            let range = k * length..(k + 1) * length;
-            let sums = correlator.block(
-                range.start,
-                &weighted(&segment.v_v[range.clone()]),
-                &weighted(&segment.i_a[range]),
-            );
-            v.push(sums.v[0].norm_sqr() / power);
-            i.push(sums.i[0].norm_sqr() / power);
-        }
-        // |X|² of white noise is exponential with mean σ²·Σw²: its median is ln 2 of that.
-        let sigma = |x: Vec<f64>| median(x).map_or(0.0, |m| (m / LN_2).sqrt());
+        let of = |x: &[f64]| deviation(x, segment.samples_per_period()).unwrap_or(0.0);
         Self {
-            v_v: sigma(v),
-            i_a: sigma(i),
+            v_v: of(&segment.v_v),
+            i_a: of(&segment.i_a),
         }
     }
 
@@ -69,8 +65,197 @@ impl WhiteNoise {
     }
 }
 
-/// The middle value; `None` of nothing.
+/// Standard deviation of a channel's white noise near the first harmonics, in its unit; `None` when the samples are
+/// too few.
+pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Option<f64> {
+    let frames = Frames::of(x.len(), samples_per_period)?;
+    let places = frames.places();
+    if places.is_empty() {
+        return None;
+    }
+    let mut powers = vec![Vec::with_capacity(frames.count); places.len()];
+    let fft = RealFftPlanner::new().plan_fft_forward(frames.points);
+    let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
+    let window = sin6(frames.points);
+    let low_pass = low_pass(frames.block);
+    for frame in 0..frames.count {
+        let samples = x[frame * frames.stride..].windows(low_pass.len());
+        for ((y, x), w) in input
+            .iter_mut()
+            .zip(samples.step_by(frames.block))
+            .zip(&window)
+        {
+            *y = w * filtered(&low_pass, x);
+        }
+        fft.process(&mut input, &mut output).ok()?;
+        for (power, place) in powers.iter_mut().zip(&places) {
+            power.push(output[*place].norm_sqr());
+        }
+    }
+    // |X|² of white noise is exponential with mean σ²·Σw², times what the low-pass leaves there, over the samples
+    // of which one is kept.
+    let mean = window.iter().map(|w| w * w).sum::<f64>() / frames.block as f64;
+    let floor = |(power, place): (Vec<f64>, &usize)| {
+        let turn = *place as f64 / (frames.points * frames.block) as f64;
+        Some(median(power)? / (mean * gain(&low_pass, turn)))
+    };
+    let mut floors: Vec<f64> = powers.into_iter().zip(&places).filter_map(floor).collect();
+    let at = (QUANTILE * floors.len() as f64) as usize;
+    let quiet = *floors.select_nth_unstable_by(at, f64::total_cmp).1;
+    let share = (at as f64 + 0.6) / (floors.len() as f64 + 0.2);
+    Some((quiet / quantile_of_median(frames.count, share)).sqrt()).filter(|s| s.is_finite())
+}
+
+/// Hann over four times the samples of which one is kept: edges that would fold to below the eighth harmonic stay
+/// below a thousandth of what they are.
+fn low_pass(block: usize) -> Vec<f64> {
+    if block == 1 {
+        return vec![1.0];
+    }
+    let taps = 4 * block;
+    let at = |k: usize| libm::sin(PI * (k as f64 + 0.5) / taps as f64);
+    (0..taps).map(|k| at(k) * at(k)).collect()
+}
+
+/// Σ h·x, in eight sums so that they can go side by side.
+fn filtered<T: Copy + Into<f64>>(h: &[f64], x: &[T]) -> f64 {
+    let mut sums = [0.0; 8];
+    for (h, x) in h.chunks(8).zip(x.chunks(8)) {
+        for ((sum, h), x) in sums.iter_mut().zip(h).zip(x) {
+            *sum += h * (*x).into();
+        }
+    }
+    sums.iter().sum()
+}
+
+/// |Σ h·e^(−j2πfn)|² at f = `turn` periods a sample.
+fn gain(h: &[f64], turn: f64) -> f64 {
+    let step = Complex::from_polar(1.0, -2.0 * PI * turn);
+    let mut at = Complex::new(1.0, 0.0);
+    let mut sum = Complex::new(0.0, 0.0);
+    for h in h {
+        sum += at * *h;
+        at *= step;
+    }
+    sum.norm_sqr()
+}
+
+/// How a stretch of samples is cut.
+struct Frames {
+    /// Samples of which one is kept.
+    block: usize,
+    /// Points of a frame.
+    points: usize,
+    /// Samples from one frame to the next.
+    stride: usize,
+    count: usize,
+    /// Orders of f_sw from one bin to the next.
+    order_per_bin: f64,
+    /// Points of a switching period.
+    per_period: f64,
+}
+
+impl Frames {
+    fn of(samples: usize, samples_per_period: f64) -> Option<Self> {
+        let periods = samples as f64 / samples_per_period;
+        if !(periods.is_finite() && samples_per_period > 2.0) {
+            return None;
+        }
+        let block = ((samples_per_period / KEPT_PER_PERIOD) as usize).max(1);
+        let per_period = samples_per_period / block as f64;
+        let wanted =
+            (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MOST_PERIODS) * per_period;
+        // A multiple of 16 transforms fast.
+        let points =
+            ((wanted / 16.0).ceil() as usize * 16).min((samples / block).saturating_sub(3));
+        if (points as f64) < LEAST_PERIODS * per_period {
+            return None;
+        }
+        // The low-pass reaches three blocks beyond the last.
+        let frame = block * (points + 3);
+        let count = (samples / frame).min(MOST_FRAMES);
+        Some(Self {
+            block,
+            points,
+            stride: (samples - frame) / count.saturating_sub(1).max(1),
+            count,
+            order_per_bin: per_period / points as f64,
+            per_period,
+        })
+    }
+
+    /// Bins between the harmonics, away from them.
+    fn places(&self) -> Vec<usize> {
+        let highest = HIGHEST_ORDER.min(0.5 * self.per_period - 0.2);
+        let taken = (LINE_BINS * self.order_per_bin).min(LINE_MOST);
+        let away = |order: f64| (order - order.round()).abs() >= taken;
+        let order = |bin: &usize| *bin as f64 * self.order_per_bin;
+        (1..self.points / 2)
+            .take_while(|bin| order(bin) <= highest)
+            .filter(|bin| away(order(bin)))
+            .collect()
+    }
+}
+
+/// sin⁶: its lobe is 4 bins wide, and 8 bins away it is below 1e-6.
+fn sin6(n: usize) -> Vec<f64> {
+    let at = |k: usize| libm::sin(PI * (k as f64 + 0.5) / n as f64);
+    (0..n).map(|k| libm::pow(at(k), 6.0)).collect()
+}
+
+/// The middle value, of an even number the lower; `None` of nothing.
 pub fn median(mut x: Vec<f64>) -> Option<f64> {
-    let middle = x.len() / 2;
+    let middle = x.len().saturating_sub(1) / 2;
     (!x.is_empty()).then(|| *x.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The value below which [`median`] of `count` exponential numbers of mean 1 stays with this probability.
+fn quantile_of_median(count: usize, probability: f64) -> f64 {
+    // Below x as soon as (count + 1)/2 of them are.
+    let needed = count.div_ceil(2);
+    let below = |x: f64| {
+        let one = -libm::expm1(-x);
+        let mut term = libm::pow(1.0 - one, count as f64);
+        let mut sum = 0.0;
+        for k in 0..=count {
+            if k >= needed {
+                sum += term;
+            }
+            term *= (count - k) as f64 / (k + 1) as f64 * one / (1.0 - one);
+        }
+        sum
+    };
+    let (mut low, mut high) = (1e-9, 10.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if below(middle) < probability {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_of_the_median_are_those_of_the_exponential_and_of_known_order_statistics() {
+        // One number: the exponential itself. Three: F²(3 − 2F) = 1/2 at F = 1/2, x = ln 2.
+        let of_one = -(1.0_f64 - 0.2).ln();
+        assert!((quantile_of_median(1, 0.2) - of_one).abs() < 1e-9);
+        assert!((quantile_of_median(3, 0.5) - std::f64::consts::LN_2).abs() < 1e-9);
+        // Many: all quantiles close in on ln 2.
+        assert!((quantile_of_median(32, 0.2) / 0.577 - 1.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn what_is_too_short_gives_nothing() {
+        assert_eq!(deviation(&[1.0f32; 500], 50.0), None);
+        assert_eq!(deviation::<f64>(&[], 50.0), None);
+        assert_eq!(deviation(&[1.0f32; 5000], f64::NAN), None);
+        assert_eq!(deviation(&[0.0f32; 5000], 50.0), Some(0.0));
+    }
 }

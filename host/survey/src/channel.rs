@@ -6,7 +6,6 @@ use serde::Serialize;
 use super::carrier::Piece;
 use super::clipping::{self, Clipped};
 use super::finding::{Channel, Finding};
-use super::noise;
 use super::track::Track;
 
 /// Offset above which it is reported, in percent of the rms value.
@@ -80,7 +79,7 @@ pub(super) fn survey(
     let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
     out.noise = longest.and_then(|p| {
         let per_period = 1.0 / (p.f_hz * p.run.dt_s);
-        noise::deviation(&x[p.run.samples.clone()], per_period)
+        ihd_signal::noise::deviation(&x[p.run.samples.clone()], per_period)
     });
     let signal =
         |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();

@@ -16,7 +16,6 @@ pub mod finding;
 pub mod impedance;
 mod lines;
 pub mod mains;
-pub mod noise;
 mod pieces;
 pub mod spectrum;
 pub mod time;

@@ -92,6 +92,15 @@ impl Sampler {
         self.ring = (re * c - im * s, re * s + im * c);
     }
 
+    /// Forgets what was sampled from `end_s` on.
+    pub fn cut(&mut self, end_s: f64) {
+        let before = self.t_s.partition_point(|t| *t < end_s);
+        let n = before.min(self.v_v.len()).min(self.i_a.len());
+        self.t_s.truncate(n);
+        self.v_v.truncate(n);
+        self.i_a.truncate(n);
+    }
+
     /// Adds gain, offset, noise and spikes, and converts: codes of voltage and current.
     pub fn finish(&self, seed: u64) -> (Vec<i16>, Vec<i16>) {
         convert(&self.sensing, &self.t_s, &self.v_v, &self.i_a, seed)

@@ -6,17 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use ihd_identify::accuracy::{Accuracy, fundamental};
+use ihd_gate::{Examined, Request, examine};
 use ihd_identify::pinn::preset_names;
-use ihd_identify::{Method, Settings, Watch, reconstruction, run_watched};
-use ihd_signal::Capture;
-use ihd_survey::{Finding, Severity, Survey};
+use ihd_identify::{Method, Settings};
+use ihd_signal::{Capture, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use self::report::Outcome;
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
-use super::inspect::UnfitCapture;
 use super::output;
 use super::simulate::quantity::quantity;
 use super::usage::Usage;
@@ -25,15 +22,16 @@ use crate::report::identified;
 /// Identify R(t) and L(t) of the load in a capture.
 ///
 /// Switching frequency and mains are found in the capture where they are not given. A method that
-/// fails on a stretch reports why; the others go on.
+/// fails on a stretch reports why; the others go on. Every result is judged: by what the capture shows,
+/// by its own uncertainty, and against least squares of the same stretch (docs/gate.md).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \
     ihd identify capture.csv --method all --plot identified.svg\n  \
     ihd identify capture.mcap --method pinn --preset hybrid --backend flex\n  \
     ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
-    Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 R and L would be wrong, or the file is\n\
-    empty, cut or damaged (what could be read is identified)")]
+    Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 a result is refused (it is printed, with the\n\
+    reason; --anyway makes it 0), or the file is empty, cut or damaged (what could be read is identified)")]
 pub struct IdentifyArgs {
     /// Estimators, with commas between them, or all
     #[arg(
@@ -62,7 +60,7 @@ pub struct IdentifyArgs {
     /// With the method pinn: no wall-clock limit, so that two runs give the same digits
     #[arg(long)]
     deterministic: bool,
-    /// Identify even where the survey finds that R and L would be wrong
+    /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
     /// Print the estimates as JSON, one object a method and stretch
@@ -79,6 +77,16 @@ pub struct IdentifyArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     hints: HintArgs,
+}
+
+/// Results that the gate refuses; they were printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{refused} of {of} results are refused: R or L would be wrong")]
+pub struct RefusedResults {
+    /// How many.
+    pub refused: usize,
+    /// Of how many.
+    pub of: usize,
 }
 
 /// A method, or all of this build.
@@ -143,75 +151,63 @@ impl IdentifyArgs {
     }
 
     fn identify(&self, capture: &Capture, settings: &Settings, methods: &[Method]) -> Result<()> {
-        let hints = self.capture.hints(self.hints.hints());
-        let survey = Survey::of(capture, &hints)?;
-        for finding in survey
-            .findings
-            .iter()
-            .filter(|f| f.severity() > Severity::Info)
-        {
-            output::complain(format_args!("{}: {finding}", finding.severity()));
-        }
-        if survey.worst() == Some(Severity::Error) && !self.anyway {
-            let is_error = |f: &&Finding| f.severity() == Severity::Error;
-            let errors = survey.findings.iter().filter(is_error).count();
-            return Err(UnfitCapture(errors))
-                .context("mend the capture as advised, or go on with --anyway");
-        }
-        let segments = survey.segments(capture);
-        let bar = ProgressBar::new((methods.len() * segments.len()) as u64);
+        let request = Request {
+            hints: self.capture.hints(self.hints.hints()),
+            methods,
+            settings,
+            reconstruct: true,
+        };
+        let bar = ProgressBar::no_length();
         bar.set_style(
             ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}")
                 .context("progress bar")?,
         );
-        let truth = (!capture.truth.is_empty()).then(|| fundamental(&capture.truth));
-        let mut outcomes = Vec::new();
-        for segment in &segments {
-            for &method in methods {
-                bar.set_message(method.name());
-                let mut watch = Watch {
-                    truth: truth.as_ref(),
-                    report: &mut |text| bar.set_message(format!("{method}: {text}")),
-                };
-                let result = run_watched(method, segment, settings, &mut watch);
-                let result = result.map(|mut estimate| {
-                    reconstruction::complete(segment, &mut estimate);
-                    estimate
-                });
-                let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
-                let accuracy = result
-                    .as_ref()
-                    .ok()
-                    .and_then(|e| Accuracy::of(e, segment, &capture.truth, from_s));
-                outcomes.push(Outcome {
-                    method,
-                    f_sw_hz: segment.f_sw_hz,
-                    result,
-                    accuracy,
-                });
-                bar.inc(1);
+        let examined = examine(capture, &request, &mut |text, done, of| {
+            bar.set_length(of as u64);
+            bar.set_position(done as u64);
+            bar.set_message(text.to_owned());
+        })?;
+        bar.finish_and_clear();
+        for finding in &examined.survey.findings {
+            if finding.severity() > Severity::Info {
+                output::complain(format_args!("{}: {finding}", finding.severity()));
             }
         }
-        bar.finish_and_clear();
+        let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
+        let reported = report::Reported::of(capture, &examined, from_s);
         if let Some(path) = &self.csv {
-            report::write_csv(&outcomes, path)?;
+            report::write_csv(&examined.outcomes, path)?;
         }
         if let Some(path) = &self.plot {
-            let found: Vec<_> = outcomes
-                .iter()
-                .filter_map(|o| o.result.as_ref().ok())
-                .collect();
-            identified::draw(&capture.name, &segments, &found, &capture.truth, path)?;
+            let results = examined.outcomes.iter();
+            let found: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
+            let segments = &examined.segments;
+            identified::draw(&capture.name, segments, &found, &capture.truth, path)?;
         }
         if self.json {
-            output::json(&report::json(&outcomes))?;
+            output::json(&reported.json())?;
         } else {
-            output::text(&report::text(&survey, capture, &segments, &outcomes))?;
+            output::text(&reported.text())?;
         }
+        self.verdict(&examined)
+    }
+
+    /// How the command ends, after everything was printed.
+    fn verdict(&self, examined: &Examined) -> Result<()> {
+        let outcomes = &examined.outcomes;
         if outcomes.iter().all(|o| o.result.is_err()) {
             bail!("no method could identify {}", self.capture.path().display());
         }
-        Ok(())
+        let found = || outcomes.iter().filter(|o| o.result.is_ok());
+        let refused = found().filter(|o| o.judgement.gate.refuses()).count();
+        if refused == 0 || self.anyway {
+            return Ok(());
+        }
+        Err(RefusedResults {
+            refused,
+            of: found().count(),
+        })
+        .context("mend the capture as advised, or go on with --anyway")
     }
 
     fn settings(&self) -> Result<Settings> {

@@ -4,25 +4,21 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use ihd_gate::{Examined, Gate, Outcome};
 use ihd_identify::accuracy::Accuracy;
-use ihd_identify::{Estimate, IdentifyError, Method};
-use ihd_signal::Capture;
-use ihd_signal::Segment;
+use ihd_identify::{Estimate, Method};
+use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::Survey;
 use serde::Serialize;
 
 use crate::report::table::Table;
 
-/// What a method made of a stretch.
-pub struct Outcome {
-    /// Who.
-    pub method: Method,
-    /// Switching frequency of the stretch in hertz.
-    pub f_sw_hz: f64,
-    /// The estimate, or why there is none.
-    pub result: Result<Estimate, IdentifyError>,
-    /// Against the truth, where the capture carries one.
-    pub accuracy: Option<Accuracy>,
+/// What was made of a capture, with the errors where it carries the truth.
+pub struct Reported<'a> {
+    capture: &'a Capture,
+    examined: &'a Examined,
+    /// One an outcome.
+    accuracy: Vec<Option<Accuracy>>,
 }
 
 /// One object of the JSON array.
@@ -48,34 +44,116 @@ pub struct Entry<'a> {
     nmse_i_pct: Option<f64>,
     elapsed_s: f64,
     notes: &'a [String],
+    /// What is to be said of the result, worst first.
+    findings: &'a [Remark],
+    /// Whether it can be used.
+    gate: &'a Gate,
 }
 
-/// The outcomes as JSON; a method that failed has an `error` and empty vectors.
-pub fn json(outcomes: &[Outcome]) -> Vec<Entry<'_>> {
-    outcomes
-        .iter()
-        .map(|o| {
-            let found = o.result.as_ref().ok();
-            let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
-            Entry {
-                method: o.method,
-                f_sw_hz: o.f_sw_hz,
-                error: o.result.as_ref().err().map(ToString::to_string),
-                t_s: of(|e| &e.t_s),
-                r_ohm: of(|e| &e.r_ohm),
-                l_h: of(|e| &e.l_h),
-                r_sigma: of(|e| &e.r_sigma_ohm),
-                l_sigma: of(|e| &e.l_sigma_h),
-                r_power_ohm: of(|e| &e.r_power_ohm),
-                mre_r_pct: o.accuracy.map(|a| a.whole.r_pct),
-                mre_l_pct: o.accuracy.map(|a| a.whole.l_pct),
-                nmse_v_pct: found.and_then(|e| e.nmse_v_pct),
-                nmse_i_pct: found.and_then(|e| e.nmse_i_pct),
-                elapsed_s: found.map_or(0.0, |e| e.elapsed.as_secs_f64()),
-                notes: o.result.as_ref().map_or(&[], |e| e.notes.as_slice()),
+impl<'a> Reported<'a> {
+    /// Compares with the capture's truth from `from_s` seconds on.
+    pub fn of(capture: &'a Capture, examined: &'a Examined, from_s: f64) -> Self {
+        let accuracy = |o: &Outcome| {
+            let segment = examined.segments.get(o.segment)?;
+            Accuracy::of(o.result.as_ref().ok()?, segment, &capture.truth, from_s)
+        };
+        Self {
+            capture,
+            examined,
+            accuracy: examined.outcomes.iter().map(accuracy).collect(),
+        }
+    }
+
+    /// The outcomes as JSON; a method that failed has an `error` and empty vectors.
+    pub fn json(&self) -> Vec<Entry<'a>> {
+        let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
+        outcomes.map(|(o, a)| self.entry(o, *a)).collect()
+    }
+
+    fn entry(&self, o: &'a Outcome, accuracy: Option<Accuracy>) -> Entry<'a> {
+        let found = o.result.as_ref().ok();
+        let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
+        let segment = self.examined.segments.get(o.segment);
+        Entry {
+            method: o.method,
+            f_sw_hz: segment.map_or(0.0, |s| s.f_sw_hz),
+            error: o.result.as_ref().err().map(ToString::to_string),
+            t_s: of(|e| &e.t_s),
+            r_ohm: of(|e| &e.r_ohm),
+            l_h: of(|e| &e.l_h),
+            r_sigma: of(|e| &e.r_sigma_ohm),
+            l_sigma: of(|e| &e.l_sigma_h),
+            r_power_ohm: of(|e| &e.r_power_ohm),
+            mre_r_pct: accuracy.map(|a| a.whole.r_pct),
+            mre_l_pct: accuracy.map(|a| a.whole.l_pct),
+            nmse_v_pct: found.and_then(|e| e.nmse_v_pct),
+            nmse_i_pct: found.and_then(|e| e.nmse_i_pct),
+            elapsed_s: found.map_or(0.0, |e| e.elapsed.as_secs_f64()),
+            notes: found.map_or(&[], |e| e.notes.as_slice()),
+            findings: &o.judgement.findings,
+            gate: &o.judgement.gate,
+        }
+    }
+
+    /// The outcomes as text: a table a stretch, then what is to be said of each result.
+    pub fn text(&self) -> String {
+        let Examined {
+            survey, segments, ..
+        } = self.examined;
+        let mut out = String::new();
+        for (index, segment) in segments.iter().enumerate() {
+            let _ = writeln!(
+                out,
+                "{}: {:.3} kHz, {:.2} to {:.2} ms, {:.3} MS/s, mains {:.2} Hz",
+                survey.name,
+                segment.f_sw_hz * 1e-3,
+                segment.t0_s * 1e3,
+                segment.t_s(segment.len()) * 1e3,
+                1e-6 / segment.dt_s,
+                segment.mains_hz
+            );
+            let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
+            let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
+            out.push_str(&stretch(segment, &outcomes));
+            for (outcome, _) in outcomes {
+                said(outcome, survey, &mut out);
             }
-        })
-        .collect()
+        }
+        match (self.capture.metadata.get("calibration"), survey.skew_note()) {
+            (Some(calibration), _) => {
+                let _ = writeln!(out, "calibrated: {calibration}");
+            }
+            (None, Some(note)) => {
+                let _ = writeln!(out, "not calibrated: {note}");
+            }
+            (None, None) => {}
+        }
+        out
+    }
+}
+
+/// A result's notes, its verdict, and the findings that are no reason for it; those of the survey were said once for
+/// all methods.
+fn said(outcome: &Outcome, survey: &Survey, out: &mut String) {
+    let method = outcome.method;
+    match &outcome.result {
+        Ok(estimate) => {
+            for note in &estimate.notes {
+                let _ = writeln!(out, "{method}: {note}");
+            }
+        }
+        Err(error) => {
+            let _ = writeln!(out, "{method} failed: {error}");
+            return;
+        }
+    }
+    for finding in outcome.judgement.doubts() {
+        let of_survey = survey.findings.iter().any(|f| f.code() == finding.code);
+        if finding.severity == Severity::Warning && !of_survey {
+            let _ = writeln!(out, "{method}: {finding}");
+        }
+    }
+    let _ = writeln!(out, "{method}: gate: {}", outcome.judgement.gate);
 }
 
 fn found_slice(outcome: &Outcome, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] {
@@ -120,54 +198,8 @@ pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
     writer.flush().with_context(cannot)
 }
 
-/// The outcomes as text: a table a stretch.
-pub fn text(
-    survey: &Survey,
-    capture: &Capture,
-    segments: &[Segment],
-    outcomes: &[Outcome],
-) -> String {
-    let mut out = String::new();
-    let per_segment = outcomes.len() / segments.len().max(1);
-    for (segment, outcomes) in segments.iter().zip(outcomes.chunks(per_segment.max(1))) {
-        let _ = writeln!(
-            out,
-            "{}: {:.3} kHz, {:.2} to {:.2} ms, {:.3} MS/s, mains {:.2} Hz",
-            survey.name,
-            segment.f_sw_hz * 1e-3,
-            segment.t0_s * 1e3,
-            segment.t_s(segment.len()) * 1e3,
-            1e-6 / segment.dt_s,
-            segment.mains_hz
-        );
-        out.push_str(&stretch(segment, outcomes));
-        for outcome in outcomes {
-            match &outcome.result {
-                Ok(estimate) => {
-                    for note in &estimate.notes {
-                        let _ = writeln!(out, "{}: {note}", outcome.method);
-                    }
-                }
-                Err(error) => {
-                    let _ = writeln!(out, "{} failed: {error}", outcome.method);
-                }
-            }
-        }
-    }
-    match (capture.metadata.get("calibration"), survey.skew_note()) {
-        (Some(calibration), _) => {
-            let _ = writeln!(out, "calibrated: {calibration}");
-        }
-        (None, Some(note)) => {
-            let _ = writeln!(out, "not calibrated: {note}");
-        }
-        (None, None) => {}
-    }
-    out
-}
-
-fn stretch(segment: &Segment, outcomes: &[Outcome]) -> String {
-    let truth = outcomes.iter().any(|o| o.accuracy.is_some());
+fn stretch(segment: &Segment, outcomes: &[(&Outcome, &Option<Accuracy>)]) -> String {
+    let truth = outcomes.iter().any(|(_, accuracy)| accuracy.is_some());
     let mut heading = vec![
         "method",
         "R Ω: mean",
@@ -182,7 +214,7 @@ fn stretch(segment: &Segment, outcomes: &[Outcome]) -> String {
     }
     heading.extend(["NMSE v %", "NMSE i %", "ms"]);
     let mut table = Table::new(&heading);
-    for outcome in outcomes {
+    for (outcome, accuracy) in outcomes {
         let Ok(estimate) = &outcome.result else {
             continue;
         };
@@ -208,8 +240,8 @@ fn stretch(segment: &Segment, outcomes: &[Outcome]) -> String {
             of(&estimate.l_sigma_h, 1e6),
         ];
         if truth {
-            row.push(pct(outcome.accuracy.map(|a| a.whole.r_pct)));
-            row.push(pct(outcome.accuracy.map(|a| a.whole.l_pct)));
+            row.push(pct(accuracy.map(|a| a.whole.r_pct)));
+            row.push(pct(accuracy.map(|a| a.whole.l_pct)));
         }
         row.push(pct(estimate.nmse_v_pct));
         row.push(pct(estimate.nmse_i_pct));

@@ -17,8 +17,9 @@ use crate::study::estimators::{F_SW_HZ, SNR_DB};
 use crate::study::paper::{Contender, Job, publish, study};
 
 /// Presets of a study that names none.
-const DEFAULT_PRESETS: [&str; 4] = [
+const DEFAULT_PRESETS: [&str; 5] = [
     "hybrid",
+    "hybrid-waveform",
     "paper-literal",
     "literal-scaled",
     "paper-repaired",
@@ -58,8 +59,8 @@ impl Display for SnrWord {
     }
 }
 
-/// The paper's Tables 1 to 3 with the PINN's presets, the EKF and the lock-in, on the behavioural
-/// reference load and on the field model; report.md, cells.json and figures.
+/// The paper's Tables 1 to 3 with the PINN's presets, least squares, the EKF and the lock-in, on the
+/// behavioural reference load and on the field model; report.md, cells.json and figures.
 ///
 /// Every finished cell is a file in the folder, every training a checkpoint: run it again with the
 /// same --out and it goes on.
@@ -219,8 +220,8 @@ impl PaperArgs {
             let epochs = preset.config.vi_mlp.and(cut);
             contenders.push((Contender::Pinn(preset.name), epochs));
         }
-        let others = [Method::Ekf, Method::Lockin].map(|method| (Contender::Other(method), None));
-        contenders.extend(others);
+        let others = [Method::LeastSquares, Method::Ekf, Method::Lockin];
+        contenders.extend(others.map(|method| (Contender::Other(method), None)));
         Ok(contenders)
     }
 

@@ -1,4 +1,4 @@
-//! What the paper publishes of its EKF: Tables 1 and 2.
+//! What the paper publishes of its EKF: Tables 1 to 3.
 
 use super::{Errors, F_SW_HZ, SNR_DB};
 
@@ -11,12 +11,32 @@ const EKF_PCT: [[(f64, f64); 4]; 4] = [
     [(5.54, 2.82), (5.62, 3.49), (5.62, 3.49), (6.31, 4.12)],
 ];
 
+/// NMSE of v and i of the paper's EKF in percent at 70, 50 and 30 dB (Table 3), a row a frequency; without
+/// noise the text says 0.00 for both.
+const EKF_NMSE_PCT: [[(f64, f64); 4]; 4] = [
+    [(0.0, 0.0), (0.44, 0.0), (0.44, 0.01), (0.54, 0.02)],
+    [(0.0, 0.0), (0.64, 0.01), (0.64, 0.01), (0.74, 0.02)],
+    [(0.0, 0.0), (1.06, 0.01), (1.06, 0.01), (1.16, 0.03)],
+    [(0.0, 0.0), (1.48, 0.02), (1.48, 0.02), (1.58, 0.04)],
+];
+
 /// The paper's figure for its EKF; `None` for an operating point that the paper does not have.
 pub fn ekf(f_sw_hz: f64, snr_db: Option<f64>) -> Option<Errors> {
-    let row = F_SW_HZ.iter().position(|f| *f == f_sw_hz)?;
-    let column = SNR_DB.iter().position(|s| *s == snr_db)?;
+    let (row, column) = place(f_sw_hz, snr_db)?;
     let (r_pct, l_pct) = EKF_PCT[row][column];
     Some(Errors { r_pct, l_pct })
+}
+
+/// NMSE of v and i of the paper's EKF in percent; `None` for an operating point that the paper does not have.
+pub fn ekf_nmse(f_sw_hz: f64, snr_db: Option<f64>) -> Option<(f64, f64)> {
+    let (row, column) = place(f_sw_hz, snr_db)?;
+    Some(EKF_NMSE_PCT[row][column])
+}
+
+fn place(f_sw_hz: f64, snr_db: Option<f64>) -> Option<(usize, usize)> {
+    let row = F_SW_HZ.iter().position(|f| *f == f_sw_hz)?;
+    let column = SNR_DB.iter().position(|s| *s == snr_db)?;
+    Some((row, column))
 }
 
 #[cfg(test)]
@@ -29,5 +49,6 @@ mod tests {
         assert_eq!(at(50e3, Some(30.0)), Some((8.98, 3.42)));
         assert_eq!(at(70e3, None), Some((5.54, 2.82)));
         assert_eq!(at(55e3, None), None);
+        assert_eq!(ekf_nmse(60e3, Some(30.0)), Some((1.16, 0.03)));
     }
 }

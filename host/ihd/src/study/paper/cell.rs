@@ -9,8 +9,8 @@ use ihd_identify::{Estimate, Method, Settings, Watch};
 use ihd_pinn::{Config, Identified, PresetLibrary};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
-use ihd_sim::trial::Trial;
 
+use super::nmse::{Nmse, unfiltered_itself};
 use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point, folder_settings};
 
 /// Entries of a loss curve or of R(t) that are kept.
@@ -19,7 +19,7 @@ const KEPT: usize = 250;
 /// An estimate over the last half-cycle, and what else its estimator gives.
 struct Found {
     estimate: Estimate,
-    nmse_pct: Option<(f64, f64)>,
+    nmse: Option<Nmse>,
     identified: Option<Identified>,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn run(
     let noisy = trial.noisy(job.snr_db, job.seed);
     let last = *noisy.half_cycles().last().ok_or_else(nothing)?;
     let found = match &job.contender {
-        Contender::Other(method) => other(job, *method, trial, &noisy, last)?,
+        Contender::Other(method) => other(job, *method, point, &noisy, last)?,
         Contender::Pinn(preset) => {
             let config = presets.get(preset).map(|found| found.config);
             let config = config.map_err(|source| PaperStudyError::Pinn {
@@ -45,7 +45,7 @@ pub(super) fn run(
                 source,
             })?;
             let config = informed(configured(job, config), &noisy);
-            network(job, &config, trial, &noisy, last, checkpoint, progress)?
+            network(job, &config, point, &noisy, last, checkpoint, progress)?
         }
     };
     let from_s = noisy.t_s(last.0);
@@ -64,7 +64,10 @@ pub(super) fn run(
         middle: accuracy.middle.into(),
         describing: describing.map(|a| a.whole.into()),
         impedance_order: identified.map(|i| i.impedance_order),
-        nmse_pct: found.nmse_pct,
+        nmse_pct: found.nmse.map(|n| n.clean),
+        nmse_filtered_pct: found.nmse.map(|n| n.filtered),
+        nmse_both_filtered_pct: found.nmse.map(|n| n.both),
+        nmse_unfiltered_itself_pct: Some(unfiltered_itself(point, last)),
         power_r_pct: power_error_pct(&found.estimate, &trial.truth, from_s, |p| p.r_power_ohm),
         power_describing_pct: point
             .describing
@@ -94,7 +97,7 @@ fn configured(job: &Job, mut config: Config) -> Config {
 fn other(
     job: &Job,
     method: Method,
-    trial: &Trial,
+    point: &Point,
     noisy: &Segment,
     last: (usize, usize),
 ) -> Result<Found, PaperStudyError> {
@@ -103,16 +106,15 @@ fn other(
         cell: job.file_stem(),
         source,
     })?;
-    let nmse = |hat: &[f32], clean: &[f64]| {
-        let hat = hat.get(last.0..last.1)?;
-        let hat: Vec<f64> = hat.iter().map(|x| f64::from(*x)).collect();
-        Some(nmse_pct(&hat, &clean[last.0..last.1]))
+    let hat = |x: &[f32]| -> Option<Vec<f64>> {
+        let x = x.get(last.0..last.1)?;
+        Some(x.iter().map(|x| f64::from(*x)).collect())
     };
-    let v = nmse(&estimate.v_hat_v, &trial.clean.v_v);
-    let i = nmse(&estimate.i_hat_a, &trial.clean.i_a);
+    let waveforms = hat(&estimate.v_hat_v).zip(hat(&estimate.i_hat_a));
+    let samples: Vec<usize> = (last.0..last.1).collect();
     Ok(Found {
+        nmse: waveforms.and_then(|(v, i)| Nmse::of(&v, &i, &samples, point)),
         estimate,
-        nmse_pct: v.zip(i),
         identified: None,
     })
 }
@@ -120,13 +122,13 @@ fn other(
 fn network(
     job: &Job,
     config: &Config,
-    trial: &Trial,
+    point: &Point,
     noisy: &Segment,
     (from, to): (usize, usize),
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
 ) -> Result<Found, PaperStudyError> {
-    let truth = fundamental(&trial.truth);
+    let truth = fundamental(&point.trial.truth);
     let mut watch = Watch {
         truth: Some(&truth),
         report: progress,
@@ -146,22 +148,13 @@ fn network(
     })?;
     estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
     let reconstruction = &found.reconstruction;
-    let clean =
-        |x: &[f64]| -> Vec<f64> { reconstruction.sample.iter().map(|n| x[from + n]).collect() };
+    let samples: Vec<usize> = reconstruction.sample.iter().map(|n| from + n).collect();
+    let (v, i) = (&reconstruction.v_volt, &reconstruction.i_ampere);
     Ok(Found {
-        nmse_pct: Some((
-            nmse_pct(&reconstruction.v_volt, &clean(&trial.clean.v_v)),
-            nmse_pct(&reconstruction.i_ampere, &clean(&trial.clean.i_a)),
-        )),
+        nmse: Nmse::of(v, i, &samples, point),
         estimate,
         identified: Some(found),
     })
-}
-
-/// Σ(x̂ − x)²/Σx² in percent.
-fn nmse_pct(hat: &[f64], right: &[f64]) -> f64 {
-    let error: f64 = hat.iter().zip(right).map(|(a, b)| (a - b).powi(2)).sum();
-    100.0 * error / right.iter().map(|x| x * x).sum::<f64>()
 }
 
 /// Mean of P/I_rms² against a resistance of the truth, weighted with I², in percent; `None` where the

@@ -1,15 +1,20 @@
-//! The paper's Tables 1 to 3 with this project's PINN presets, its EKF and its lock-in: cell by cell,
+//! The paper's Tables 1 to 3 with this project's PINN presets, its least squares, EKF and lock-in: cell by cell,
 //! each kept as a file, so that a study that was stopped goes on.
 
 mod cell;
+mod comparison;
 mod figure;
+mod job;
+mod lowpass;
+mod nmse;
 pub mod published;
 pub mod report;
+mod waveforms;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ihd_identify::{IdentifyError, Method};
+use ihd_identify::IdentifyError;
 use ihd_pinn::{Config, PinnError, PresetLibrary};
 use ihd_signal::truth::Mre;
 use ihd_signal::truth::PeriodTruth;
@@ -18,59 +23,8 @@ use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 use serde::{Deserialize, Serialize};
 
+pub use self::job::{Contender, Job};
 use crate::report::FigureError;
-
-/// Who is compared.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Contender {
-    /// A preset of the PINN, by its name.
-    Pinn(String),
-    /// Another estimator.
-    Other(Method),
-}
-
-impl Contender {
-    /// Its name in tables and files.
-    pub fn name(&self) -> &str {
-        match self {
-            Self::Pinn(preset) => preset,
-            Self::Other(method) => method.name(),
-        }
-    }
-}
-
-/// One cell of the study.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Job {
-    /// Load model that gives the capture and the truth.
-    pub load: LoadKind,
-    /// Switching frequency in hertz.
-    pub f_sw_hz: f64,
-    /// Signal-to-noise ratio in decibel.
-    pub snr_db: Option<f64>,
-    /// Who.
-    pub contender: Contender,
-    /// Seed of the noise and of the network.
-    pub seed: u64,
-    /// Most epochs of presets with a VI-MLP; the preset's own number if not given.
-    pub epochs: Option<usize>,
-}
-
-impl Job {
-    /// Name of the cell's file, without the ending.
-    pub fn file_stem(&self) -> String {
-        let load = match self.load {
-            LoadKind::Field => "field",
-            LoadKind::Surrogate => "reduced",
-            LoadKind::Behavioural => "behavioural",
-        };
-        let snr = self.snr_db.map_or("clean".into(), |db| format!("{db}dB"));
-        let epochs = self.epochs.map_or(String::new(), |n| format!("-{n}epochs"));
-        let (khz, name) = (self.f_sw_hz * 1e-3, self.contender.name());
-        format!("{load}-{khz}kHz-{snr}-{name}-seed{}{epochs}", self.seed)
-    }
-}
 
 /// One entry of a loss curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -122,6 +76,16 @@ pub struct Cell {
     pub impedance_order: Option<f64>,
     /// NMSE of v and i against the waveforms without noise in percent, where it reconstructs them.
     pub nmse_pct: Option<(f64, f64)>,
+    /// The same against these waveforms behind the paper's low-pass: its Table 3.
+    #[serde(default)]
+    pub nmse_filtered_pct: Option<(f64, f64)>,
+    /// The same with the reconstruction behind the low-pass too.
+    #[serde(default)]
+    pub nmse_both_filtered_pct: Option<(f64, f64)>,
+    /// What Table 3 would give the waveforms without noise themselves: the harmonics that the low-pass takes
+    /// from the reference.
+    #[serde(default)]
+    pub nmse_unfiltered_itself_pct: Option<(f64, f64)>,
     /// P/I_rms² against the waveform's own, mean weighted with I², in percent; PINN only.
     pub power_r_pct: Option<f64>,
     /// The same against R of the describing function, on the field model, in percent.
@@ -187,6 +151,8 @@ pub enum PaperStudyError {
 /// An operating point: what is simulated once.
 struct Point {
     trial: Trial,
+    /// Voltage in volt and current in ampere without noise behind the paper's low-pass.
+    filtered: (Vec<f64>, Vec<f64>),
     describing: Option<Vec<PeriodTruth>>,
 }
 
@@ -197,7 +163,12 @@ impl Point {
             LoadKind::Field => Some(trial.describing()?),
             LoadKind::Behavioural | LoadKind::Surrogate => None,
         };
-        Ok(Self { trial, describing })
+        let filtered = |x: &[f64]| lowpass::zero_phase(x, trial.clean.dt_s);
+        Ok(Self {
+            filtered: (filtered(&trial.clean.v_v), filtered(&trial.clean.i_a)),
+            trial,
+            describing,
+        })
     }
 }
 

@@ -6,7 +6,7 @@ use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::published::pinn;
-use super::{Cell, Contender};
+use super::{Cell, Contender, comparison, waveforms};
 use crate::study::estimators::published::ekf;
 
 /// Mean and spread of a quantity over seeds.
@@ -39,7 +39,7 @@ impl Spread {
 }
 
 /// Three digits, or as many as it takes.
-fn number(x: f64) -> String {
+pub(super) fn number(x: f64) -> String {
     match x.abs() {
         a if a >= 1e4 => format!("{x:.1e}"),
         a if a >= 100.0 => format!("{x:.0}"),
@@ -55,8 +55,8 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
     out.push_str(
         "Errors in percent over the last mains half-cycle, mean over the seeds and, in brackets, the \
          least and the largest. The paper's own figures are for its COMSOL model and are not the same \
-         captures. NMSE is against the waveforms without noise; the paper filters these at 0.5 MHz, \
-         this study does not. P/I² is the power over I_rms² against the waveform's own; DF: against the \
+         captures. NMSE is against the waveforms without noise as they are; behind the paper's filter it \
+         is under Table 3. P/I² is the power over I_rms² against the waveform's own; DF: against the \
          describing function, what a sinusoidal current would see.\n",
     );
     for (load, title) in [
@@ -78,6 +78,8 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
             table(&mut out, &of, snr_db);
         }
     }
+    out.push_str(&comparison::markdown(cells));
+    out.push_str(&waveforms::markdown(cells));
     out.push_str("\n## Who\n\n");
     for contender in distinct(&cells.iter().collect::<Vec<_>>(), |c| {
         c.job.contender.clone()
@@ -98,7 +100,7 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
 }
 
 /// What occurs in the cells, in their order.
-fn distinct<T: PartialEq>(cells: &[&Cell], of: impl Fn(&Cell) -> T) -> Vec<T> {
+pub(super) fn distinct<T: PartialEq>(cells: &[&Cell], of: impl Fn(&Cell) -> T) -> Vec<T> {
     let mut found = Vec::new();
     for value in cells.iter().map(|c| of(c)) {
         if !found.contains(&value) {
@@ -185,13 +187,13 @@ fn published(out: &mut String, f_sw_hz: f64, snr_db: Option<f64>) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use ihd_identify::Method;
 
     use super::*;
     use crate::study::paper::{Errors, Job};
 
-    fn cell(seed: u64, r_pct: f64) -> Cell {
+    pub(in crate::study::paper) fn cell(seed: u64, r_pct: f64) -> Cell {
         Cell {
             job: Job {
                 load: LoadKind::Behavioural,
@@ -207,6 +209,9 @@ mod tests {
             describing: None,
             impedance_order: None,
             nmse_pct: None,
+            nmse_filtered_pct: None,
+            nmse_both_filtered_pct: None,
+            nmse_unfiltered_itself_pct: None,
             power_r_pct: None,
             power_describing_pct: None,
             elapsed_s: 1.0,

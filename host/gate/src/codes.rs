@@ -1,0 +1,277 @@
+//! Every code that stands beside an estimate: its severity, what it means, its limit, what to do. docs/gate.md is made
+//! of this table, and a test looks into the sources of all rooms for codes that it lacks.
+
+/// One code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Code {
+    /// As in JSON.
+    pub name: &'static str,
+    /// Which severities it comes with.
+    pub severity: &'static str,
+    /// What was found.
+    pub meaning: &'static str,
+    /// What it is judged against.
+    pub limit: &'static str,
+    /// What to do.
+    pub advice: &'static str,
+}
+
+const fn code(
+    name: &'static str,
+    severity: &'static str,
+    meaning: &'static str,
+    limit: &'static str,
+    advice: &'static str,
+) -> Code {
+    Code {
+        name,
+        severity,
+        meaning,
+        limit,
+        advice,
+    }
+}
+
+/// A group of codes and its heading.
+pub type Group = (&'static str, &'static [Code]);
+
+/// Every code, by who finds it.
+pub const CODES: &[Group] = &[
+    ("Found in the capture (`ihd inspect`)", CAPTURE),
+    ("Found by the gate", GATE),
+];
+
+const CAPTURE: &[Code] = &[
+    code(
+        "not_finite",
+        "warning",
+        "samples that are no numbers; the capture is cut there",
+        "none",
+        "export again",
+    ),
+    code(
+        "time_not_ascending",
+        "error",
+        "time stands still or goes back",
+        "none",
+        "export time with more digits, or as a rate",
+    ),
+    code(
+        "gap",
+        "warning",
+        "samples are missing; the capture is cut there",
+        "none",
+        "record again",
+    ),
+    code(
+        "piece_too_short",
+        "warning",
+        "a piece too short to be worked on was left out",
+        "10 switching periods",
+        "capture longer",
+    ),
+    code(
+        "carrier_absent",
+        "info",
+        "no switching for a while; left out",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_step",
+        "info",
+        "the switching frequency changes; a stretch each",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_differs",
+        "warning",
+        "another switching frequency than was given",
+        "the one given",
+        "check --fsw or the time base",
+    ),
+    code(
+        "mains_differs",
+        "warning",
+        "another mains frequency than was given",
+        "the one given",
+        "check --mains",
+    ),
+    code(
+        "mains_unknown",
+        "warning",
+        "no mains zero crossing found",
+        "a half-cycle",
+        "capture longer, or give --mains and --zero-crossing",
+    ),
+    code(
+        "clipping",
+        "error",
+        "samples of this stretch rest at an end of the range",
+        "none at the range's end; 16 piled up where the range is unknown",
+        "use a larger range",
+    ),
+    code(
+        "offset",
+        "warning; info for phasor methods",
+        "a channel has a mean",
+        "see docs/inspect.md",
+        "zero the probe, or calibrate",
+    ),
+    code(
+        "implausible",
+        "warning",
+        "more volt or ampere than a hob's coil carries",
+        "2 kV, 300 A",
+        "check the probe's factor",
+    ),
+    code(
+        "noisy",
+        "info (a warning in `ihd inspect`)",
+        "a low signal-to-noise ratio; what it costs stands in `uncertain`",
+        "see docs/inspect.md",
+        "use a smaller range, or more bits",
+    ),
+    code(
+        "coarsely_sampled",
+        "warning; info for phasor methods",
+        "few samples a switching period",
+        "12",
+        "sample faster, or use a phasor method",
+    ),
+    code(
+        "aliasing",
+        "info, warning",
+        "harmonics of the edges fall on the fundamental",
+        "1 % of R for a warning",
+        "shift the sampling rate by some percent",
+    ),
+    code(
+        "swapped",
+        "error",
+        "voltage and current are exchanged",
+        "none",
+        "--swap",
+    ),
+    code(
+        "inverted",
+        "error",
+        "one probe is the wrong way round",
+        "R and L above 0",
+        "--invert",
+    ),
+    code(
+        "negative_resistance",
+        "error",
+        "R is negative, L is not: the channels are not simultaneous",
+        "R above 0",
+        "calibrate",
+    ),
+    code(
+        "dead",
+        "error",
+        "a channel does not show the switching frequency",
+        "none",
+        "check the probe",
+    ),
+];
+
+const GATE: &[Code] = &[
+    code(
+        "method_failed",
+        "error",
+        "the method gave no estimate",
+        "none",
+        "as its message says",
+    ),
+    code(
+        "nothing_found",
+        "error",
+        "the estimate holds no R and L",
+        "none",
+        "capture longer, or use another method",
+    ),
+    code(
+        "not_converged",
+        "error",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
+    ),
+    code(
+        "not_covered",
+        "warning; error for the lookup",
+        "the estimate spans a part of the half-cycles' middles only",
+        "90 %",
+        "look at what was left out",
+    ),
+    code(
+        "uncertain",
+        "warning, error",
+        "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
+        "1 % of R, .7 % of L for a warning; 3 % of either for an error",
+        "a longer capture, a smaller range, more bits",
+    ),
+    code(
+        "disagreement",
+        "warning, error",
+        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle, beyond twice what \
+         both σ explain",
+        ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
+        "use least squares or pinn",
+    ),
+    code(
+        "unconfirmed",
+        "warning, error",
+        "the same between least squares and lock-in: something changes faster than they follow",
+        ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
+        "capture a steady load",
+    ),
+    code(
+        "no_reference",
+        "warning",
+        "least squares failed on this stretch: nothing to check against",
+        "none",
+        "capture longer or sample faster",
+    ),
+    code(
+        "interference",
+        "info, warning, error",
+        "a tone beside f_sw that is neither harmonic nor sideband of the mains; what it costs least squares is measured",
+        ".2 % of R, .14 % of L to be mentioned; .7 %, .49 % for a warning; 1 %, .7 % for an error",
+        "switch the neighbouring coil off; another rate if it is an alias",
+    ),
+    code(
+        "implausible_load",
+        "warning; error for the lookup",
+        "R or L that no hob's load has",
+        "0.02-15.9 Ω, 2-63.9 µH",
+        "check the probes' factors",
+    ),
+];
+
+/// The entry of a code.
+pub fn find(name: &str) -> Option<&'static Code> {
+    CODES
+        .iter()
+        .flat_map(|(_, codes)| codes.iter())
+        .find(|code| code.name == name)
+}
+
+/// The tables of docs/gate.md.
+pub fn markdown() -> String {
+    let mut text = String::new();
+    for (heading, codes) in CODES {
+        text += &format!(
+            "\n### {heading}\n\n| code | severity | what | limit | what to do |\n|---|---|---|---|---|\n"
+        );
+        for c in *codes {
+            text += &format!(
+                "| `{}` | {} | {} | {} | {} |\n",
+                c.name, c.severity, c.meaning, c.limit, c.advice
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,156 @@
+//! Two estimates of one segment side by side, over the middle 80 % of each mains half-cycle: beyond it the current
+//! is small, and every method's R and L are its own.
+
+use ihd_identify::Estimate;
+use ihd_identify::trajectory::Trajectory;
+use ihd_signal::Segment;
+
+/// The part of a half-cycle that counts, from its zero crossing.
+pub const MIDDLE: std::ops::Range<f64> = 0.1..0.9;
+
+/// Times of a half-cycle's middle at which estimates are compared.
+const POINTS: usize = 160;
+
+/// Fewest of them that both estimates must cover.
+const LEAST_POINTS: usize = 8;
+
+/// A normal variable's mean magnitude, in standard deviations.
+const MEAN_MAGNITUDE: f64 = 0.8;
+
+/// How far two estimates are apart in one half-cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// The half-cycle's zero crossing in seconds, on the capture's clock.
+    pub crossing_s: f64,
+    /// Mean of |ΔR|/R, and of |ΔL|/L, in percent.
+    pub mean_pct: [f64; 2],
+    /// What the standard deviations of both would make of it, in percent.
+    pub expected_pct: [f64; 2],
+}
+
+/// The differences of `estimate` from `reference`, half-cycle by half-cycle.
+pub fn differences(
+    segment: &Segment,
+    estimate: &Estimate,
+    reference: &Estimate,
+) -> Vec<Difference> {
+    let found = half_cycles(segment).map(|crossing_s| {
+        let times = times_s(segment, crossing_s, &[estimate, reference]);
+        let ours = Samples::of(estimate, &times)?;
+        let theirs = Samples::of(reference, &times)?;
+        let pair = |k: usize| {
+            let n = times.len() as f64;
+            let mut mean = 0.0;
+            let mut expected = 0.0;
+            for at in 0..times.len() {
+                let right = theirs.value[k][at];
+                mean += ((ours.value[k][at] - right) / right).abs() / n;
+                expected += (ours.sigma[k][at].hypot(theirs.sigma[k][at]) / right).abs() / n;
+            }
+            (100.0 * mean, 100.0 * MEAN_MAGNITUDE * expected)
+        };
+        let (r, l) = (pair(0), pair(1));
+        Some(Difference {
+            crossing_s,
+            mean_pct: [r.0, l.0],
+            expected_pct: [r.1, l.1],
+        })
+    });
+    found.flatten().collect()
+}
+
+/// Means of σ/R and of σ/L in percent, half-cycle by half-cycle with its zero crossing in seconds; nothing where the
+/// estimate states no deviations.
+pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])> {
+    if estimate.r_sigma_ohm.is_empty() {
+        return Vec::new();
+    }
+    let found = half_cycles(segment).map(|crossing_s| {
+        let times = times_s(segment, crossing_s, &[estimate]);
+        let samples = Samples::of(estimate, &times)?;
+        let mean = |k: usize| {
+            let shares = samples.sigma[k].iter().zip(&samples.value[k]);
+            100.0 * shares.map(|(s, x)| (s / x).abs()).sum::<f64>() / times.len() as f64
+        };
+        Some((crossing_s, [mean(0), mean(1)]))
+    });
+    found.flatten().collect()
+}
+
+/// Share of the middles of the segment's half-cycles that the estimate's points span, of what the segment holds.
+pub fn covered(segment: &Segment, estimate: &Estimate) -> f64 {
+    let (mut have, mut all) = (0usize, 0usize);
+    let reach_s = 0.5 * (MIDDLE.end - MIDDLE.start) * segment.half_cycle_s() / 10.0;
+    for crossing_s in half_cycles(segment) {
+        for t_s in times_s(segment, crossing_s, &[]) {
+            all += 1;
+            let at = estimate.t_s.partition_point(|t| *t < t_s);
+            let near = [at.checked_sub(1), Some(at)];
+            let near = near
+                .into_iter()
+                .flatten()
+                .filter_map(|k| estimate.t_s.get(k));
+            have += usize::from(near.into_iter().any(|t| (t - t_s).abs() <= reach_s));
+        }
+    }
+    if all == 0 {
+        1.0
+    } else {
+        have as f64 / all as f64
+    }
+}
+
+/// Zero crossings of the segment's half-cycles, in seconds.
+fn half_cycles(segment: &Segment) -> impl Iterator<Item = f64> {
+    let ranges = segment.half_cycles().into_iter();
+    ranges
+        .filter(|(from, to)| to > from)
+        .map(|range| segment.crossing_of_s(range))
+}
+
+/// Times in the middle of a half-cycle that the segment and all estimates span.
+fn times_s(segment: &Segment, crossing_s: f64, estimates: &[&Estimate]) -> Vec<f64> {
+    let half_s = segment.half_cycle_s();
+    let mut from_s = segment.t0_s;
+    let mut to_s = segment.t_s(segment.len());
+    for estimate in estimates {
+        from_s = from_s.max(estimate.t_s.first().copied().unwrap_or(f64::INFINITY));
+        to_s = to_s.min(estimate.t_s.last().copied().unwrap_or(f64::NEG_INFINITY));
+    }
+    let step = (MIDDLE.end - MIDDLE.start) / POINTS as f64;
+    (0..POINTS)
+        .map(|k| crossing_s + (MIDDLE.start + (k as f64 + 0.5) * step) * half_s)
+        .filter(|t| (from_s..=to_s).contains(t))
+        .collect()
+}
+
+/// R and L of an estimate at given times.
+struct Samples {
+    value: [Vec<f64>; 2],
+    sigma: [Vec<f64>; 2],
+}
+
+impl Samples {
+    /// `None` where the times are too few to say anything.
+    fn of(estimate: &Estimate, times_s: &[f64]) -> Option<Self> {
+        if times_s.len() < LEAST_POINTS {
+            return None;
+        }
+        let mut values = Trajectory::from(estimate, f64::NEG_INFINITY)?;
+        let mut out = Self {
+            value: Default::default(),
+            sigma: Default::default(),
+        };
+        for &t_s in times_s {
+            let (r, l) = values.r_l(t_s);
+            out.value[0].push(r);
+            out.value[1].push(l);
+            let at = estimate.t_s.partition_point(|t| *t < t_s);
+            let at = at.min(estimate.t_s.len().saturating_sub(1));
+            let sigma = |x: &[f64]| x.get(at).copied().unwrap_or(0.0);
+            out.sigma[0].push(sigma(&estimate.r_sigma_ohm));
+            out.sigma[1].push(sigma(&estimate.l_sigma_h));
+        }
+        Some(out)
+    }
+}

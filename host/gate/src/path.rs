@@ -1,0 +1,115 @@
+//! The whole way from a capture to judged estimates: what `ihd identify` and the studies share.
+
+use ihd_identify::{
+    Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
+};
+use ihd_signal::{Capture, Remark, Segment};
+use ihd_survey::{Hints, Survey, SurveyError};
+
+use crate::judge::{Evidence, failed, judge};
+use crate::remarks;
+use crate::verdict::Judgement;
+use crate::witness::Witness;
+
+/// What is asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    /// What the user knows of the capture.
+    pub hints: Hints,
+    /// Who shall estimate.
+    pub methods: &'a [Method],
+    /// Settings of the methods.
+    pub settings: &'a Settings,
+    /// Whether to reconstruct the waveforms of methods that do not do so themselves.
+    pub reconstruct: bool,
+}
+
+/// What a method made of a stretch.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Who.
+    pub method: Method,
+    /// Index of the stretch among [`Examined::segments`].
+    pub segment: usize,
+    /// The estimate, or why there is none.
+    pub result: Result<Estimate, IdentifyError>,
+    /// What is to be said of it.
+    pub judgement: Judgement,
+}
+
+/// A capture, examined.
+#[derive(Clone, Debug)]
+pub struct Examined {
+    /// What is in the capture.
+    pub survey: Survey,
+    /// The stretches that were identified, in order of time.
+    pub segments: Vec<Segment>,
+    /// Stretch by stretch, method by method in the order asked for.
+    pub outcomes: Vec<Outcome>,
+}
+
+/// Hears who works, in words, and after each result how many there are of how many.
+pub type OnProgress<'a> = dyn FnMut(&str, usize, usize) + 'a;
+
+/// Surveys a capture, identifies every stretch by every method, and judges each result.
+///
+/// # Errors
+/// [`SurveyError`] where there is nothing to work on. A method that fails on a stretch is an [`Outcome`].
+pub fn examine(
+    capture: &Capture,
+    request: &Request<'_>,
+    progress: &mut OnProgress<'_>,
+) -> Result<Examined, SurveyError> {
+    let survey = Survey::of(capture, &request.hints)?;
+    let segments = survey.segments(capture);
+    let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
+    let total = segments.len() * request.methods.len();
+    let mut outcomes = Vec::with_capacity(total);
+    for (index, segment) in segments.iter().enumerate() {
+        progress("reference", outcomes.len(), total);
+        let remarks = remarks::of_survey(&survey, segment);
+        let witness = Witness::of(segment);
+        for &method in request.methods {
+            let done = outcomes.len();
+            progress(method.name(), done, total);
+            let mut watch = Watch {
+                truth: truth.as_ref(),
+                report: &mut |text| progress(&format!("{method}: {text}"), done, total),
+            };
+            let mut result = run_watched(method, segment, request.settings, &mut watch);
+            if let (true, Ok(estimate)) = (request.reconstruct, &mut result) {
+                reconstruction::complete(segment, estimate);
+            }
+            outcomes.push(Outcome {
+                method,
+                segment: index,
+                judgement: judged(&remarks, segment, &witness, method, &result),
+                result,
+            });
+        }
+    }
+    progress("", total, total);
+    Ok(Examined {
+        survey,
+        segments,
+        outcomes,
+    })
+}
+
+fn judged(
+    remarks: &[Remark],
+    segment: &Segment,
+    witness: &Witness,
+    method: Method,
+    result: &Result<Estimate, IdentifyError>,
+) -> Judgement {
+    match result {
+        Ok(estimate) => judge(&Evidence {
+            remarks,
+            segment,
+            estimate,
+            witness,
+        }),
+        Err(error) => failed(remarks, method, &error.to_string()),
+    }
+}

@@ -1,0 +1,93 @@
+//! docs/gate.md, the table of codes and the sources say the same.
+
+use std::path::{Path, PathBuf};
+
+use ihd_gate::codes::{CODES, find, markdown};
+
+const BEGIN: &str = "<!-- codes: begin -->\n";
+const END: &str = "<!-- codes: end -->\n";
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+#[test]
+fn the_document_holds_the_table() {
+    let path = root().join("docs/gate.md");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let (before, rest) = text.split_once(BEGIN).expect("a mark where it begins");
+    let (_, after) = rest.split_once(END).expect("a mark where it ends");
+    let expected = format!("{before}{BEGIN}{}\n{END}{after}", markdown());
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, &expected).unwrap();
+    } else {
+        assert_eq!(text, expected, "run with UPDATE_DOCS=1");
+    }
+}
+
+#[test]
+fn no_code_stands_twice() {
+    let mut names: Vec<_> = CODES
+        .iter()
+        .flat_map(|(_, codes)| *codes)
+        .map(|c| c.name)
+        .collect();
+    names.sort_unstable();
+    let all = names.len();
+    names.dedup();
+    assert_eq!(names.len(), all);
+}
+
+/// Sources of a room, and of its folders.
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// The first string in `snake_case` of each text that follows `mark`.
+fn codes_after<'a>(source: &'a str, mark: &str) -> Vec<&'a str> {
+    let named = |rest: &'a str| {
+        let word = rest.trim_start().strip_prefix('"')?.split('"').next()?;
+        let snake = |c: char| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit();
+        (!word.is_empty() && word.chars().all(snake)).then_some(word)
+    };
+    source.split(mark).skip(1).filter_map(named).collect()
+}
+
+#[test]
+fn every_code_of_the_sources_is_in_the_table() {
+    let mut paths = Vec::new();
+    for room in ["survey", "identify", "gate", "train"] {
+        sources(&root().join("host").join(room).join("src"), &mut paths);
+    }
+    let mut seen = 0;
+    for path in paths {
+        let source = std::fs::read_to_string(&path).unwrap();
+        let mut codes = codes_after(&source, "Remark::new(");
+        if path.ends_with("survey/src/finding.rs") {
+            let (_, rest) = source
+                .split_once("pub fn code(")
+                .expect("the codes of findings");
+            let (body, _) = rest.split_once("\n    }\n").expect("their end");
+            codes.extend(codes_after(body, "=>"));
+        }
+        for code in codes {
+            assert!(
+                find(code).is_some(),
+                "{code} of {} is not in codes.rs",
+                path.display()
+            );
+            seen += 1;
+        }
+    }
+    assert!(
+        seen > 25,
+        "{seen} codes only: the search finds nothing any more"
+    );
+}

@@ -1,0 +1,147 @@
+#!/usr/bin/env python3
+"""ihd's estimators and independent peers on the same captures, in one run: errors and processor times.
+
+    pip install -r host/identify/peers/requirements.txt
+    cargo build --release -p ihd
+    python3 host/identify/peers/compare.py --ihd target/release/ihd
+
+Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45 and 70 kHz, behavioural load and field model, without
+noise and at 30 dB. Everybody is told the switching and mains frequency, and is held against the same truth
+at the same times. One thread on one core. Peers: processor time of the second of two runs, so that
+compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its estimators in --repeats runs,
+which is no less than their processor time. Prints Markdown; docs/pinn.md has what it printed.
+"""
+
+import os
+
+for name in ("OMP", "OPENBLAS", "MKL", "RAYON"):
+    os.environ[f"{name}_NUM_THREADS"] = "1"
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import defaultdict
+
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+import numpy as np
+
+import capture as captures
+import kalman
+import lockin
+import phasor_pinn
+import spline_fit
+
+OURS = {"least-squares": "ihd least-squares", "pinn": "ihd pinn (hybrid)", "lockin": "ihd lockin", "ekf": "ihd ekf"}
+# (name, function, whether it takes so long that one run has to do)
+PEERS = [
+    ("SciPy splines, REML", spline_fit.identify, False),
+    ("JAX phasor PINN", phasor_pinn.identify, False),
+    ("NumPy lock-in", lockin.identify, False),
+    ("filterpy EKF, 4 states", kalman.four_states, True),
+    ("filterpy EKF, 3 states", kalman.three_states, True),
+]
+LOADS = {"behavioural": "Behavioural reference load", "field": "Field model"}
+KHZ = (45, 70)
+SNR_DB = (None, 30)
+
+
+def measured(ihd, capture, repeats, filters):
+    """{name: (errors, seconds)} of everybody on one capture."""
+    found = {}
+    for method, (t_s, r, l, seconds) in captures.identified(ihd, capture, list(OURS), repeats).items():
+        found[OURS[method]] = (captures.errors_pct(capture, t_s, r, l), seconds)
+    for name, identify, slow in PEERS:
+        if slow and not filters:
+            continue
+        if not slow:
+            identify(capture)
+        started = time.process_time()
+        estimate = identify(capture)
+        seconds = time.process_time() - started
+        found[name] = (captures.errors_pct(capture, *estimate), seconds)
+    return found
+
+
+def point(ihd, load, khz, snr_db, args, folder):
+    """Means over the seeds at one operating point: {name: (array of four errors, seconds)}."""
+    gathered = defaultdict(list)
+    # Without noise there is nothing to repeat.
+    for seed in range(1, 1 + (args.seeds if snr_db else 1)):
+        case = captures.Case(load, khz, snr_db, seed)
+        print(case.stem, file=sys.stderr, flush=True)
+        capture = captures.simulated(ihd, case, folder)
+        for name, (errors, seconds) in measured(ihd, capture, args.repeats, not args.no_filters).items():
+            gathered[name].append((np.ravel(errors), seconds))
+    return {
+        name: (np.mean([errors for errors, _ in runs], axis=0), np.mean([s for _, s in runs]))
+        for name, runs in gathered.items()
+    }
+
+
+def number(x, least):
+    text = f"{x:.1f}" if x >= 9.95 else f"{x:.2f}" if x >= 0.995 else f"{x:.3f}".lstrip("0")
+    return f"**{text}**" if x <= least else text
+
+
+def table(points):
+    """One load: a row a method, a column an operating point; the least error of a column is bold."""
+    names = list(next(iter(points.values())))
+    heads = [f"{khz} kHz, {'noiseless' if snr is None else f'{snr} dB'}" for khz, snr in points]
+    lines = [f"| | {' | '.join(heads)} | ms |", f"|---|{'---:|' * (len(heads) + 1)}"]
+    for name in names:
+        cells = []
+        for found in points.values():
+            least = np.min([errors for errors, _ in found.values()], axis=0)
+            r, l, middle_r, middle_l = (number(x, y) for x, y in zip(found[name][0], least))
+            cells.append(f"{r}/{l} · {middle_r}/{middle_l}")
+        ms = 1e3 * np.mean([found[name][1] for found in points.values()])
+        lines.append(f"| {name} | {' | '.join(cells)} | {ms:.3g} |")
+    return "\n".join(lines)
+
+
+def standing(all_points):
+    """Who has the least error of R or L over the whole half-cycle, in how many pairs."""
+    best, ours, pairs = defaultdict(int), 0, 0
+    for found in all_points:
+        for quantity in (0, 1):
+            least = min(found, key=lambda name: found[name][0][quantity])
+            best[least] += 1
+            ours += least.startswith("ihd")
+            pairs += 1
+    words = ", ".join(f"{name} {n}" for name, n in sorted(best.items(), key=lambda b: -b[1]))
+    return (
+        f"Least error over the whole half-cycle, of {pairs} pairs of operating point and R or L: {words}. "
+        f"An estimator of ihd has it in {ours}, a peer in {pairs - ours}."
+    )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ihd", required=True, help="the program, as built by cargo")
+    parser.add_argument("--seeds", type=int, default=3, help="seeds of noise")
+    parser.add_argument("--repeats", type=int, default=5, help="runs of ihd, of which the fastest counts")
+    parser.add_argument("--folder", help="where captures are kept; a temporary folder if not given")
+    parser.add_argument("--no-filters", action="store_true", help="without the filterpy EKFs (20 s a capture each)")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = args.folder or temporary
+        os.makedirs(folder, exist_ok=True)
+        everything = []
+        print(
+            "R/L in % over the whole half-cycle · over its middle 80 %, mean over "
+            f"{args.seeds} seeds of noise; ms for two half-cycles, mean over the columns.\n"
+        )
+        for load, title in LOADS.items():
+            points = {
+                (khz, snr): point(args.ihd, load, khz, snr, args, folder) for khz in KHZ for snr in SNR_DB
+            }
+            print(f"{title}:\n\n{table(points)}\n", flush=True)
+            everything += points.values()
+        print(standing(everything))
+
+
+if __name__ == "__main__":
+    main()
