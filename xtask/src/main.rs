@@ -9,6 +9,7 @@ mod daemon;
 mod emulator;
 mod fuzz;
 mod guest;
+mod hostile;
 mod images;
 mod licences;
 mod on_target;
@@ -155,6 +156,18 @@ enum Chore {
         #[arg(long)]
         check: bool,
     },
+    /// Try to fool `ihd identify`: sound and faulty captures, and whether what is wrong was said.
+    ///
+    /// Writes the tables into docs/accuracy.md. Fails where a result is wrong without a word, or more than 2 % of the
+    /// sound captures are refused.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask hostile\n  \
+        cargo xtask hostile --short")]
+    Hostile {
+        /// Some twenty captures with one seed; nothing is written then
+        #[arg(long)]
+        short: bool,
+    },
     /// Test the daemon on bad links, with hostile devices, killed at random and for long.
     ///
     /// The short form takes some four minutes; the full one, 200 kills and 24 hours of simulated time, some four hours.
@@ -220,6 +233,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Scenarios { only, quick, check } => {
             scenarios::run(&session.workspace, only.as_deref(), quick, check)
         }
+        Chore::Hostile { short } => hostile::test(&session.workspace, short),
         Chore::Daemon { only, full } => daemon::test(&session.workspace, only.as_deref(), full),
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {

@@ -9,7 +9,9 @@ use clap::ValueEnum;
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
-use crate::{board, budget, cycles, daemon, emulator, fuzz, guest, licences, on_target, scenarios};
+use crate::{
+    board, budget, cycles, daemon, emulator, fuzz, guest, hostile, licences, on_target, scenarios,
+};
 
 const CLIPPY: &str = "--all-targets --features ihd-tests/emulator -- -D warnings";
 /// The test of the firmware's image in QEMU.
@@ -32,6 +34,8 @@ pub enum Step {
     Tests,
     /// The first variant of each scenario in tests/scenarios against its limits
     Scenarios,
+    /// Captures that try to fool the identification, in the short form
+    Hostile,
     /// The daemon with hostile devices, bad links and kills, in the short form
     Daemon,
     /// The examples in the documentation
@@ -74,6 +78,7 @@ impl Session {
             }
             Step::Tests => self.whole("test", "--lib --bins --tests --no-fail-fast"),
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
+            Step::Hostile => hostile::test(&self.workspace, true),
             Step::Daemon => daemon::test(&self.workspace, None, false),
             Step::Doctests => self.whole("test", "--doc --no-fail-fast"),
             Step::Rustdoc => {

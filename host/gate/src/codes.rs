@@ -128,8 +128,8 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "noisy",
-        "warning",
-        "a low signal-to-noise ratio",
+        "info (a warning in `ihd inspect`)",
+        "a low signal-to-noise ratio; what it costs stands in `uncertain`",
         "see docs/inspect.md",
         "use a smaller range, or more bits",
     ),
@@ -201,7 +201,7 @@ const GATE: &[Code] = &[
     ),
     code(
         "not_covered",
-        "warning",
+        "warning; error for the lookup",
         "the estimate spans a part of the half-cycles' middles only",
         "90 %",
         "look at what was left out",
@@ -209,7 +209,7 @@ const GATE: &[Code] = &[
     code(
         "uncertain",
         "warning, error",
-        "mean σ of R or L over the middle 80 % of a half-cycle",
+        "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
         "1 % of R, .7 % of L for a warning; 3 % of either for an error",
         "a longer capture, a smaller range, more bits",
     ),

@@ -60,8 +60,15 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
         return Judgement::of(findings);
     }
     findings.extend(coverage(segment, estimate));
-    findings.extend(uncertainty(segment, estimate));
-    findings.extend(agreement(evidence));
+    let agreement = agreement(evidence);
+    // What a filter thinks of itself is its tuning's: where the reference is sure and says the same, it counts.
+    let confirmed = agreement.is_empty() && evidence.witness.reference.is_ok();
+    let uncertain = match &evidence.witness.reference {
+        Ok(reference) if confirmed => uncertainty(segment, reference),
+        _ => uncertainty(segment, estimate),
+    };
+    findings.extend(uncertain);
+    findings.extend(agreement);
     findings.extend(plausibility(estimate));
     Judgement::of(findings)
 }

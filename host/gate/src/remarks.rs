@@ -8,6 +8,10 @@ use ihd_survey::{Channel, Finding, Survey};
 /// what lies between the harmonics, nor a mean.
 const TIME_DOMAIN_ONLY: [&str; 2] = ["coarsely_sampled", "offset"];
 
+/// What noise costs stands in σ and in the agreement with the reference, which the gate looks at: the ratio by itself
+/// costs nothing.
+const JUDGED_BY_SIGMA: &str = "noisy";
+
 /// Whether a method works with phasors.
 fn works_with_phasors(method: Method) -> bool {
     matches!(
@@ -19,10 +23,8 @@ fn works_with_phasors(method: Method) -> bool {
 /// A remark as it concerns a method.
 pub fn for_method(remark: &Remark, method: Method) -> Remark {
     let mut remark = remark.clone();
-    if remark.severity == Severity::Warning
-        && TIME_DOMAIN_ONLY.contains(&remark.code)
-        && works_with_phasors(method)
-    {
+    let elsewhere = TIME_DOMAIN_ONLY.contains(&remark.code) && works_with_phasors(method);
+    if remark.severity == Severity::Warning && (elsewhere || remark.code == JUDGED_BY_SIGMA) {
         remark.severity = Severity::Info;
     }
     remark

@@ -177,7 +177,7 @@ pub fn run_watched(
     segment.check()?;
     if let Some(carrier) = sweep::of(method, segment) {
         // Its truth would be that of another clock.
-        return sweep::identify(method, segment, &carrier, |warped| {
+        return sweep::identify(method, segment, &carrier, settings, |warped, settings| {
             let (truth, report) = (None, &mut *watch.report);
             at_constant_frequency(method, warped, settings, &mut Watch { truth, report })
         });

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use ihd_pinn::{Config, Identified, PinnError, Progress, Task, TruthAt, Waveform};
-use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
+use ihd_signal::{Remark, Segment, Severity};
 
 use super::{Estimate, Watch};
 
@@ -54,13 +54,7 @@ pub fn half_cycle(
         checkpoint,
     };
     let found = task.run(&mut |p| (watch.report)(state(p)))?;
-    let times_s = found.t_s.iter().map(|t| t + crossing_s);
-    estimate.t_s.extend(times_s);
-    estimate.r_ohm.extend(&found.r_ohm);
-    estimate.l_h.extend(&found.l_h);
-    estimate.r_sigma_ohm.extend(&found.r_sigma_ohm);
-    estimate.l_sigma_h.extend(&found.l_sigma_h);
-    estimate.r_power_ohm.extend(&found.r_power_ohm);
+    append(&found, crossing_s, estimate);
     estimate.notes.push(format!(
         "half-cycle from {crossing_s:.4} s: {} steps, {}; {}",
         found.iterations,
@@ -68,6 +62,26 @@ pub fn half_cycle(
         physics(&found)
     ));
     Ok(found)
+}
+
+/// Appends what was found in the half-cycle that begins at `crossing_s` in seconds, and a remark where the training came
+/// to no end.
+pub fn append(found: &Identified, crossing_s: f64, estimate: &mut Estimate) {
+    let times_s = found.t_s.iter().map(|t| t + crossing_s);
+    estimate.t_s.extend(times_s);
+    estimate.r_ohm.extend(&found.r_ohm);
+    estimate.l_h.extend(&found.l_h);
+    estimate.r_sigma_ohm.extend(&found.r_sigma_ohm);
+    estimate.l_sigma_h.extend(&found.l_sigma_h);
+    estimate.r_power_ohm.extend(&found.r_power_ohm);
+    if !found.stopped_because.is_converged() {
+        let text = format!(
+            "the fit of the half-cycle from {crossing_s:.4} s did not converge ({}, {} steps)",
+            found.stopped_because, found.iterations
+        );
+        let remark = Remark::new("not_converged", Severity::Error, text);
+        estimate.remarks.push(remark);
+    }
 }
 
 /// A training's state in words; where the truth is known, the errors of R and L too.

@@ -1,12 +1,13 @@
 //! A carrier that moves: the estimator is given samples in warped time, in which it stands still
 //! ([`ihd_signal::carrier`]), and what it finds is put back on the capture's clock.
 
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::carrier::{Carrier, Warp};
 use ihd_signal::{Remark, Segment, Severity};
 
-use super::{Estimate, IdentifyError, Method, reconstruction};
+use super::{Estimate, IdentifyError, Method, Settings, reconstruction};
 
 /// The carrier of a segment, where it moves and the method takes it as constant.
 pub(super) fn of(method: Method, segment: &Segment) -> Option<Carrier> {
@@ -27,6 +28,26 @@ fn parts(method: Method, segment: &Segment) -> Vec<Range<usize>> {
     }
 }
 
+/// Spline intervals of the phasors, and of R and L, that a sweep wants while it goes up and down once: they lose a part in
+/// a thousand of a sine with four and a half.
+const PHASOR_INTERVALS: f64 = 9.0;
+const IMPEDANCE_INTERVALS: f64 = 4.5;
+
+/// Settings for R and L that follow the frequency, and a current that follows both.
+fn quickened(settings: &Settings, carrier: &Carrier, half_cycle_s: f64) -> Settings {
+    let sweep = carrier.sweep();
+    let sweeps = sweep.rate_hz * half_cycle_s;
+    let wanted = |per_sweep: f64| (per_sweep * sweeps).ceil() as usize;
+    let mut quick = settings.clone();
+    let of = &mut quick.least_squares;
+    of.phasor_intervals = of.phasor_intervals.max(wanted(PHASOR_INTERVALS));
+    of.impedance_intervals = of.impedance_intervals.max(wanted(IMPEDANCE_INTERVALS));
+    // R and ωL go with the frequency or its root: their second difference over an interval.
+    let angle = TAU * sweeps / of.impedance_intervals as f64;
+    of.bend += sweep.deviation_hz / sweep.mean_hz * angle * angle;
+    quick
+}
+
 /// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one.
 ///
 /// # Errors
@@ -35,11 +56,13 @@ pub(super) fn identify(
     method: Method,
     segment: &Segment,
     carrier: &Carrier,
-    mut identify: impl FnMut(&Segment) -> Result<Estimate, IdentifyError>,
+    settings: &Settings,
+    mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     let mut whole = Estimate::new(method, carrier.mean_hz());
     whole.v_hat_v = vec![0.0; segment.len()];
     whole.i_hat_a = vec![0.0; segment.len()];
+    let settings = quickened(settings, carrier, segment.half_cycle_s());
     let mut failed = None;
     for range in parts(method, segment) {
         let warp = Warp::new(segment, carrier, range.clone());
@@ -48,7 +71,7 @@ pub(super) fn identify(
             failed = Some(short.into());
             continue;
         }
-        match identify(&warped) {
+        match identify(&warped, &settings) {
             Ok(mut found) => {
                 reconstruction::complete(&warped, &mut found);
                 whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&found.v_hat_v));

@@ -33,6 +33,13 @@ impl<'a> Trajectory<'a> {
         (!power.is_empty()).then(|| place.between(power))
     }
 
+    /// Standard deviations of R in ohm and L in henry likewise; `None` where the estimate has none.
+    pub fn sigma(&mut self, t_s: f64) -> Option<(f64, f64)> {
+        let place = self.place(t_s);
+        let (r, l) = (&self.estimate.r_sigma_ohm, &self.estimate.l_sigma_h);
+        (!r.is_empty() && !l.is_empty()).then(|| (place.between(r), place.between(l)))
+    }
+
     fn place(&mut self, t_s: f64) -> Place {
         let times = &self.estimate.t_s;
         while self.at + 1 < times.len() && times[self.at + 1] <= t_s {

@@ -103,8 +103,8 @@ pub enum Finding {
         mean_hz: f64,
         /// Half of what lies between the smallest and the largest frequency, in hertz.
         deviation_hz: f64,
-        /// How often it goes up and down, in hertz, where that is seen.
-        rate_hz: Option<f64>,
+        /// How often it would go up and down, in hertz, if it were a sine.
+        rate_hz: f64,
     },
     /// The capture states another switching frequency than it shows.
     FrequencyDiffers {
@@ -366,16 +366,13 @@ impl fmt::Display for Finding {
                 mean_hz,
                 deviation_hz,
                 rate_hz,
-            } => {
-                let rate = rate_hz.map_or(String::new(), |hz| format!(", {hz:.0} times a second"));
-                write!(
-                    f,
-                    "the switching frequency moves by {:.2} kHz around {:.2} kHz{rate}: least squares, lock-in and \
-                     pinn follow it",
-                    deviation_hz * 1e-3,
-                    mean_hz * 1e-3
-                )
-            }
+            } => write!(
+                f,
+                "the switching frequency moves by {:.2} kHz around {:.2} kHz, like a sine of {rate_hz:.0} Hz: least \
+                 squares, lock-in and pinn follow it",
+                deviation_hz * 1e-3,
+                mean_hz * 1e-3
+            ),
             Self::FrequencyDiffers {
                 specified_hz,
                 measured_hz,

@@ -20,7 +20,7 @@ pub mod replay;
 mod trainer;
 
 #[cfg(feature = "pinn")]
-pub use learning::{Learning, Verdict as GateVerdict, judge};
+pub use learning::{Learning, judge};
 #[cfg(feature = "pinn")]
 pub use trainer::{
     Failed, NetworkConfig, OperatingPoint, Point, Progress, Recorded, Report, SETTLE_WITHIN,

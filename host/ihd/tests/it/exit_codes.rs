@@ -74,6 +74,8 @@ fn wrong_usage_is_2_whoever_finds_it() {
         ("simulate --fsw 1", "f_sw_hz"),
         ("simulate --bits 40", "bits"),
         ("study estimators --seeds 0", "--seeds"),
+        ("study hostile --seeds 0", "--seeds"),
+        ("study hostile --only no-such-capture", "no capture"),
         ("nonsense", "nonsense"),
     ];
     if cfg!(feature = "pinn") {

@@ -18,6 +18,7 @@ mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]
 mod store;
+mod study_hostile;
 #[cfg(feature = "pinn")]
 mod study_paper;
 #[cfg(feature = "pinn")]

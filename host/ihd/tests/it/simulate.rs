@@ -84,6 +84,30 @@ fn the_clipped_range_shows_as_saturated_codes() {
 }
 
 #[test]
+fn disturbances_are_what_the_options_say() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "--load behavioural --duration 1ms --sweep 1k,500 --duty .35 --bridge-resistance 20m --neighbour 1.2k,8 \
+                --poles 0,1M --droop 100 --saturation 120 --full-scale 800,100 --at 0.5ms:load=.6,1.35 --out a.mcap";
+    let result = simulate(dir.path(), &args.split_whitespace().collect::<Vec<_>>());
+    let stderr = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{stderr}");
+    let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
+    let s: Settings = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
+    let sweep = s.sweep.map(|s| (s.deviation_hz, s.rate_hz));
+    let neighbour = s.neighbour.map(|n| (n.offset_hz, n.v));
+    assert_eq!((sweep, neighbour), (Some((1e3, 500.0)), Some((1.2e3, 8.0))));
+    assert_eq!((s.duty, s.bridge_r_ohm, s.events.len()), (0.35, 0.02, 1));
+    let sensing = &s.sensing;
+    assert_eq!((sensing.v_pole_hz, sensing.i_pole_hz), (0.0, 1e6));
+    assert_eq!((sensing.i_droop_hz, sensing.i_saturation_a), (100.0, 120.0));
+    assert_eq!(
+        (stored.v_full_scale_v, stored.i_full_scale_a),
+        (Some(800.0), Some(100.0))
+    );
+    assert!(stored.f_sw.is_empty(), "a moving carrier states no steps");
+}
+
+#[test]
 fn bad_input_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     for (args, word) in [
@@ -103,6 +127,15 @@ fn bad_input_is_refused_by_name() {
         ("--dead-time 5us", "dead_s"),
         ("--snr NaN", "snr_db"),
         ("--duration 0", "duration_s"),
+        ("--duty .1", "duty"),
+        ("--sweep 5k", "2 numbers"),
+        ("--sweep 20k,100", "deviation_hz"),
+        ("--neighbour 1k,500", "neighbour v"),
+        ("--poles 1,1M", "v_pole_hz"),
+        ("--droop=-1", "i_droop_hz"),
+        ("--saturation .1", "i_saturation_a"),
+        ("--at 3ms:load=2", "2 numbers"),
+        ("--at 3ms:load=2,1", "r_factor"),
     ] {
         let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
         let stderr = String::from_utf8_lossy(&result.stderr);

@@ -230,6 +230,7 @@ impl Settings {
             in_range("neighbour offset_hz", offset_hz, -50e3, 50e3, allowed)?;
             in_range("neighbour v", neighbour.v, 0.0, 200.0, "0 to 200 V")?;
         }
+        in_range("duty", self.duty, 0.2, 0.8, "0.2 to 0.8")?;
         in_range("bridge_r_ohm", self.bridge_r_ohm, 0.0, 1.0, "0 to 1 ohm")
     }
 

@@ -16,16 +16,16 @@ mod state;
 mod tests;
 mod version;
 
+use ihd_gate::Judgement;
 use ihd_link::Window;
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
+use ihd_signal::Remark;
 
-use self::gate::GateVerdict;
 use self::observations::{Observations, is_news};
 use self::version::Versions;
 use crate::lookup::Built;
 
-pub use self::gate::GateVerdict as Verdict;
 pub use self::gate::judge;
 pub use self::observations::NotTeachable;
 pub use self::state::DamagedState;
@@ -69,6 +69,8 @@ pub enum Outcome {
 pub struct Fit {
     /// R(t) and L(t), with all that the network says of them.
     pub identified: Identified,
+    /// What is to be said of them beside, worst first; no errors.
+    pub findings: Vec<Remark>,
     /// What it means for the lookup.
     pub taught: Taught,
 }
@@ -165,20 +167,26 @@ impl Learning {
             start: self.warm.take(),
             ..self.network.clone()
         };
-        let identified = match network::identify_window(window, config, on_step) {
+        let segment = window.segment();
+        let identified = match network::identify_window(&segment, config, on_step) {
             Ok(identified) => identified,
             Err(why) => {
                 let (why, identified) = (why.to_string(), None);
                 return Outcome::Unfit { why, identified };
             }
         };
-        if let GateVerdict::Reject(why) = judge(&identified) {
-            let identified = Some(Box::new(identified));
+        let Judgement { findings, gate } = judge(&segment, &identified);
+        if gate.refuses() {
+            let (why, identified) = (gate.why.join("; "), Some(Box::new(identified)));
             return Outcome::Unfit { why, identified };
         }
         self.warm = Some(identified.parameters.clone());
         let taught = self.learn(network::load_curve(window, &identified), always);
-        Outcome::Fit(Box::new(Fit { identified, taught }))
+        Outcome::Fit(Box::new(Fit {
+            identified,
+            findings,
+            taught,
+        }))
     }
 
     fn learn(&mut self, curve: crate::lookup::LoadCurve, always: bool) -> Taught {

@@ -9,6 +9,7 @@ use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
 use ihd_pinn::{Config, Identified};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
+use ihd_signal::Severity;
 use ihd_signal::truth::Truth;
 
 use super::device::{Device, TruthSource};
@@ -266,7 +267,11 @@ impl Run<'_, '_> {
         let outcome = self.learning.observe(&window, always, &mut |step| {
             device.report(Progress::Training { seq, step });
         });
-        let Fit { identified, taught } = match outcome {
+        let Fit {
+            identified,
+            findings,
+            taught,
+        } = match outcome {
             Outcome::Fit(fit) => *fit,
             Outcome::Unfit { why, .. } => {
                 self.report.refused += 1;
@@ -274,6 +279,10 @@ impl Run<'_, '_> {
                 return Ok(Err(why));
             }
         };
+        for finding in findings.iter().filter(|f| f.severity > Severity::Info) {
+            let text = format!("window {seq}: {finding}");
+            self.device.report(Progress::Note { text: &text });
+        }
         // The simulated hob knows nothing of a load that was recorded elsewhere.
         let simulated = at.asked_w().and_then(|_| self.device.truth_of(&window));
         let truth = truth.cloned().or(simulated);

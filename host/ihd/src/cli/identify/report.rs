@@ -8,6 +8,7 @@ use ihd_gate::{Examined, Gate, Outcome};
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::{Capture, Remark, Segment, Severity};
+use ihd_survey::Survey;
 use serde::Serialize;
 
 use crate::report::table::Table;
@@ -115,7 +116,7 @@ impl<'a> Reported<'a> {
             let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
             out.push_str(&stretch(segment, &outcomes));
             for (outcome, _) in outcomes {
-                said(outcome, &mut out);
+                said(outcome, survey, &mut out);
             }
         }
         match (self.capture.metadata.get("calibration"), survey.skew_note()) {
@@ -131,8 +132,9 @@ impl<'a> Reported<'a> {
     }
 }
 
-/// A result's notes, its verdict, and the findings that are no reason for it.
-fn said(outcome: &Outcome, out: &mut String) {
+/// A result's notes, its verdict, and the findings that are no reason for it; those of the survey were said once for
+/// all methods.
+fn said(outcome: &Outcome, survey: &Survey, out: &mut String) {
     let method = outcome.method;
     match &outcome.result {
         Ok(estimate) => {
@@ -146,7 +148,8 @@ fn said(outcome: &Outcome, out: &mut String) {
         }
     }
     for finding in outcome.judgement.doubts() {
-        if finding.severity == Severity::Warning {
+        let of_survey = survey.findings.iter().any(|f| f.code() == finding.code);
+        if finding.severity == Severity::Warning && !of_survey {
             let _ = writeln!(out, "{method}: {finding}");
         }
     }

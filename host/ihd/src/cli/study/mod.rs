@@ -1,6 +1,7 @@
 //! `ihd study`: many captures with truth, many estimators, one table.
 
 mod estimators;
+mod hostile;
 #[cfg(feature = "pinn")]
 mod paper;
 
@@ -11,6 +12,7 @@ use clap::{Args, Subcommand};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd study estimators --quick\n  \
+    ihd study hostile --short\n  \
     ihd study paper --quick --out paper-study")]
 pub struct StudyArgs {
     #[command(subcommand)]
@@ -20,6 +22,7 @@ pub struct StudyArgs {
 #[derive(Debug, Subcommand)]
 enum Study {
     Estimators(estimators::EstimatorsArgs),
+    Hostile(hostile::HostileArgs),
     #[cfg(feature = "pinn")]
     Paper(paper::PaperArgs),
 }
@@ -29,6 +32,7 @@ impl StudyArgs {
     pub fn run(&self) -> Result<()> {
         match &self.study {
             Study::Estimators(args) => args.run(),
+            Study::Hostile(args) => args.run(),
             #[cfg(feature = "pinn")]
             Study::Paper(args) => args.run(),
         }

@@ -5,7 +5,6 @@ pub mod published;
 pub mod table;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{IdentifyError, Method, Settings, run};
@@ -14,6 +13,8 @@ use ihd_sim::inverter::InverterError;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 use serde::Serialize;
+
+use super::parallel::{WorkerLost, in_parallel};
 
 /// Switching frequencies of the paper's tables, in hertz.
 pub const F_SW_HZ: [f64; 4] = [45e3, 50e3, 60e3, 70e3];
@@ -103,8 +104,8 @@ pub enum StudyError {
     #[error(transparent)]
     Simulation(#[from] InverterError),
     /// A worker ended without its results.
-    #[error("a worker of the study ended early: {0}")]
-    Worker(String),
+    #[error(transparent)]
+    Workers(#[from] WorkerLost),
 }
 
 /// An operating point: what is simulated once.
@@ -198,37 +199,6 @@ fn run_all(plan: &Plan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
     plan.methods.iter().map(|&m| (m, one(m))).collect()
 }
 
-/// Applies `work` to every job on as many threads as there are cores; results in the jobs' order.
-fn in_parallel<J: Sync, R: Send>(
-    jobs: &[J],
-    work: impl Fn(&J) -> R + Sync,
-) -> Result<Vec<R>, StudyError> {
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    std::thread::scope(|scope| {
-        for _ in 0..workers.min(jobs.len()) {
-            scope.spawn(|| {
-                while let Some((k, job)) =
-                    Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|k| Some((k, jobs.get(k)?)))
-                {
-                    let result = work(job);
-                    results
-                        .lock()
-                        .unwrap_or_else(PoisonError::into_inner)
-                        .push((k, result));
-                }
-            });
-        }
-    });
-    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.sort_by_key(|(k, _)| *k);
-    if results.len() != jobs.len() {
-        let missing = format!("{} of {} results", results.len(), jobs.len());
-        return Err(StudyError::Worker(missing));
-    }
-    Ok(results.into_iter().map(|(_, r)| r).collect())
-}
-
 fn cell(
     reference: Reference,
     method: Method,
@@ -279,21 +249,5 @@ impl Errors {
     fn add(&mut self, r_pct: f64, l_pct: f64) {
         self.r_pct += r_pct;
         self.l_pct += l_pct;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn jobs_keep_their_order_on_any_number_of_threads() {
-        let jobs: Vec<u64> = (0..100).collect();
-        let squares = in_parallel(&jobs, |j| {
-            std::thread::sleep(std::time::Duration::from_micros((100 - j) * 10));
-            j * j
-        })
-        .unwrap();
-        assert_eq!(squares, jobs.iter().map(|j| j * j).collect::<Vec<_>>());
     }
 }
