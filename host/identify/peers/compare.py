@@ -50,14 +50,14 @@ KHZ = (45, 70)
 SNR_DB = (None, 30)
 
 
-def measured(args, capture):
-    """{name: (errors, seconds)} of everybody on one capture."""
+def measured(args, capture, filters):
+    """{name: (errors, seconds)} of everybody on one capture; `filters`: the slow ones too."""
     found = {}
     own = captures.identified(args.ihd, capture, list(OURS), args.repeats)
     for method, (t_s, r, l, seconds) in own.items():
         found[OURS[method]] = (captures.errors_pct(capture, t_s, r, l), seconds)
     for name, identify, slow in PEERS:
-        if slow and args.no_filters:
+        if slow and not filters:
             continue
         kept = capture.path.with_suffix(f".{identify.__module__}.{identify.__name__}.json")
         if not kept.exists():
@@ -84,7 +84,7 @@ def point(args, load, khz, snr_db, folder):
         case = captures.Case(load, khz, snr_db, seed)
         print(case.stem, file=sys.stderr, flush=True)
         capture = captures.simulated(args.ihd, case, folder)
-        for name, (errors, seconds) in measured(args, capture).items():
+        for name, (errors, seconds) in measured(args, capture, seed <= args.filter_seeds).items():
             gathered[name].append((np.ravel(errors), seconds))
     return {
         name: (np.mean([errors for errors, _ in runs], axis=0), np.mean([s for _, s in runs]))
@@ -135,7 +135,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=3, help="seeds of noise")
     parser.add_argument("--repeats", type=int, default=5, help="runs of ihd, of which the fastest counts")
     parser.add_argument("--folder", help="where captures and what peers made of them are kept, so that it goes on where it was stopped")
-    parser.add_argument("--no-filters", action="store_true", help="without the filterpy EKFs (20 s a capture each)")
+    parser.add_argument("--filter-seeds", type=int, default=1, help="of which for the filterpy EKFs, 20 s a capture each")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.folder or temporary
@@ -143,7 +143,7 @@ def main():
         everything = []
         print(
             "R/L in % over the whole half-cycle · over its middle 80 %, mean over "
-            f"{args.seeds} seeds of noise; ms for two half-cycles, mean over the columns.\n"
+            f"{args.seeds} seeds of noise (filterpy: {min(args.seeds, args.filter_seeds)}); ms for two half-cycles, mean over the columns.\n"
         )
         for load, title in LOADS.items():
             points = {
