@@ -38,6 +38,7 @@ pub type Group = (&'static str, &'static [Code]);
 /// Every code, by who finds it.
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
+    ("Found of the sensors (self-calibration)", SENSORS),
     ("Found by the gate", GATE),
 ];
 
@@ -174,6 +175,93 @@ const CAPTURE: &[Code] = &[
         "a channel does not show the switching frequency",
         "none",
         "check the probe",
+    ),
+];
+
+const SENSORS: &[Code] = &[
+    code(
+        "self_calibrated",
+        "info",
+        "skew, bandwidth or droop was found and taken out",
+        "3 σ",
+        "nothing; --self-calibrate off leaves it",
+    ),
+    code(
+        "sensors_agree",
+        "info",
+        "no lag between the channels beyond its deviation",
+        "3 σ",
+        "nothing",
+    ),
+    code(
+        "skew",
+        "info, warning",
+        "the channels are not simultaneous, and that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or ihd calibrate",
+    ),
+    code(
+        "bandwidth",
+        "info, warning",
+        "a probe with too little bandwidth that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or a faster probe",
+    ),
+    code(
+        "droop",
+        "info, warning",
+        "a current probe without direct current that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or another probe",
+    ),
+    code(
+        "sensor_nonlinear",
+        "warning",
+        "the current's gain changes with the current",
+        "0.4 % at the largest current",
+        "a probe of more range",
+    ),
+    code(
+        "plateaus_not_flat",
+        "warning",
+        "between edges, voltage and charge do not add up to a plateau",
+        "noise, 0.2 % of the capacitor's voltage",
+        "look at both channels",
+    ),
+    code(
+        "bridge_voltage",
+        "error",
+        "the bridge's voltage was captured in place of the coil's",
+        "none",
+        "connect the probe across the coil",
+    ),
+    code(
+        "gain",
+        "warning",
+        "the ratio of the gains, against the capacitance that was told",
+        "1 %, 3 σ",
+        "check the probes' factors",
+    ),
+    code(
+        "gain_right",
+        "info",
+        "the ratio of the gains agrees with the capacitance that was told",
+        "1 %, 3 σ",
+        "nothing",
+    ),
+    code(
+        "gain_unknown",
+        "info",
+        "the capacitance that the capture shows if the gains are right",
+        "none",
+        "--resonance-capacitance",
+    ),
+    code(
+        "self_calibration_impossible",
+        "info",
+        "the capture does not show its sensors",
+        "none",
+        "nothing, or ihd calibrate",
     ),
 ];
 
