@@ -39,6 +39,7 @@ pub type Group = (&'static str, &'static [Code]);
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
     ("Found of the sensors (self-calibration)", SENSORS),
+    ("Found by the estimators", ESTIMATORS),
     ("Found by the gate", GATE),
 ];
 
@@ -82,6 +83,13 @@ const CAPTURE: &[Code] = &[
         "frequency_step",
         "info",
         "the switching frequency changes; a stretch each",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_sweep",
+        "info",
+        "the switching frequency moves without steps; it is followed",
         "none",
         "nothing",
     ),
@@ -265,6 +273,23 @@ const SENSORS: &[Code] = &[
     ),
 ];
 
+const ESTIMATORS: &[Code] = &[
+    code(
+        "carrier_followed",
+        "info",
+        "the switching frequency moves within the stretch and was followed",
+        "none",
+        "nothing",
+    ),
+    code(
+        "not_converged",
+        "error",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
+    ),
+];
+
 const GATE: &[Code] = &[
     code(
         "method_failed",
@@ -279,13 +304,6 @@ const GATE: &[Code] = &[
         "the estimate holds no R and L",
         "none",
         "capture longer, or use another method",
-    ),
-    code(
-        "not_converged",
-        "error",
-        "the network stopped before it settled",
-        "none",
-        "more steps, or the preset hybrid",
     ),
     code(
         "not_covered",
