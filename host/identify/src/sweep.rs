@@ -7,6 +7,7 @@ use std::ops::Range;
 use ihd_signal::carrier::{Carrier, Warp};
 use ihd_signal::{Remark, Segment, Severity};
 
+use super::pinn::CarrierInputs;
 use super::{Estimate, IdentifyError, Method, Settings, reconstruction};
 
 /// The carrier of a segment, where it moves and the method takes it as constant.
@@ -48,6 +49,27 @@ fn quickened(settings: &Settings, carrier: &Carrier, half_cycle_s: f64) -> Setti
     quick
 }
 
+/// What a network is told of the carrier: its frequency and how fast that moves, through the warped samples.
+fn inputs(warp: &Warp<'_>, warped: &Segment, carrier: &Carrier) -> CarrierInputs {
+    let sweep = carrier.sweep();
+    let dt_s = 1.0 / warped.f_sw_hz;
+    let count = (warped.len() as f64 * warped.dt_s / dt_s).ceil() as usize + 1;
+    let at = |k: usize| warp.time_s(warped.t0_s + k as f64 * dt_s);
+    let off = |t_s: f64| (carrier.hz(t_s) - sweep.mean_hz) / sweep.deviation_hz;
+    // Over four periods, a step of what follows the carrier is no matter.
+    let slope = |t_s: f64| {
+        let beside_s = 2.0 * dt_s;
+        (off(t_s + beside_s) - off(t_s - beside_s)) / (2.0 * beside_s * TAU * sweep.rate_hz)
+    };
+    let function = |of: &dyn Fn(f64) -> f64| (0..count).map(|k| of(at(k))).collect();
+    CarrierInputs {
+        t0_s: warped.t0_s,
+        dt_s,
+        functions: vec![function(&off), function(&slope)],
+        intervals: (PHASOR_INTERVALS * sweep.rate_hz * warped.half_cycle_s()).ceil() as usize,
+    }
+}
+
 /// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one.
 ///
 /// # Errors
@@ -62,7 +84,7 @@ pub(super) fn identify(
     let mut whole = Estimate::new(method, carrier.mean_hz());
     whole.v_hat_v = vec![0.0; segment.len()];
     whole.i_hat_a = vec![0.0; segment.len()];
-    let settings = quickened(settings, carrier, segment.half_cycle_s());
+    let mut settings = quickened(settings, carrier, segment.half_cycle_s());
     let mut failed = None;
     for range in parts(method, segment) {
         let warp = Warp::new(segment, carrier, range.clone());
@@ -70,6 +92,9 @@ pub(super) fn identify(
         if let Err(short) = warped.check() {
             failed = Some(short.into());
             continue;
+        }
+        if method == Method::Pinn {
+            settings.pinn.carrier = Some(inputs(&warp, &warped, carrier));
         }
         match identify(&warped, &settings) {
             Ok(mut found) => {
