@@ -179,18 +179,28 @@ pub fn run_watched(
     let centred = wants_no_mean(method).then(|| segment.without_offsets());
     let segment = centred.as_ref().unwrap_or(segment);
     let Some(carrier) = sweep::of(method, segment) else {
-        return steps::identify(method, segment, settings, |segment, settings| {
-            at_constant_load(method, segment, settings, watch)
-        });
+        return steps::identify(
+            method,
+            segment,
+            settings,
+            &|t_s| t_s,
+            |segment, settings| at_constant_load(method, segment, settings, watch),
+        );
     };
-    sweep::identify(method, segment, &carrier, settings, |warped, settings| {
-        // Its truth would be that of another clock.
-        let (truth, report) = (None, &mut *watch.report);
-        let mut watch = Watch { truth, report };
-        steps::identify(method, warped, settings, |warped, settings| {
-            at_constant_load(method, warped, settings, &mut watch)
-        })
-    })
+    sweep::identify(
+        method,
+        segment,
+        &carrier,
+        settings,
+        |warped, settings, clock| {
+            // Its truth would be that of another clock.
+            let (truth, report) = (None, &mut *watch.report);
+            let mut watch = Watch { truth, report };
+            steps::identify(method, warped, settings, clock, |warped, settings| {
+                at_constant_load(method, warped, settings, &mut watch)
+            })
+        },
+    )
 }
 
 /// Whether a mean of the samples, which neither the coil's voltage nor its current has, would bend what the method finds.

@@ -70,7 +70,8 @@ fn inputs(warp: &Warp<'_>, warped: &Segment, carrier: &Carrier) -> CarrierInputs
     }
 }
 
-/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one.
+/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one and
+/// is told the capture's time at a warped one.
 ///
 /// # Errors
 /// The last part's where none could be identified.
@@ -79,7 +80,11 @@ pub(super) fn identify(
     segment: &Segment,
     carrier: &Carrier,
     settings: &Settings,
-    mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
+    mut identify: impl FnMut(
+        &Segment,
+        &Settings,
+        &dyn Fn(f64) -> f64,
+    ) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     let mut whole = Estimate::new(method, carrier.mean_hz());
     whole.v_hat_v = vec![0.0; segment.len()];
@@ -96,7 +101,7 @@ pub(super) fn identify(
         if method == Method::Pinn {
             settings.pinn.carrier = Some(inputs(&warp, &warped, carrier));
         }
-        match identify(&warped, &settings) {
+        match identify(&warped, &settings, &|t_s| warp.time_s(t_s)) {
             Ok(mut found) => {
                 reconstruction::complete(&warped, &mut found);
                 whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&found.v_hat_v));

@@ -32,6 +32,9 @@ const BETWEEN: usize = 4;
 /// Frames from a position to the outermost that it looks at.
 const REACH: usize = BESIDE + BETWEEN / 2;
 
+/// Switching periods on either side of a position within which the step is looked for.
+const NEAR_PERIODS: f64 = 4.0;
+
 /// Share of the largest current below which nothing is judged.
 const LEAST_CURRENT: f64 = 0.12;
 
@@ -67,10 +70,7 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
         }
     }
     found.sort_unstable();
-    found
-        .into_iter()
-        .map(|k| frames.step(&differences, k))
-        .collect()
+    found.into_iter().map(|k| frames.step(segment, k)).collect()
 }
 
 /// What R and L change by nature around a position: the lower quartile, of which a step nearby is no part.
@@ -179,22 +179,63 @@ impl Frames {
         if share.is_finite() { share } else { 0.0 }
     }
 
-    /// The step near frame `k`: in the middle of where the differences are above half of the largest.
-    fn step(&self, differences: &[f64], k: usize) -> Step {
-        let (from, to) = (
-            k.saturating_sub(REACH),
-            (k + REACH + 1).min(differences.len()),
-        );
-        let over = |j: usize| (differences[j] - 0.5 * differences[k]).max(0.0);
-        let sums = (from..to).fold((0.0, 0.0), |(sum, all), j| {
-            (sum + over(j) * j as f64, all + over(j))
-        });
-        let [before, after] = self.sides(k).unwrap_or([k..k + 1, k..k + 1]);
-        let (a, b) = (self.mean(before), self.mean(after));
+    /// The step near frame `k`.
+    fn step(&self, segment: &Segment, k: usize) -> Step {
+        let mut k = k;
+        let near_s = self.time_s(k);
+        let mut t_s = near_s;
+        // With a better time the means are those of the loads themselves, and so the time is better.
+        for _ in 0..2 {
+            let (a, b) = self.means(k);
+            t_s = self.place(segment, near_s, a, b);
+            k = ((t_s - self.t0_s) / self.step_s).round().max(0.0) as usize;
+        }
+        let (a, b) = self.means(k);
         Step {
-            t_s: self.t0_s + sums.0 / sums.1 * self.step_s,
+            t_s,
             r_ohm: (a.re, b.re),
             l_h: (a.im / self.omega, b.im / self.omega),
         }
+    }
+
+    /// Time of a frame's middle in seconds.
+    fn time_s(&self, k: usize) -> f64 {
+        self.t0_s + k as f64 * self.step_s
+    }
+
+    /// Mean impedance in ohm before and after frame `k`; at the ends, of what there is.
+    fn means(&self, k: usize) -> (Complex<f64>, Complex<f64>) {
+        let last = self.z.len().saturating_sub(REACH + 1);
+        let k = k.clamp(REACH.min(last), last);
+        let [before, after] = self.sides(k).unwrap_or([k..k + 1, k..k + 1]);
+        (self.mean(before), self.mean(after))
+    }
+
+    /// Time in seconds near `near_s` until which the impedance `a` explains the samples, and from which on `b` does: of
+    /// v = R·i + L·di/dt each sixth of a period leaves an error, and their squares are least there.
+    fn place(&self, segment: &Segment, near_s: f64, a: Complex<f64>, b: Complex<f64>) -> f64 {
+        let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
+        let reach_s = NEAR_PERIODS * self.step_s;
+        let from = index(near_s - reach_s);
+        let to = (index(near_s + reach_s) + 1).min(segment.len());
+        let length = (segment.samples_per_period() / 6.0).round().max(1.0) as usize;
+        let error = |k: usize, z: Complex<f64>| {
+            // Over an interval the current's slope is the difference of its ends, and noise counts little.
+            let mean = |x: &[f64]| {
+                let inner: f64 = x[k + 1..k + length].iter().sum();
+                (inner + 0.5 * (x[k] + x[k + length])) / length as f64
+            };
+            let rise = segment.i_a[k + length] - segment.i_a[k];
+            let slope = rise / (length as f64 * segment.dt_s);
+            mean(&segment.v_v) - z.re * mean(&segment.i_a) - z.im / self.omega * slope
+        };
+        let (mut sum, mut least, mut best) = (0.0, 0.0, from);
+        for k in from..to.saturating_sub(length) {
+            sum += error(k, a).powi(2) - error(k, b).powi(2);
+            if sum < least {
+                (least, best) = (sum, k + length.div_ceil(2));
+            }
+        }
+        segment.t_s(best)
     }
 }

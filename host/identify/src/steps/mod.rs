@@ -19,7 +19,8 @@ const LEAST_GUARD_PERIODS: f64 = 1.0;
 /// Fewest switching periods of a piece that is identified.
 const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
 
-/// Identifies a segment in which the load may step, piece by piece with `identify` where the method's R and L are smooth.
+/// Identifies a segment in which the load may step, piece by piece with `identify` where the method's R and L are smooth;
+/// `clock` tells the capture's time, in seconds, at one of the segment's.
 ///
 /// # Errors
 /// What `identify` gives for a segment without steps; the last piece's where none could be identified.
@@ -27,6 +28,7 @@ pub(super) fn identify(
     method: Method,
     segment: &Segment,
     settings: &Settings,
+    clock: &dyn Fn(f64) -> f64,
     mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     // These follow what the firmware follows, or what the paper prints.
@@ -39,11 +41,11 @@ pub(super) fn identify(
     }
     if !matches!(method, Method::LeastSquares | Method::Lockin | Method::Pinn) {
         let mut whole = identify(segment, settings)?;
-        let remarks = steps.iter().map(|s| remark(s, Severity::Warning, FOLLOWS));
+        let remarks = steps.iter().map(|s| remark(s, clock(s.t_s), FOLLOWS));
         whole.remarks.extend(remarks);
         return Ok(whole);
     }
-    joined(method, segment, settings, &steps, identify)
+    joined(method, segment, settings, &steps, clock, identify)
 }
 
 /// What a filter makes of a step.
@@ -55,6 +57,7 @@ fn joined(
     segment: &Segment,
     settings: &Settings,
     steps: &[Step],
+    clock: &dyn Fn(f64) -> f64,
     mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     let mut whole = Estimate::new(method, segment.f_sw_hz);
@@ -77,8 +80,8 @@ fn joined(
             Err(e) => {
                 let text = format!(
                     "between steps of the load, {:.3} to {:.3} ms, there is no R and L: {e}",
-                    from_s * 1e3,
-                    to_s * 1e3
+                    clock(from_s) * 1e3,
+                    clock(to_s) * 1e3
                 );
                 let left_out = Remark::new("piece_left_out", Severity::Warning, text);
                 whole
@@ -91,8 +94,8 @@ fn joined(
     if let (true, Some(e)) = (whole.t_s.is_empty(), failed) {
         return Err(e);
     }
-    let cut = "before and after it were identified for themselves";
-    let remarks = steps.iter().map(|s| remark(s, Severity::Info, cut));
+    let cut = "before and after it were identified for themselves, and two periods on either side are held";
+    let remarks = steps.iter().map(|s| remark(s, clock(s.t_s), cut));
     whole.remarks.extend(remarks);
     Ok(whole)
 }
@@ -119,7 +122,9 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
             let (from, to) = (at(between[0]), at(between[1]).min(segment.len()));
             let sides = usize::from(k > 0) + usize::from(k < last);
             let periods = (to - from) as f64 / per_period;
-            let spare = (periods - LEAST_PERIODS) / sides.max(1) as f64;
+            // A sample a side for rounding.
+            let needed = LEAST_PERIODS + 2.0 / per_period;
+            let spare = (periods - needed) / sides.max(1) as f64;
             let guard = spare.clamp(LEAST_GUARD_PERIODS, GUARD_PERIODS) * per_period;
             let inner = |side: bool| if side { guard.round() as usize } else { 0 };
             let start = (from + inner(k > 0)).min(to);
@@ -174,16 +179,16 @@ fn append(whole: &mut Estimate, found: Estimate, from_s: f64, to_s: f64) {
     whole.remarks.extend(found.remarks);
 }
 
-/// The step in words; `how` says what was made of it.
-fn remark(step: &Step, severity: Severity, how: &str) -> Remark {
+/// The step in words, at its time on the capture's clock in seconds; `how` says what was made of it.
+fn remark(step: &Step, t_s: f64, how: &str) -> Remark {
     let times = |(before, after): (f64, f64)| after / before;
     let text = format!(
         "the load steps at {:.3} ms: R to {:.2} and L to {:.2} times what they were; {how}",
-        step.t_s * 1e3,
+        t_s * 1e3,
         times(step.r_ohm),
         times(step.l_h)
     );
-    Remark::new("load_step", severity, text).with(step.t_s, None)
+    Remark::new("load_step", Severity::Warning, text).with(t_s, None)
 }
 
 #[cfg(test)]

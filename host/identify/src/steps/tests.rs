@@ -40,14 +40,11 @@ fn steps_are_found_where_they_are_and_with_their_sizes() {
         assert_eq!(found.len(), 1, "{found:?}");
         let step = found[0];
         assert!((step.t_s - 5e-3).abs() < 20e-6, "{step:?}");
-        assert!(
-            (step.r_ohm.1 / step.r_ohm.0 / 0.6 - 1.0).abs() < 0.15,
-            "{step:?}"
-        );
-        assert!(
-            (step.l_h.1 / step.l_h.0 / 1.35 - 1.0).abs() < 0.1,
-            "{step:?}"
-        );
+        // The current rises, and R and L follow it by nature.
+        let times = step.r_ohm.1 / step.r_ohm.0;
+        assert!((0.5..0.75).contains(&times), "{step:?}");
+        let times = step.l_h.1 / step.l_h.0;
+        assert!((1.2..1.55).contains(&times), "{step:?}");
         let found = detect::steps(&recorded(&SPOON, rate_hz, snr_db).1);
         assert_eq!(found.len(), 2, "{found:?}");
         assert!((found[0].t_s - 5.0e-3).abs() < 20e-6, "{found:?}");
@@ -80,7 +77,7 @@ fn the_pieces_are_identified_and_joined_in_order_of_time() {
             let found = accuracy::Accuracy::of(&estimate, &segment, &recording.truth, 0.0).unwrap();
             // The truth itself takes two periods for a step: half of each is a quarter of a percent of the half-cycle.
             assert!(
-                found.middle.r_pct < 0.5 && found.middle.l_pct < 0.3,
+                found.middle.r_pct < 0.4 && found.middle.l_pct < 0.2,
                 "{method}: {found:?}"
             );
         }
