@@ -151,9 +151,9 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "aliasing",
-        "info, warning",
+        "info, warning, error",
         "harmonics of the edges fall on the fundamental",
-        "1 % of R for a warning",
+        "1 % of R for a warning, 3 % for an error",
         "shift the sampling rate by some percent",
     ),
     code(
@@ -316,21 +316,21 @@ const GATE: &[Code] = &[
         "uncertain",
         "warning, error",
         "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
-        "1 % of R, .7 % of L for a warning; 3 % of either for an error",
+        ".7 % of R, .49 % of L for a warning; 3 % of either for an error",
         "a longer capture, a smaller range, more bits",
     ),
     code(
         "disagreement",
         "warning, error",
-        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle, beyond twice what \
-         both σ explain",
-        ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
+        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle",
+        ".7 % of R, .49 % of L for a warning; 1 %, .7 % and twice what both σ explain for an error",
         "use least squares or pinn",
     ),
     code(
         "unconfirmed",
         "warning, error",
-        "the same between least squares and lock-in: something changes faster than they follow",
+        "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
+         something changes faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
         "capture a steady load",
     ),

@@ -8,6 +8,7 @@ use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{Change, Event, LoadKind, Neighbour, Settings};
 use ihd_survey::Hints;
+use ihd_survey::calibration::blind::Ask;
 
 /// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
 fn clean() -> Settings {
@@ -37,6 +38,7 @@ fn examined(capture: &Capture, methods: &[Method]) -> Examined {
     let request = Request {
         hints: Hints::default(),
         methods,
+        sensors: Ask::default(),
         settings: &Methods::default(),
         reconstruct: false,
     };
