@@ -186,23 +186,6 @@ const CAPTURE: &[Code] = &[
     ),
 ];
 
-const ESTIMATORS: &[Code] = &[
-    code(
-        "carrier_followed",
-        "info",
-        "the switching frequency moves within the stretch and was followed",
-        "none",
-        "nothing",
-    ),
-    code(
-        "not_converged",
-        "error",
-        "the network stopped before it settled",
-        "none",
-        "more steps, or the preset hybrid",
-    ),
-];
-
 const SENSORS: &[Code] = &[
     code(
         "self_calibrated",
@@ -287,6 +270,23 @@ const SENSORS: &[Code] = &[
         "the capture does not show its sensors",
         "none",
         "nothing, or ihd calibrate",
+    ),
+];
+
+const ESTIMATORS: &[Code] = &[
+    code(
+        "carrier_followed",
+        "info",
+        "the switching frequency moves within the stretch and was followed",
+        "none",
+        "nothing",
+    ),
+    code(
+        "not_converged",
+        "error",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
     ),
 ];
 
