@@ -283,7 +283,7 @@ const ESTIMATORS: &[Code] = &[
     ),
     code(
         "not_converged",
-        "error",
+        "error; info where least squares says the same",
         "the network stopped before it settled",
         "none",
         "more steps, or the preset hybrid",
@@ -328,7 +328,7 @@ const GATE: &[Code] = &[
     ),
     code(
         "unconfirmed",
-        "warning, error",
+        "warning, error; info where an alias disturbs the lock-in alone",
         "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
          something changes faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
@@ -340,6 +340,13 @@ const GATE: &[Code] = &[
         "least squares failed on this stretch: nothing to check against",
         "none",
         "capture longer or sample faster",
+    ),
+    code(
+        "correction_doubtful",
+        "warning",
+        "the sensors were corrected, and that rests on little",
+        "6 MS/s; .35 % of R",
+        "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(
         "interference",

@@ -170,6 +170,22 @@ fn aliases_hz(segment: &Segment) -> Vec<f64> {
     (2..=most).map(folded).collect()
 }
 
+/// Samples a period below which edges of .2 µs have strong harmonics beyond half the rate.
+const COARSE: f64 = 150.0;
+
+/// Offset in hertz up to which the lock-in's boxcars of 0.1 ms let a tone through.
+const LOCKIN_HZ: f64 = 10e3;
+
+/// Whether an edge's harmonic folds to where the lock-in passes it and least squares does not: then it is the lock-in
+/// that is off.
+pub fn disturbs_the_lockin(segment: &Segment) -> bool {
+    let passed = |hz: &f64| (FOLLOWED_HZ..LOCKIN_HZ).contains(&hz.abs());
+    segment.samples_per_period() < COARSE && aliases_hz(segment).iter().any(passed)
+}
+
+/// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.
+const FOLLOWED_HZ: f64 = 1.2e3;
+
 /// What R and L as functions of the current leave of the voltage, phasor by phasor.
 struct Residual {
     /// In volt.
