@@ -8,6 +8,7 @@ use ihd_signal::{Capture, Severity};
 use ihd_sim::inverter::InverterError;
 use ihd_sim::recording::run::{Recording, record};
 use ihd_survey::Hints;
+use ihd_survey::calibration::blind::Ask;
 use serde::Serialize;
 
 use super::cases::{Case, Group, all};
@@ -147,6 +148,7 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
     settings.pinn.deterministic = true;
     let request = Request {
         hints: Hints::default(),
+        sensors: Ask::default(),
         methods: &plan.methods,
         settings: &settings,
         reconstruct: false,
