@@ -282,6 +282,27 @@ const ESTIMATORS: &[Code] = &[
         "nothing",
     ),
     code(
+        "load_step",
+        "info, warning",
+        "the load jumps inside a half-cycle: the pieces were identified, or the method goes through it",
+        "see docs/estimators.md",
+        "nothing, or least-squares, lockin, pinn",
+    ),
+    code(
+        "piece_left_out",
+        "warning",
+        "a piece between two steps is too short for the method",
+        "10 switching periods",
+        "nothing, or lockin",
+    ),
+    code(
+        "model_residual",
+        "info, warning",
+        "R and L leave more of the voltage than noise would; σ contains it",
+        "χ² of 4; .5 % of R, .35 % of L for a warning",
+        "look for a moving frequency, a step, a neighbouring coil, aliased edges",
+    ),
+    code(
         "not_converged",
         "error; info where least squares says the same",
         "the network stopped before it settled",
