@@ -366,7 +366,7 @@ const GATE: &[Code] = &[
         "correction_doubtful",
         "warning",
         "the sensors were corrected, and that rests on little",
-        "6 MS/s; .35 % of R",
+        "6 MS/s (a lag below 4 % of the sampling interval is not looked at there); .35 % of R",
         "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(

@@ -4,12 +4,12 @@ use ihd_identify::{
     Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
 };
 use ihd_signal::{Capture, Remark, Segment};
-use ihd_survey::calibration::blind::{Ask, look};
+use ihd_survey::calibration::blind::Ask;
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::judge::{Evidence, failed, judge};
 use crate::remarks;
-use crate::sensors::Applied;
+use crate::sensors::{Applied, look};
 use crate::verdict::Judgement;
 use crate::witness::Witness;
 
