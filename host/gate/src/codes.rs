@@ -38,6 +38,8 @@ pub type Group = (&'static str, &'static [Code]);
 /// Every code, by who finds it.
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
+    ("Found of the sensors (self-calibration)", SENSORS),
+    ("Found by the estimators", ESTIMATORS),
     ("Found by the gate", GATE),
 ];
 
@@ -81,6 +83,13 @@ const CAPTURE: &[Code] = &[
         "frequency_step",
         "info",
         "the switching frequency changes; a stretch each",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_sweep",
+        "info",
+        "the switching frequency moves without steps; it is followed",
         "none",
         "nothing",
     ),
@@ -177,6 +186,110 @@ const CAPTURE: &[Code] = &[
     ),
 ];
 
+const SENSORS: &[Code] = &[
+    code(
+        "self_calibrated",
+        "info",
+        "skew, bandwidth or droop was found and taken out",
+        "3 σ",
+        "nothing; --self-calibrate off leaves it",
+    ),
+    code(
+        "sensors_agree",
+        "info",
+        "no lag between the channels beyond its deviation",
+        "3 σ",
+        "nothing",
+    ),
+    code(
+        "skew",
+        "info, warning",
+        "the channels are not simultaneous, and that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or ihd calibrate",
+    ),
+    code(
+        "bandwidth",
+        "info, warning",
+        "a probe with too little bandwidth that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or a faster probe",
+    ),
+    code(
+        "droop",
+        "info, warning",
+        "a current probe without direct current that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or another probe",
+    ),
+    code(
+        "sensor_nonlinear",
+        "warning",
+        "the current's gain changes with the current",
+        "0.4 % at the largest current",
+        "a probe of more range",
+    ),
+    code(
+        "plateaus_not_flat",
+        "warning",
+        "between edges, voltage and charge do not add up to a plateau",
+        "noise, 0.2 % of the capacitor's voltage",
+        "look at both channels",
+    ),
+    code(
+        "bridge_voltage",
+        "error",
+        "the bridge's voltage was captured in place of the coil's",
+        "none",
+        "connect the probe across the coil",
+    ),
+    code(
+        "gain",
+        "warning",
+        "the ratio of the gains, against the capacitance that was told",
+        "1 %, 3 σ",
+        "check the probes' factors",
+    ),
+    code(
+        "gain_right",
+        "info",
+        "the ratio of the gains agrees with the capacitance that was told",
+        "1 %, 3 σ",
+        "nothing",
+    ),
+    code(
+        "gain_unknown",
+        "info",
+        "the capacitance that the capture shows if the gains are right",
+        "none",
+        "--resonance-capacitance",
+    ),
+    code(
+        "self_calibration_impossible",
+        "info",
+        "the capture does not show its sensors",
+        "none",
+        "nothing, or ihd calibrate",
+    ),
+];
+
+const ESTIMATORS: &[Code] = &[
+    code(
+        "carrier_followed",
+        "info",
+        "the switching frequency moves within the stretch and was followed",
+        "none",
+        "nothing",
+    ),
+    code(
+        "not_converged",
+        "error",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
+    ),
+];
+
 const GATE: &[Code] = &[
     code(
         "method_failed",
@@ -191,13 +304,6 @@ const GATE: &[Code] = &[
         "the estimate holds no R and L",
         "none",
         "capture longer, or use another method",
-    ),
-    code(
-        "not_converged",
-        "error",
-        "the network stopped before it settled",
-        "none",
-        "more steps, or the preset hybrid",
     ),
     code(
         "not_covered",

@@ -25,6 +25,10 @@ const LEAST_PHASORS: usize = 128;
 /// Intervals of R and L in a half-cycle that the load is given here: what moves faster is left for the tones.
 const SMOOTH_INTERVALS: usize = 8;
 
+/// Switching periods of a boxcar: among two, three and four there is one that whole samples nearly fill, at 61/3 samples
+/// a period too, so that the harmonics lie on its zeros.
+const BOXCAR_PERIODS: f64 = 3.0;
+
 /// Power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
 const LINE: f64 = 30.0;
 
@@ -36,6 +40,9 @@ const NEIGHBOURS: usize = 32;
 
 /// Lines that the window's main lobe covers on either side.
 const LOBE: usize = 4;
+
+/// Largest offset that is looked at, as a share of the phasors' rate, which is about f_sw.
+const MOST_OFFSET: f64 = 0.25;
 
 /// Tones that are taken out of one stretch at most.
 const MOST_TONES: usize = 6;
@@ -113,7 +120,7 @@ pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
     let boxcar = Boxcar::fitting(
         segment.samples_per_period(),
         segment.f_sw_hz,
-        1.0 / segment.f_sw_hz,
+        BOXCAR_PERIODS / segment.f_sw_hz,
     );
     let smooth = Settings {
         least_squares: LeastSquaresSettings {
@@ -260,8 +267,8 @@ fn strongest_line(x: &[Complex<f64>], weight: &[f64]) -> Option<i64> {
     let n = x.len();
     let power = spectrum(x, weight)?;
     let of = |k: i64| power[k.rem_euclid(n as i64) as usize];
-    // Beyond, the kernel leaves nothing.
-    let most = (0.45 * n as f64) as i64;
+    // Beyond, the kernel's first zero is near.
+    let most = (MOST_OFFSET * n as f64) as i64;
     let stands_out = |k: &i64| {
         let around = (LOBE..LOBE + NEIGHBOURS).flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
         let floor = median(around.collect()).unwrap_or(f64::INFINITY) / LN_2;
@@ -308,4 +315,82 @@ fn peak(hz: f64, spacing_hz: f64, power: impl Fn(f64) -> f64) -> f64 {
         }
     }
     0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    const OMEGA: f64 = TAU * 45e3;
+
+    /// Two half-cycles through 3 Ω and 18 µH, with a tone in the voltage and white noise of 50 dB.
+    fn segment(offset_hz: f64, v: f64) -> Segment {
+        let dt_s = 80e-9;
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut noise = |sigma: f64| -> f64 {
+            let x: f64 = StandardNormal.sample(&mut rng);
+            sigma * x
+        };
+        let (mut v_v, mut i_a) = (Vec::new(), Vec::new());
+        for k in 0..250_000 {
+            let t = f64::from(k) * dt_s;
+            let (mains, turn) = (TAU * 50.0, OMEGA * t);
+            let (envelope, slope) = (
+                40.0 * (mains * t).sin().abs(),
+                40.0 * mains * (mains * t).cos() * (mains * t).sin().signum(),
+            );
+            let i = envelope * turn.cos();
+            let d = slope * turn.cos() - envelope * OMEGA * turn.sin();
+            let tone = v * ((OMEGA + TAU * offset_hz) * t + 0.7).cos();
+            v_v.push(3.0 * i + 18e-6 * d + tone + noise(0.4));
+            i_a.push(i + noise(0.06));
+        }
+        Segment {
+            f_sw_hz: 45e3,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+            t0_s: 0.0,
+            dt_s,
+            v_v,
+            i_a,
+        }
+    }
+
+    fn reference(segment: &Segment) -> Estimate {
+        run(Method::LeastSquares, segment, &Settings::default()).expect("a steady load")
+    }
+
+    #[test]
+    fn a_tone_is_found_where_it_is_and_taken_out_it_costs_nothing() {
+        for (offset_hz, v) in [(1200.0, 8.0), (-2_030.0, 4.0), (730.0, 2.0)] {
+            let with = segment(offset_hz, v);
+            let tones = find(&with, &reference(&with));
+            let strongest = tones
+                .iter()
+                .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()));
+            let found = strongest.expect("a tone");
+            assert!((found.offset_hz - offset_hz).abs() < 8.0, "{found:?}");
+            assert!((found.v.norm() / v - 1.0).abs() < 0.1, "{found:?}");
+            let clean = segment(0.0, 0.0);
+            let error = |s: &Segment| {
+                let all = comparison::differences(&clean, &reference(s), &reference(&clean));
+                all.iter().map(|d| d.mean_pct[0]).fold(0.0, f64::max)
+            };
+            let (before, after) = (error(&with), error(&without(&with, &tones)));
+            assert!(
+                after < 0.25 * before,
+                "{offset_hz}: {before} % to {after} %"
+            );
+        }
+    }
+
+    #[test]
+    fn there_is_no_tone_where_there_is_none() {
+        let clean = segment(0.0, 0.0);
+        assert_eq!(find(&clean, &reference(&clean)), []);
+    }
 }

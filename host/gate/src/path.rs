@@ -4,6 +4,7 @@ use ihd_identify::{
     Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
 };
 use ihd_signal::{Capture, Remark, Segment};
+use ihd_survey::calibration::blind::{Ask, look};
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::judge::{Evidence, failed, judge};
@@ -18,6 +19,8 @@ pub struct Request<'a> {
     pub hints: Hints,
     /// Who shall estimate.
     pub methods: &'a [Method],
+    /// What to do about the sensors.
+    pub sensors: Ask,
     /// Settings of the methods.
     pub settings: &'a Settings,
     /// Whether to reconstruct the waveforms of methods that do not do so themselves.
@@ -42,6 +45,8 @@ pub struct Outcome {
 pub struct Examined {
     /// What is in the capture.
     pub survey: Survey,
+    /// What is to be said of the sensors.
+    pub sensors: Vec<Remark>,
     /// The stretches that were identified, in order of time.
     pub segments: Vec<Segment>,
     /// Stretch by stretch, method by method in the order asked for.
@@ -60,14 +65,17 @@ pub fn examine(
     request: &Request<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examined, SurveyError> {
-    let survey = Survey::of(capture, &request.hints)?;
-    let segments = survey.segments(capture);
+    let looked = look(capture, &request.hints, request.sensors)?;
+    let sensors = looked.remarks();
+    let segments = looked.survey.segments(&looked.capture);
+    let survey = looked.survey;
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
-        let remarks = remarks::of_survey(&survey, segment);
+        let mut remarks = remarks::of_survey(&survey, segment);
+        remarks.extend(sensors.iter().cloned());
         let witness = Witness::of(segment);
         for &method in request.methods {
             let done = outcomes.len();
@@ -91,6 +99,7 @@ pub fn examine(
     progress("", total, total);
     Ok(Examined {
         survey,
+        sensors,
         segments,
         outcomes,
     })

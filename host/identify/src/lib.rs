@@ -11,6 +11,7 @@ pub mod firmware;
 pub mod kf;
 pub mod least_squares;
 pub mod lockin;
+mod model_residual;
 #[cfg(feature = "pinn")]
 pub mod network;
 pub mod pinn;
