@@ -282,6 +282,20 @@ const ESTIMATORS: &[Code] = &[
         "nothing",
     ),
     code(
+        "load_step",
+        "warning",
+        "R and L jump; before and after it were identified for themselves, but a filter takes time to follow",
+        "6 % of the impedance, above noise and trend",
+        "nothing, or least squares, lock-in or pinn instead of a filter",
+    ),
+    code(
+        "piece_left_out",
+        "warning",
+        "between two steps of the load is too little to identify",
+        "10 switching periods",
+        "nothing",
+    ),
+    code(
         "not_converged",
         "error",
         "the network stopped before it settled",
