@@ -18,7 +18,10 @@ pub(super) fn harmonic_basis(
 ) -> Result<HarmonicBasis, PinnError> {
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let share = samples.duration_s() / half_cycle_s;
-    let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(4);
+    // Of a piece between two steps of the load there may be ten periods, three an interval.
+    let periods = samples.len() as f64 * samples.omega * samples.dt_s / TAU;
+    let least = ((periods / 3.0) as usize).clamp(1, 4);
+    let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(least);
     let basis = HarmonicBasis {
         spline: CubicSpline::new(intervals, samples.duration_s()),
         harmonics: config.harmonics.clone(),
