@@ -282,8 +282,29 @@ const ESTIMATORS: &[Code] = &[
         "nothing",
     ),
     code(
+        "load_step",
+        "info, warning",
+        "the load jumps inside a half-cycle: the pieces were identified, or the method goes through it",
+        "see docs/estimators.md",
+        "nothing, or least-squares, lockin, pinn",
+    ),
+    code(
+        "piece_left_out",
+        "warning",
+        "a piece between two steps is too short for the method",
+        "10 switching periods",
+        "nothing, or lockin",
+    ),
+    code(
+        "model_residual",
+        "info, warning",
+        "R and L leave more of the voltage than noise would; σ contains it",
+        "χ² of 4; .5 % of R, .35 % of L for a warning",
+        "look for a moving frequency, a step, a neighbouring coil, aliased edges",
+    ),
+    code(
         "not_converged",
-        "error",
+        "error; info where least squares says the same",
         "the network stopped before it settled",
         "none",
         "more steps, or the preset hybrid",
@@ -328,7 +349,7 @@ const GATE: &[Code] = &[
     ),
     code(
         "unconfirmed",
-        "warning, error",
+        "warning, error; info where an alias disturbs the lock-in alone",
         "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
          something changes faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
@@ -340,6 +361,13 @@ const GATE: &[Code] = &[
         "least squares failed on this stretch: nothing to check against",
         "none",
         "capture longer or sample faster",
+    ),
+    code(
+        "correction_doubtful",
+        "warning",
+        "the sensors were corrected, and that rests on little",
+        "6 MS/s (a lag below 4 % of the sampling interval is not looked at there); .35 % of R",
+        "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(
         "interference",

@@ -4,10 +4,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use ihd_identify::least_squares::LeastSquaresSettings;
+use ihd_identify::Estimate;
 use ihd_identify::lockin::{Boxcar, demodulate};
-use ihd_identify::trajectory::Trajectory;
-use ihd_identify::{Estimate, Method, Settings, run};
 use ihd_signal::noise::median;
 use ihd_signal::{Remark, Segment, Severity};
 use nalgebra::Complex;
@@ -15,15 +13,13 @@ use nalgebra::Complex;
 use crate::comparison::{self, Difference};
 use crate::judge::{TOLERABLE_PCT, WARNING_SHARE};
 use crate::lines::{Lines, peak};
+use crate::static_load::{self, Period};
 
 /// Phasors that are looked at together: a tone need not last longer.
 const MOST_PHASORS: usize = 8192;
 
 /// Fewest phasors in which a tone is looked for.
 const LEAST_PHASORS: usize = 128;
-
-/// Intervals of R and L in a half-cycle that the load is given here: what moves faster is left for the tones.
-const SMOOTH_INTERVALS: usize = 5;
 
 /// Switching periods of a boxcar: among two, three and four there is one that whole samples nearly fill, at 61/3 samples
 /// a period too, so that the harmonics lie on its zeros.
@@ -137,19 +133,9 @@ pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
     segment.with_samples(v_v, segment.i_a.clone())
 }
 
-/// Tones in what R and L leave of the voltage's fundamental.
+/// Tones in what R and L, as functions of the current, leave of the voltage's fundamental.
 pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
-    let smooth = Settings {
-        least_squares: LeastSquaresSettings {
-            impedance_intervals: SMOOTH_INTERVALS,
-            ..LeastSquaresSettings::default()
-        },
-        ..Settings::default()
-    };
-    let Ok(load) = run(Method::LeastSquares, segment, &smooth) else {
-        return Vec::new();
-    };
-    let Some(residual) = Residual::of(segment, &load, BOXCAR_PERIODS) else {
+    let Some(residual) = Residual::of(segment, BOXCAR_PERIODS) else {
         return Vec::new();
     };
     let volt_per_pct = residual.volt_per_pct(reference);
@@ -167,7 +153,7 @@ pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
         })
         .collect();
     if !tones.is_empty() {
-        let check = Residual::of(segment, &load, CHECK_PERIODS);
+        let check = Residual::of(segment, CHECK_PERIODS);
         tones.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
     }
     tones
@@ -184,7 +170,23 @@ fn aliases_hz(segment: &Segment) -> Vec<f64> {
     (2..=most).map(folded).collect()
 }
 
-/// V − R·I − L·dI/dt, phasor by phasor.
+/// Samples a period below which edges of .2 µs have strong harmonics beyond half the rate.
+const COARSE: f64 = 150.0;
+
+/// Offset in hertz up to which the lock-in's boxcars of 0.1 ms let a tone through.
+const LOCKIN_HZ: f64 = 10e3;
+
+/// Whether an edge's harmonic folds to where the lock-in passes it and least squares does not: then it is the lock-in
+/// that is off.
+pub fn disturbs_the_lockin(segment: &Segment) -> bool {
+    let passed = |hz: &f64| (FOLLOWED_HZ..LOCKIN_HZ).contains(&hz.abs());
+    segment.samples_per_period() < COARSE && aliases_hz(segment).iter().any(passed)
+}
+
+/// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.
+const FOLLOWED_HZ: f64 = 1.2e3;
+
+/// What R and L as functions of the current leave of the voltage, phasor by phasor.
 struct Residual {
     /// In volt.
     v: Vec<Complex<f64>>,
@@ -202,7 +204,7 @@ struct Residual {
 }
 
 impl Residual {
-    fn of(segment: &Segment, load: &Estimate, periods: f64) -> Option<Self> {
+    fn of(segment: &Segment, periods: f64) -> Option<Self> {
         let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
         let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
         let phasors = demodulate(segment, boxcar);
@@ -211,29 +213,28 @@ impl Residual {
         }
         let omega = TAU * f_sw_hz;
         let half_s = segment.half_cycle_s();
-        let mut trajectory = Trajectory::from(load, f64::NEG_INFINITY)?;
         let stride = phasors[1].centre - phasors[0].centre;
-        let mut out = Self {
-            v: Vec::with_capacity(phasors.len()),
-            weight: Vec::with_capacity(phasors.len()),
-            bus_v: Vec::with_capacity(phasors.len()),
-            i_a: Vec::with_capacity(phasors.len()),
+        let mut periods = Vec::with_capacity(phasors.len());
+        for w in phasors.windows(3) {
+            let t_s = segment.t0_s + w[1].centre * segment.dt_s;
+            let slope = (w[2].i - w[0].i) / (2.0 * stride * segment.dt_s);
+            let sin = libm::sin(PI * segment.since_crossing_s(t_s) / half_s);
+            periods.push(Period {
+                v: w[1].v,
+                i: w[1].i,
+                d: w[1].i * Complex::new(0.0, 1.0) + slope / omega,
+                weight: sin * sin,
+            });
+        }
+        Some(Self {
+            v: static_load::residual(&periods)?,
+            weight: periods.iter().map(|p| p.weight).collect(),
+            bus_v: periods.iter().map(|p| p.v.norm()).collect(),
+            i_a: periods.iter().map(|p| p.i.norm()).collect(),
             place: (phasors[1].centre, stride),
             dt_s: segment.dt_s,
             boxcar_s: boxcar.samples() as f64 * segment.dt_s,
-        };
-        for w in phasors.windows(3) {
-            let t_s = segment.t0_s + w[1].centre * segment.dt_s;
-            let (r, l) = trajectory.r_l(t_s);
-            let slope = (w[2].i - w[0].i) / (2.0 * stride * segment.dt_s);
-            let d = w[1].i * Complex::new(0.0, omega) + slope;
-            out.v.push(w[1].v - w[1].i * r - d * l);
-            let sin = libm::sin(PI * segment.since_crossing_s(t_s) / half_s);
-            out.weight.push(sin * sin);
-            out.bus_v.push(w[1].v.norm());
-            out.i_a.push(w[1].i.norm());
-        }
-        Some(out)
+        })
     }
 
     /// Place of phasor `k` in samples of the segment.
@@ -361,6 +362,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
+
+    use ihd_identify::{Method, Settings, run};
 
     use super::*;
 

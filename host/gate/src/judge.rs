@@ -5,6 +5,7 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, plausible};
 use ihd_signal::{Remark, Segment, Severity};
 
 use crate::comparison::{self, Difference};
+use crate::interference;
 use crate::remarks;
 use crate::verdict::Judgement;
 use crate::witness::Witness;
@@ -62,11 +63,17 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     findings.extend(coverage(segment, estimate));
     let agreement = agreement(evidence);
     // What a filter thinks of itself is its tuning's: where the reference is sure and says the same, it counts.
-    let confirmed = agreement.is_empty() && evidence.witness.reference.is_ok();
+    let confirmed = agreement.iter().all(|f| f.severity == Severity::Info)
+        && evidence.witness.reference.is_ok();
     let uncertain = match &evidence.witness.reference {
         Ok(reference) if confirmed => uncertainty(segment, reference),
         _ => uncertainty(segment, estimate),
     };
+    if confirmed {
+        // It stopped at a limit of steps, and at the right place.
+        let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
+        unsettled.for_each(|f| f.severity = Severity::Info);
+    }
     findings.extend(uncertain);
     findings.extend(agreement);
     findings.extend(plausibility(segment, estimate));
@@ -159,12 +166,16 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
     let apart = lockin.and_then(|l| worst(&comparison::differences(segment, l, cleaned)));
     // Noise costs the lock-in more than least squares: that says nothing of the latter.
     if let Some(apart) = apart.filter(|apart| !is_noise(apart)) {
-        found.push(remark("unconfirmed", &apart, |pct, name, from_s| {
+        let mut remark = remark("unconfirmed", &apart, |pct, name, from_s| {
             format!(
                 "least squares and lock-in differ by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: the \
                  load, the frequency or the amplitude changes faster than they follow"
             )
-        }));
+        });
+        if interference::disturbs_the_lockin(segment) {
+            remark.severity = Severity::Info;
+        }
+        found.push(remark);
     }
     found
 }

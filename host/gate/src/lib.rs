@@ -16,6 +16,8 @@ pub mod judge;
 pub mod lines;
 pub mod path;
 pub mod remarks;
+pub mod sensors;
+pub mod static_load;
 pub mod verdict;
 pub mod witness;
 

@@ -204,10 +204,11 @@ pub fn estimate(
     let strongest = spans.first();
     let f_sw_hz = strongest.map_or(45e3, |s| s.f_sw_hz);
     let load = strongest.and_then(|s| s.load);
-    judged(&stretches, f_sw_hz, load, known_capacitance_f)
+    judged(&stretches, f_sw_hz, load, known_capacitance_f, None)
 }
 
-/// The same of a segment, as of a device's window.
+/// The same of a segment, as of a device's window. `settling_s`: time constant of a filter that both channels share, in
+/// seconds.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -215,11 +216,12 @@ pub fn of_segment(
     segment: &Segment,
     load: Option<Load>,
     known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
 ) -> Result<SelfCalibration, BlindError> {
     let n = segment.v_v.len().min(segment.i_a.len()).min(LONGEST);
     let (v_v, i_a) = (segment.v_v[..n].to_vec(), segment.i_a[..n].to_vec());
     let one = [stretch(v_v, i_a, segment.dt_s, segment.f_sw_hz)];
-    judged(&one, segment.f_sw_hz, load, known_capacitance_f)
+    judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)
 }
 
 fn stretch(v_v: Vec<f64>, i_a: Vec<f64>, dt_s: f64, f_sw_hz: f64) -> Stretch {
@@ -240,8 +242,9 @@ fn judged(
     f_sw_hz: f64,
     load: Option<Load>,
     known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
 ) -> Result<SelfCalibration, BlindError> {
-    let Settled { chosen, v_tau_s } = settle(stretches)?;
+    let Settled { chosen, v_tau_s } = settle(stretches, settling_s)?;
     let e = chosen.fit.elastance;
     let omega = TAU * f_sw_hz;
     if e.value < SIGNIFICANT * e.sigma || e.value <= 0.0 {
@@ -348,10 +351,10 @@ const ROUND_S: f64 = 0.2e-9;
 
 /// A current that is sampled late may be a voltage that goes through a slow probe: its edges then have tails. The current
 /// gets the same filter, until nothing is left.
-fn settle(stretches: &[Stretch]) -> Result<Settled, BlindError> {
-    let plain = choose(stretches, None)?;
+fn settle(stretches: &[Stretch], settling_s: Option<f64>) -> Result<Settled, BlindError> {
+    let plain = choose(stretches, settling_s)?;
     let late = plain.skew_s;
-    if late.value < SLOW_S || late.value < 10.0 * late.sigma {
+    if settling_s.is_some() || late.value < SLOW_S || late.value < 10.0 * late.sigma {
         return Ok(Settled {
             chosen: plain,
             v_tau_s: 0.0,
