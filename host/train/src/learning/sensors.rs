@@ -103,7 +103,7 @@ impl Sensors {
     fn count(&mut self, found: &SelfCalibration) {
         let scaled = |f: Found, by: f64| Found {
             value: by * f.value,
-            sigma: by * f.sigma,
+            sigma: by.abs() * f.sigma,
         };
         // Of a window the kind of sensor is not worth choosing.
         self.lag_ns.add(scaled(found.as_skew_s, -1e9));
