@@ -39,6 +39,7 @@ pub type Group = (&'static str, &'static [Code]);
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
     ("Found of the sensors (self-calibration)", SENSORS),
+    ("Found by the estimators", ESTIMATORS),
     ("Found by the gate", GATE),
 ];
 
@@ -82,6 +83,13 @@ const CAPTURE: &[Code] = &[
         "frequency_step",
         "info",
         "the switching frequency changes; a stretch each",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_sweep",
+        "info",
+        "the switching frequency moves without steps; it is followed",
         "none",
         "nothing",
     ),
@@ -143,9 +151,9 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "aliasing",
-        "info, warning",
+        "info, warning, error",
         "harmonics of the edges fall on the fundamental",
-        "1 % of R for a warning",
+        "1 % of R for a warning, 3 % for an error",
         "shift the sampling rate by some percent",
     ),
     code(
@@ -265,6 +273,23 @@ const SENSORS: &[Code] = &[
     ),
 ];
 
+const ESTIMATORS: &[Code] = &[
+    code(
+        "carrier_followed",
+        "info",
+        "the switching frequency moves within the stretch and was followed",
+        "none",
+        "nothing",
+    ),
+    code(
+        "not_converged",
+        "error",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
+    ),
+];
+
 const GATE: &[Code] = &[
     code(
         "method_failed",
@@ -281,13 +306,6 @@ const GATE: &[Code] = &[
         "capture longer, or use another method",
     ),
     code(
-        "not_converged",
-        "error",
-        "the network stopped before it settled",
-        "none",
-        "more steps, or the preset hybrid",
-    ),
-    code(
         "not_covered",
         "warning; error for the lookup",
         "the estimate spans a part of the half-cycles' middles only",
@@ -298,21 +316,21 @@ const GATE: &[Code] = &[
         "uncertain",
         "warning, error",
         "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
-        "1 % of R, .7 % of L for a warning; 3 % of either for an error",
+        ".7 % of R, .49 % of L for a warning; 3 % of either for an error",
         "a longer capture, a smaller range, more bits",
     ),
     code(
         "disagreement",
         "warning, error",
-        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle, beyond twice what \
-         both σ explain",
-        ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
+        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle",
+        ".7 % of R, .49 % of L for a warning; 1 %, .7 % and twice what both σ explain for an error",
         "use least squares or pinn",
     ),
     code(
         "unconfirmed",
         "warning, error",
-        "the same between least squares and lock-in: something changes faster than they follow",
+        "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
+         something changes faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
         "capture a steady load",
     ),

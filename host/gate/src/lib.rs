@@ -13,6 +13,7 @@ pub mod codes;
 pub mod comparison;
 pub mod interference;
 pub mod judge;
+pub mod lines;
 pub mod path;
 pub mod remarks;
 pub mod verdict;

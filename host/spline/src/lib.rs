@@ -7,6 +7,7 @@
 mod banded;
 mod basis;
 pub mod harmonic;
+pub mod residual;
 
 pub use banded::{Banded, Singular};
 pub use basis::{CubicSpline, Local};

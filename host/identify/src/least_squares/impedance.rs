@@ -14,6 +14,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::phasors::Fit;
 use super::{LeastSquaresSettings, intervals};
+use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
 
 /// Phasors that are compared in each interval.
@@ -21,6 +22,12 @@ const PER_INTERVAL: usize = 4;
 
 /// Least relative noise that is assumed: what the splines of the phasors leave over.
 const NOISE_FLOOR: f64 = 1e-6;
+
+/// Mean square of the bends, in units of what is expected, that loads stay below (the loads of the simulator: 7).
+const MOST_RIPPLE: f64 = 20.0;
+
+/// Bends on either side over which it is taken: more than two periods of what the splines can follow.
+const RIPPLE_REACH: usize = 4;
 
 /// Largest expected bend, as a share of the impedance.
 const MOST_BEND: f64 = 0.3;
@@ -32,6 +39,7 @@ pub fn fit(
     settings: &LeastSquaresSettings,
     noise: WhiteNoise,
     estimate: &mut Estimate,
+    residual: &mut ModelResidual,
 ) -> Result<(), IdentifyError> {
     let omega = TAU * segment.f_sw_hz;
     let duration_s = phasors.duration_s;
@@ -60,17 +68,39 @@ pub fn fit(
             problem.add_row(weight, local.first, &local.values, (i, d), v);
         }
     }
-    for j in 1..spline.functions().saturating_sub(1) {
-        let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
-        let share = (largest / phasors.at(tau_s).i.norm_sqr().max(1e-9 * largest)).powf(0.75);
-        let bend = (settings.bend * share).min(MOST_BEND);
-        problem.add_bend(j, 1.0 / (bend * bend * z2));
+    let bends: Vec<f64> = (1..spline.functions().saturating_sub(1))
+        .map(|j| {
+            let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
+            let share = (largest / phasors.at(tau_s).i.norm_sqr().max(1e-9 * largest)).powf(0.75);
+            (settings.bend * share).min(MOST_BEND) * z2.sqrt()
+        })
+        .collect();
+    for (k, bend) in bends.iter().enumerate() {
+        problem.add_bend(k + 1, 1.0 / (bend * bend));
     }
     let solution = problem.solve()?;
+    let ripple = solution.ripple(&bends);
+    let left: Vec<f64> = (0..points)
+        .map(|k| solution.left(&spline, phasors, at(k), omega))
+        .collect();
     let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
     for k in 0..periods {
         let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
         let (found, sigma) = solution.at(&spline, tau_s);
+        let nearest = ((tau_s / duration_s * points as f64) as usize).min(points - 1);
+        let near =
+            &left[nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
+        let beyond = near.iter().sum::<f64>() / near.len() as f64 - variance;
+        let [v, i] = phasors.excess.at(tau_s);
+        let chi2 = 1.0 + (0.5 * (v + z2 * i) + beyond.max(0.0)) / variance;
+        let chi2 = chi2.max(ripple.chi2_at(tau_s / duration_s));
+        let ripple = ripple.square_at(tau_s / duration_s);
+        let square = phasors.at(tau_s).i.norm_sqr();
+        // Of an aliased harmonic, half is in phase with the current.
+        let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(1e-9 * largest);
+        let sigma = sigma.map(|s| (s * s * chi2 + ripple + aliased).sqrt());
+        let relative = [sigma[0] / found[0], sigma[1] / found[1]];
+        residual.add(square, chi2, relative);
         let t_s = phasors.t0_s + tau_s;
         estimate.push(
             t_s,
@@ -79,6 +109,35 @@ pub fn fit(
         );
     }
     Ok(())
+}
+
+/// Bends of R and ωL that no load has: in units of what is expected, more than [`MOST_RIPPLE`] over [`RIPPLE_REACH`].
+struct Ripple {
+    /// Mean square of the bends that are expected, and of those that are found beyond them, in Ω²; one a function
+    /// of the spline.
+    squares: Vec<[f64; 2]>,
+}
+
+impl Ripple {
+    fn near(&self, share: f64) -> [f64; 2] {
+        let last = self.squares.len().saturating_sub(1);
+        let place = (share * self.squares.len() as f64) as usize;
+        self.squares
+            .get(place.min(last))
+            .copied()
+            .unwrap_or([1.0, 0.0])
+    }
+
+    /// Variance of R and ωL in Ω² at a share of the stretch.
+    fn square_at(&self, share: f64) -> f64 {
+        self.near(share)[1]
+    }
+
+    /// The bends squared over the expected ones, where there are more than a load has; else 0.
+    fn chi2_at(&self, share: f64) -> f64 {
+        let [expected, beyond] = self.near(share);
+        beyond / expected
+    }
 }
 
 /// Normal equations of the coefficients, R and ωL alternating.
@@ -146,6 +205,40 @@ impl Problem {
 }
 
 impl Solution {
+    /// The coefficients' second differences against the expected ones, `bends` in ohm.
+    fn ripple(&self, bends: &[f64]) -> Ripple {
+        let c = |j: usize, quantity: usize| self.coefficients[2 * j + quantity];
+        let square = |(k, bend): (usize, &f64)| {
+            let of = |q| (c(k, q) - 2.0 * c(k + 1, q) + c(k + 2, q)) / bend;
+            0.5 * (of(0) * of(0) + of(1) * of(1))
+        };
+        let squares: Vec<f64> = bends.iter().enumerate().map(square).collect();
+        let near = |k: usize| {
+            let near =
+                &squares[k.saturating_sub(RIPPLE_REACH)..(k + RIPPLE_REACH + 1).min(squares.len())];
+            let expected = bends[k] * bends[k];
+            let mean = near.iter().sum::<f64>() / near.len() as f64;
+            [
+                expected,
+                if mean > MOST_RIPPLE {
+                    mean * expected
+                } else {
+                    0.0
+                },
+            ]
+        };
+        Ripple {
+            squares: (0..bends.len()).map(near).collect(),
+        }
+    }
+
+    /// Mean square of one component of V − R·I − ωL·(jI + I'/ω) at a time, in V².
+    fn left(&self, spline: &CubicSpline, phasors: &Fit, tau_s: f64, omega: f64) -> f64 {
+        let (p, ([r, x], _)) = (phasors.at(tau_s), self.at(spline, tau_s));
+        let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
+        0.5 * (p.v - p.i * r - d * x).norm_sqr()
+    }
+
     /// R and ωL in ohm at a time, and their standard deviations.
     fn at(&self, spline: &CubicSpline, tau_s: f64) -> ([f64; 2], [f64; 2]) {
         let local = spline.at(tau_s);

@@ -16,6 +16,7 @@ use ihd_signal::noise::WhiteNoise;
 use ihd_signal::segment::MIN_PERIODS;
 use serde::{Deserialize, Serialize};
 
+use super::model_residual::ModelResidual;
 use super::{Estimate, IdentifyError, Method};
 
 /// Settings of the fit.
@@ -53,11 +54,12 @@ pub fn identify(
     let started = Instant::now();
     let noise = WhiteNoise::measure(segment);
     let mut estimate = Estimate::new(Method::LeastSquares, segment.f_sw_hz);
+    let mut residual = ModelResidual::default();
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
         if (to - from) as f64 >= least {
-            let fit = phasors::Fit::new(segment, from..to, settings)?;
-            impedance::fit(segment, &fit, settings, noise, &mut estimate)?;
+            let fit = phasors::Fit::new(segment, from..to, settings, noise)?;
+            impedance::fit(segment, &fit, settings, noise, &mut estimate, &mut residual)?;
         }
     }
     if estimate.t_s.is_empty() {
@@ -67,6 +69,7 @@ pub fn identify(
         }
         .into());
     }
+    estimate.remarks.extend(residual.remark());
     estimate.elapsed = started.elapsed();
     Ok(estimate)
 }

@@ -1,15 +1,31 @@
 //! Phasors of the switching harmonics as B-splines, by least squares over all samples
 //! ([`ihd_spline::harmonic`]).
 
+use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
 
 use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 use ihd_spline::CubicSpline;
 use ihd_spline::harmonic::{HarmonicFit, phasor};
+use ihd_spline::residual::Excess;
 use nalgebra::Complex;
 
 use super::{LeastSquaresSettings, intervals};
 use crate::{IdentifyError, Method};
+
+/// Fewest switching periods of a spline's interval: fewer cannot tell the harmonics apart.
+const LEAST_PERIODS: f64 = 3.0;
+
+/// Noise of a phasor in the first interval, as a share of its amplitude there: more bends R and L, as noise of the
+/// current is noise of the regressor.
+const END_NOISE: f64 = 0.01;
+
+/// Duration of the bridge's edges in seconds, from the hob's ratings.
+const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
+
+/// How far the edges' duration may be off, relative.
+const EDGE_SPREAD: f64 = 0.1;
 
 /// Harmonics that are fitted. R and L come from the first; the others are there because their
 /// modulation reaches over to it.
@@ -30,6 +46,12 @@ pub struct Fit {
     pub t0_s: f64,
     /// Duration of the stretch in seconds.
     pub duration_s: f64,
+    /// What the fit leaves of the fundamental beyond white noise.
+    pub excess: Excess,
+    /// Amplitude of what the sampling folds onto the fundamental, over that of an edge's fundamental.
+    aliased: f64,
+    /// The third harmonic over its share of an edge's.
+    third: f64,
     orders: usize,
     v: Vec<f64>,
     i: Vec<f64>,
@@ -54,6 +76,7 @@ impl Fit {
         segment: &Segment,
         range: Range<usize>,
         settings: &LeastSquaresSettings,
+        noise: WhiteNoise,
     ) -> Result<Self, IdentifyError> {
         let per_period = segment.samples_per_period();
         let (v_v, i_a) = (&segment.v_v[range.clone()], &segment.i_a[range.clone()]);
@@ -64,7 +87,13 @@ impl Fit {
             .max(1);
         let duration_s = v_v.len() as f64 * segment.dt_s;
         let count = intervals(settings.phasor_intervals, duration_s, segment);
-        let spline = CubicSpline::new(count, duration_s);
+        let quiet = quiet_interval_s(v_v, noise.v_v, segment)
+            .max(quiet_interval_s(i_a, noise.i_a, segment));
+        let spline = CubicSpline::graded(
+            count,
+            duration_s,
+            quiet.max(LEAST_PERIODS / segment.f_sw_hz),
+        );
         let block = ((per_period / BLOCKS_PER_PERIOD).round() as usize).max(1);
         let fit = HarmonicFit {
             spline: &spline,
@@ -83,7 +112,16 @@ impl Fit {
                  not at a small multiple of f_sw"
             ),
         })?;
+        let white = [noise.v_v, noise.i_a];
+        let excess = Excess::of(&fit, [v_v, i_a], [&v, &i], white);
         Ok(Self {
+            aliased: aliased(
+                segment.f_sw_hz,
+                per_period,
+                1.0 / (2.0 * duration_s / count as f64),
+            ),
+            third: sinc(3.0 * segment.f_sw_hz * EDGE_S) / 3.0,
+            excess,
             samples_per_interval: v_v.len() as f64 / count as f64,
             t0_s: segment.t_s(range.start),
             duration_s,
@@ -92,6 +130,16 @@ impl Fit {
             v,
             i,
         })
+    }
+
+    /// Amplitude in volt of the edges' harmonics that the sampling may have folded onto the fundamental, without an
+    /// anti-alias filter: their strength is that of the third harmonic, which the current hardly has.
+    pub fn aliased_v(&self, tau_s: f64) -> f64 {
+        if self.orders < 2 {
+            return self.at(tau_s).v.norm() * self.aliased;
+        }
+        let local = self.spline.at(tau_s);
+        phasor(&self.v, self.orders, 1, &local, &local.values).norm() / self.third * self.aliased
     }
 
     /// The fundamental at `tau_s` seconds after the stretch's first sample.
@@ -104,4 +152,51 @@ impl Fit {
             i_slope: of(&self.i, &local.slopes_per_s),
         }
     }
+}
+
+/// Shortest interval at the zero crossing, in seconds, whose phasor noise leaves to [`END_NOISE`]: the amplitude
+/// there is the largest times π/2 of the interval's share of the half-cycle.
+fn quiet_interval_s(x: &[f64], sigma: f64, segment: &Segment) -> f64 {
+    let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
+    // The largest amplitude of a half-cycle is twice its rms.
+    let slope = 2.0 * mean_square.sqrt() * FRAC_PI_2 / segment.half_cycle_s();
+    let cube = 2.0 * sigma * sigma * segment.dt_s / (END_NOISE * slope).powi(2);
+    if cube.is_finite() {
+        libm::cbrt(cube)
+    } else {
+        f64::INFINITY
+    }
+}
+
+fn sinc(x: f64) -> f64 {
+    let angle = std::f64::consts::PI * x;
+    if angle == 0.0 {
+        1.0
+    } else {
+        libm::sin(angle) / angle
+    }
+}
+
+/// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental once sampled,
+/// 1/h · sinc(h f t_e), with the mean square over what t_e may be.
+fn aliased(f_sw_hz: f64, per_period: f64, band_hz: f64) -> f64 {
+    let last = (2.0 / (f_sw_hz * EDGE_S)) as u32;
+    let folded = |h: &u32| {
+        let off = |shift: f64| {
+            let turns = (f64::from(*h) + shift) / per_period;
+            (turns - turns.round()).abs() * per_period * f_sw_hz
+        };
+        f64::from(*h) > 0.5 * per_period && off(1.0).min(off(-1.0)) < band_hz
+    };
+    let square = |h: u32| {
+        let at = |edge: f64| sinc(f64::from(h) * f_sw_hz * EDGE_S * edge) / f64::from(h);
+        let [low, middle, high] = [1.0 - EDGE_SPREAD, 1.0, 1.0 + EDGE_SPREAD].map(at);
+        (low * low + middle * middle + high * high) / 3.0
+    };
+    (3..=last)
+        .step_by(2)
+        .filter(folded)
+        .map(square)
+        .sum::<f64>()
+        .sqrt()
 }

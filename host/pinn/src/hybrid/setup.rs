@@ -83,6 +83,7 @@ pub(super) fn network_outline(samples: &Normalised, config: &Config) -> Paramete
             l_scale_h: config.l_scale_h,
             layers: Vec::new(),
             vi_layers: Vec::new(),
+            inputs: config.inputs.clone(),
         },
     }
 }

@@ -181,6 +181,7 @@ mod tests {
             l_scale_h: 3e-5,
             layers: Vec::new(),
             vi_layers: Vec::new(),
+            inputs: None,
         });
         let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
         assert!(restored.warm.is_none());

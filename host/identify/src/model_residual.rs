@@ -1,0 +1,52 @@
+//! How far a model's residual is beyond white noise, over a whole estimate: what σ was raised for, and the remark.
+
+use ihd_signal::{Remark, Severity};
+
+/// Standard deviations of R and L, relative, beyond which a residual of the model is a warning: half of the errors
+/// that no estimate may have unsaid.
+const LIMITS: [f64; 2] = [5e-3, 3.5e-3];
+
+/// χ² of a residual from which it is mentioned: below, it is chance and rounding.
+const LEAST_CHI2: f64 = 4.0;
+
+/// Means over an estimate, each time weighted with its squared current.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ModelResidual {
+    weight: f64,
+    chi2: f64,
+    r: f64,
+    l: f64,
+}
+
+impl ModelResidual {
+    /// Adds a time: squared amplitude of its current, χ² of its residual against noise, σ of R and L over R and L.
+    pub fn add(&mut self, weight: f64, chi2: f64, [r, l]: [f64; 2]) {
+        if (weight * (chi2 + r + l)).is_finite() {
+            self.weight += weight;
+            self.chi2 += weight * chi2;
+            self.r += weight * r.abs();
+            self.l += weight * l.abs();
+        }
+    }
+
+    /// What is to be said of it.
+    pub fn remark(&self) -> Option<Remark> {
+        let [chi2, r, l] = [self.chi2, self.r, self.l].map(|sum| sum / self.weight);
+        if self.weight <= 0.0 || chi2 <= LEAST_CHI2 {
+            return None;
+        }
+        let (severity, advice) = if r > LIMITS[0] || l > LIMITS[1] {
+            let advice = "look for a moving frequency, a step of the load, a neighbouring coil or aliased edges";
+            (Severity::Warning, advice)
+        } else {
+            (Severity::Info, "the standard deviations contain it")
+        };
+        let text = format!(
+            "the harmonics leave {:.1} times what noise would beside the fundamental (R ± {:.2} %, L ± {:.2} %): {advice}",
+            chi2.sqrt(),
+            100.0 * r,
+            100.0 * l,
+        );
+        Some(Remark::new("model_residual", severity, text).with(chi2, Some(LEAST_CHI2)))
+    }
+}

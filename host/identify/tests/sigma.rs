@@ -1,0 +1,188 @@
+//! |error|/σ of every estimator that gives σ, where errors come from noise and where they come from the model.
+
+use std::f64::consts::TAU;
+
+use ihd_identify::accuracy::fundamental;
+use ihd_identify::{Estimate, Method, Settings, run};
+use ihd_signal::truth::PeriodTruth;
+use ihd_signal::{Segment, Severity};
+use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::sensing::{Rate, Sensing};
+use ihd_sim::recording::settings::{Change, Event};
+use ihd_sim::recording::settings::{LoadKind, Settings as Recording};
+
+struct Case {
+    name: &'static str,
+    segment: Segment,
+    truth: Vec<PeriodTruth>,
+}
+
+fn case(name: &'static str, settings: &Recording) -> Case {
+    let recording = record(settings, |_| ()).expect("settings that can be");
+    let capture = recording.capture(name);
+    let clean = recording.clean_segment();
+    let of = |x: &[f32]| x.iter().map(|x| f64::from(*x)).collect();
+    Case {
+        name,
+        segment: clean.with_samples(of(&capture.v_v), of(&capture.i_a)),
+        truth: recording.truth,
+    }
+}
+
+fn base(f_sw_hz: f64) -> Recording {
+    Recording {
+        load: LoadKind::Behavioural,
+        f_sw_hz,
+        sensing: Sensing {
+            allow_aliasing: true,
+            ..Sensing::default()
+        },
+        ..Recording::default()
+    }
+}
+
+fn with(f_sw_hz: f64, change: impl Fn(&mut Recording)) -> Recording {
+    let mut settings = base(f_sw_hz);
+    change(&mut settings);
+    settings
+}
+
+fn cases() -> Vec<Case> {
+    let adc = |s: &mut Recording, bits, pole_hz| {
+        s.sensing.rate = Rate::Locked;
+        s.sensing.bits = bits;
+        s.sensing.pole_hz = pole_hz;
+    };
+    let mut all = vec![
+        case("noiseless 16 bit", &base(45e3)),
+        case(
+            "noiseless 12 bit 70 kHz",
+            &with(70e3, |s| s.sensing.bits = 12),
+        ),
+        case("70 dB", &with(50e3, |s| s.sensing.snr_db = Some(70.0))),
+        case("30 dB", &with(60e3, |s| s.sensing.snr_db = Some(30.0))),
+        case("20 dB", &with(45e3, |s| s.sensing.snr_db = Some(20.0))),
+        case("field", &with(45e3, |s| s.load = LoadKind::Field)),
+        case(
+            "field 50 dB",
+            &with(60e3, |s| {
+                s.load = LoadKind::Field;
+                s.sensing.snr_db = Some(50.0);
+            }),
+        ),
+        case("61/3 no pole", &with(41.7e3, |s| adc(s, 12, 0.0))),
+        case("61/3 500 kHz", &with(51e3, |s| adc(s, 12, 500e3))),
+        case(
+            "61/3 30 dB",
+            &with(63e3, |s| {
+                adc(s, 12, 500e3);
+                s.sensing.snr_db = Some(30.0);
+            }),
+        ),
+        case(
+            "2.5 MS/s",
+            &with(41.7e3, |s| {
+                s.sensing.rate = Rate::Hz(2.5e6);
+                s.sensing.bits = 12;
+                s.sensing.snr_db = Some(45.0);
+            }),
+        ),
+        case(
+            "1 MS/s",
+            &with(45e3, |s| {
+                s.sensing.rate = Rate::Hz(1e6);
+                s.sensing.bits = 12;
+            }),
+        ),
+    ];
+    let step = case(
+        "step of load",
+        &with(47e3, |s| {
+            s.sensing.snr_db = Some(50.0);
+            s.sensing.rate = Rate::Hz(10e6);
+            s.load = LoadKind::Surrogate;
+            s.events = vec![Event {
+                t_s: 15e-3,
+                change: Change::Pot(Pot::new(Metal::Ferritic, 0.14)),
+            }];
+        }),
+    );
+    all.push(step);
+    for (name, offset_hz) in [
+        ("tone .6 kHz", 0.6e3),
+        ("tone 1.2 kHz", 1.2e3),
+        ("tone 3 kHz", 3e3),
+    ] {
+        let mut tone = case(
+            name,
+            &with(45e3, |s| {
+                s.sensing.rate = Rate::Hz(10e6);
+                s.sensing.snr_db = Some(50.0);
+            }),
+        );
+        for k in 0..tone.segment.len() {
+            let t = tone.segment.t_s(k);
+            tone.segment.v_v[k] +=
+                8.0 * (TAU * 50.0 * t).sin().abs() * (TAU * ((45e3 + offset_hz) * t).fract()).cos();
+        }
+        all.push(tone);
+    }
+    all
+}
+
+/// Root mean squares of error/σ of R and L over the middle 80 %, and mean errors in %.
+fn score(e: &Estimate, case: &Case) -> [f64; 4] {
+    let truth = fundamental(&case.truth);
+    let half_s = case.segment.half_cycle_s();
+    let (mut sums, mut n) = ([0.0; 4], 0.0);
+    for (k, (t, r, l)) in e.points().enumerate() {
+        let Some((r0, l0)) = truth.at(t) else {
+            continue;
+        };
+        if e.r_sigma_ohm.is_empty()
+            || !(0.1..=0.9).contains(&(case.segment.since_crossing_s(t) / half_s))
+        {
+            continue;
+        }
+        sums[0] += ((r - r0) / e.r_sigma_ohm[k]).powi(2);
+        sums[1] += ((l - l0) / e.l_sigma_h[k]).powi(2);
+        sums[2] += 100.0 * (r / r0 - 1.0).abs();
+        sums[3] += 100.0 * (l / l0 - 1.0).abs();
+        n += 1.0;
+    }
+    [
+        (sums[0] / n).sqrt(),
+        (sums[1] / n).sqrt(),
+        sums[2] / n,
+        sums[3] / n,
+    ]
+}
+
+#[test]
+fn errors_are_within_twice_sigma_or_a_remark_warns() {
+    for case in cases() {
+        for method in [Method::LeastSquares] {
+            let found = run(method, &case.segment, &Settings::default()).expect("a sound segment");
+            let [r, l, r_pct, l_pct] = score(&found, &case);
+            let warned = found
+                .remarks
+                .iter()
+                .any(|r| r.severity >= Severity::Warning);
+            println!(
+                "{:24} {method:14} error/σ {r:6.2} {l:6.2}, error {r_pct:.3} {l_pct:.3} %, {:?}",
+                case.name,
+                found
+                    .remarks
+                    .iter()
+                    .map(|r| (r.code, r.severity, r.value))
+                    .collect::<Vec<_>>(),
+            );
+            assert!(
+                warned || (r <= 2.0 && l <= 2.0),
+                "{} {method}: {r} {l}",
+                case.name
+            );
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! What a fit of harmonic phasors leaves of the fundamental, in windows along the stretch: the part that is more
+//! than white noise is an error of the model (a neighbour's coil, a frequency that moves, a step, edges that the
+//! sampling folds beside the fundamental), and no standard deviation from white noise holds it.
+
+use std::f64::consts::PI;
+
+use ihd_signal::correlation::Correlator;
+use nalgebra::Complex;
+
+use crate::harmonic::{HarmonicFit, phasor};
+
+type Phasor = Complex<f64>;
+
+/// A window's length as a share of a spline's interval: its band is twice the spline's.
+const WINDOW: f64 = 1.0;
+
+/// Fewest switching periods of a window: its lobe of 3 bins keeps the other harmonics out.
+const LEAST_PERIODS: f64 = 6.0;
+
+/// Windows in a window's length.
+const OVERLAP: f64 = 4.0;
+
+/// Share of white noise in a window that a spline's own freedom has not taken.
+const LEFT: f64 = 0.49;
+
+/// Times of a window at which the fitted phasor is taken.
+const TIMES: usize = 8;
+
+/// Windows on either side over which squares are averaged.
+const REACH: usize = 4;
+
+/// What of the mean square of white noise counts as chance: means of so many windows seldom are above.
+const CHANCE: f64 = 1.8;
+
+/// Excess over white noise of what a fit leaves of the fundamental, along the stretch.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Excess {
+    /// Time of the first window's middle and from one to the next, in seconds after the first sample.
+    first_s: f64,
+    step_s: f64,
+    /// Mean squared amplitude beyond white noise, of voltage and current, in their units.
+    squares: Vec<[f64; 2]>,
+}
+
+impl Excess {
+    /// Of a fit and its coefficients of voltage and current; `white` are the deviations of the white noise of their
+    /// samples.
+    pub fn of(
+        fit: &HarmonicFit<'_>,
+        samples: [&[f64]; 2],
+        fitted: [&[f64]; 2],
+        white: [f64; 2],
+    ) -> Self {
+        let Some(windows) = Windows::new(fit, samples[0].len()) else {
+            return Self::default();
+        };
+        let correlator = Correlator::with_rate(fit.periods_per_sample, windows.block, [1.0]);
+        let blocks = samples[0]
+            .chunks_exact(windows.block)
+            .zip(samples[1].chunks_exact(windows.block))
+            .enumerate()
+            .map(|(b, (v, i))| correlator.block(b * windows.block, v, i))
+            .map(|sums| [sums.v[0], sums.i[0]]);
+        let blocks: Vec<[Phasor; 2]> = blocks.collect();
+        let left: Vec<[f64; 2]> = (0..windows.count)
+            .map(|w| windows.left(w, fit, &blocks, fitted))
+            .collect();
+        let chance = white.map(|sigma| CHANCE * LEFT * sigma * sigma * windows.white);
+        let squares = (0..left.len()).map(|w| {
+            let near = &left[w.saturating_sub(REACH)..(w + REACH + 1).min(left.len())];
+            std::array::from_fn(|x| {
+                let mean = near.iter().map(|square| square[x]).sum::<f64>() / near.len() as f64;
+                (mean - chance[x]).max(0.0)
+            })
+        });
+        Self {
+            first_s: 0.5 * windows.length_s(fit),
+            step_s: (windows.hop * windows.block) as f64 * fit.dt_s,
+            squares: squares.collect(),
+        }
+    }
+
+    /// Mean squared amplitudes of voltage and current beyond white noise around a time in seconds after the first
+    /// sample; zero where there were too few samples for a window.
+    pub fn at(&self, tau_s: f64) -> [f64; 2] {
+        let place = ((tau_s - self.first_s) / self.step_s).round().max(0.0);
+        let last = self.squares.len().saturating_sub(1);
+        let found = self.squares.get((place as usize).min(last));
+        found.copied().unwrap_or([0.0; 2])
+    }
+}
+
+/// How the stretch is cut.
+struct Windows {
+    /// Samples of a block, whose sums the windows share.
+    block: usize,
+    /// sin⁴ over the blocks of a window; their sum is 1.
+    weights: Vec<f64>,
+    /// Blocks from one window to the next.
+    hop: usize,
+    count: usize,
+    /// Mean squared amplitude of white noise of variance 1.
+    white: f64,
+}
+
+impl Windows {
+    fn new(fit: &HarmonicFit<'_>, samples: usize) -> Option<Self> {
+        let per_period = 1.0 / fit.periods_per_sample;
+        let block = ((per_period / 16.0).round() as usize).max(1);
+        let interval = samples as f64 / (fit.spline.functions().saturating_sub(3).max(1)) as f64;
+        let length = (WINDOW * interval).max(LEAST_PERIODS * per_period);
+        let blocks = (length / block as f64).round() as usize;
+        let hop = ((blocks as f64 / OVERLAP).round() as usize).max(1);
+        let all = samples / block;
+        if blocks < 8 || all < blocks {
+            return None;
+        }
+        let at = |b: usize| libm::sin(PI * (b as f64 + 0.5) / blocks as f64);
+        let raw: Vec<f64> = (0..blocks).map(|b| libm::pow(at(b), 4.0)).collect();
+        let sum: f64 = raw.iter().sum();
+        let weights: Vec<f64> = raw.iter().map(|w| w / sum).collect();
+        Some(Self {
+            // |2Σwx|² of white noise is 4σ²Σw², each of a block's samples carrying its share.
+            white: 4.0 * weights.iter().map(|w| w * w).sum::<f64>() / block as f64,
+            weights,
+            hop,
+            count: (all - blocks) / hop + 1,
+            block,
+        })
+    }
+
+    fn length_s(&self, fit: &HarmonicFit<'_>) -> f64 {
+        (self.weights.len() * self.block) as f64 * fit.dt_s
+    }
+
+    /// Squared amplitudes of what is left of voltage and current in a window.
+    fn left(
+        &self,
+        window: usize,
+        fit: &HarmonicFit<'_>,
+        blocks: &[[Phasor; 2]],
+        fitted: [&[f64]; 2],
+    ) -> [f64; 2] {
+        let from = window * self.hop;
+        let mut found = [Complex::new(0.0, 0.0); 2];
+        for (w, sums) in self.weights.iter().zip(&blocks[from..]) {
+            for (found, sum) in found.iter_mut().zip(sums) {
+                *found += sum * (2.0 * w / self.block as f64);
+            }
+        }
+        let start_s = (from * self.block) as f64 * fit.dt_s;
+        let (length_s, mut weights) = (self.length_s(fit), 0.0);
+        let mut expected = [Complex::new(0.0, 0.0); 2];
+        for k in 0..TIMES {
+            let share = (k as f64 + 0.5) / TIMES as f64;
+            let weight = libm::pow(libm::sin(PI * share), 4.0);
+            let local = fit.spline.at(start_s + share * length_s - 0.5 * fit.dt_s);
+            for (expected, coefficients) in expected.iter_mut().zip(fitted) {
+                *expected +=
+                    phasor(coefficients, fit.orders.len(), 0, &local, &local.values) * weight;
+            }
+            weights += weight;
+        }
+        let gain = fit.gains.first().copied().unwrap_or(1.0);
+        std::array::from_fn(|x| (found[x] - expected[x] * (gain / weights)).norm_sqr())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::CubicSpline;
+
+    const DT_S: f64 = 1e-6;
+    const SAMPLES: usize = 10_000;
+
+    /// Excess of a fit to a modulated carrier of 45 kHz with a third harmonic, and what is added to the voltage.
+    fn excess(added: impl Fn(f64) -> f64, sigma: f64) -> Excess {
+        let signal = |n: usize| {
+            let t = n as f64 * DT_S;
+            let carrier = |h: f64| libm::cos(TAU * (h * 45e3 * t).fract() + h);
+            let envelope = libm::sin(TAU * 50.0 * t);
+            envelope * (200.0 * carrier(1.0) + 60.0 * carrier(3.0)) + added(t)
+        };
+        let v: Vec<f64> = (0..SAMPLES).map(signal).collect();
+        let spline = CubicSpline::new(24, SAMPLES as f64 * DT_S);
+        let fit = HarmonicFit {
+            spline: &spline,
+            orders: &[1, 3],
+            gains: &[1.0; 2],
+            periods_per_sample: 45e3 * DT_S,
+            dt_s: DT_S,
+            block: 1,
+            centre: 0.0,
+        };
+        let [a, b] = fit.normal_equations(&v, &v).solve().expect("regular");
+        Excess::of(&fit, [&v, &v], [&a, &b], [sigma, sigma])
+    }
+
+    #[test]
+    fn a_fit_that_holds_leaves_nothing_and_a_tone_beside_it_its_amplitude() {
+        let clean = excess(|_| 0.0, 0.0);
+        assert!(clean.squares.len() > 50);
+        assert!(clean.squares.iter().all(|s| s[0] < 1e-4), "{clean:?}");
+        // 3 kHz away is beyond the splines, and within the windows.
+        let tone = excess(|t| 8.0 * libm::cos(TAU * (48e3 * t).fract()), 0.5);
+        let middle = tone.at(5e-3);
+        assert!((8.0..64.0).contains(&middle[0]), "{middle:?}");
+    }
+
+    #[test]
+    fn a_burst_shows_where_it_is() {
+        let burst = |t: f64| {
+            let near = (-((t - 3e-3) / 0.1e-3).powi(2)).exp();
+            20.0 * near * libm::cos(TAU * (45e3 * t).fract())
+        };
+        let found = excess(burst, 0.5);
+        assert!(
+            found.at(3e-3)[0] > 10.0 && found.at(7e-3)[0] < 0.1,
+            "{found:?}"
+        );
+    }
+}
