@@ -38,6 +38,8 @@ pub type Group = (&'static str, &'static [Code]);
 /// Every code, by who finds it.
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
+    ("Found of the sensors (self-calibration)", SENSORS),
+    ("Found by the estimators", ESTIMATORS),
     ("Found by the gate", GATE),
 ];
 
@@ -81,6 +83,13 @@ const CAPTURE: &[Code] = &[
         "frequency_step",
         "info",
         "the switching frequency changes; a stretch each",
+        "none",
+        "nothing",
+    ),
+    code(
+        "frequency_sweep",
+        "info",
+        "the switching frequency moves without steps; it is followed",
         "none",
         "nothing",
     ),
@@ -142,9 +151,9 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "aliasing",
-        "info, warning",
+        "info, warning, error",
         "harmonics of the edges fall on the fundamental",
-        "1 % of R for a warning",
+        "1 % of R for a warning, 3 % for an error",
         "shift the sampling rate by some percent",
     ),
     code(
@@ -177,6 +186,131 @@ const CAPTURE: &[Code] = &[
     ),
 ];
 
+const SENSORS: &[Code] = &[
+    code(
+        "self_calibrated",
+        "info",
+        "skew, bandwidth or droop was found and taken out",
+        "3 σ",
+        "nothing; --self-calibrate off leaves it",
+    ),
+    code(
+        "sensors_agree",
+        "info",
+        "no lag between the channels beyond its deviation",
+        "3 σ",
+        "nothing",
+    ),
+    code(
+        "skew",
+        "info, warning",
+        "the channels are not simultaneous, and that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or ihd calibrate",
+    ),
+    code(
+        "bandwidth",
+        "info, warning",
+        "a probe with too little bandwidth that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or a faster probe",
+    ),
+    code(
+        "droop",
+        "info, warning",
+        "a current probe without direct current that was not corrected",
+        "3 σ; .5 % of R for a warning",
+        "--self-calibrate auto, or another probe",
+    ),
+    code(
+        "sensor_nonlinear",
+        "warning",
+        "the current's gain changes with the current",
+        "0.4 % at the largest current",
+        "a probe of more range",
+    ),
+    code(
+        "plateaus_not_flat",
+        "warning",
+        "between edges, voltage and charge do not add up to a plateau",
+        "noise, 0.2 % of the capacitor's voltage",
+        "look at both channels",
+    ),
+    code(
+        "bridge_voltage",
+        "error",
+        "the bridge's voltage was captured in place of the coil's",
+        "none",
+        "connect the probe across the coil",
+    ),
+    code(
+        "gain",
+        "warning",
+        "the ratio of the gains, against the capacitance that was told",
+        "1 %, 3 σ",
+        "check the probes' factors",
+    ),
+    code(
+        "gain_right",
+        "info",
+        "the ratio of the gains agrees with the capacitance that was told",
+        "1 %, 3 σ",
+        "nothing",
+    ),
+    code(
+        "gain_unknown",
+        "info",
+        "the capacitance that the capture shows if the gains are right",
+        "none",
+        "--resonance-capacitance",
+    ),
+    code(
+        "self_calibration_impossible",
+        "info",
+        "the capture does not show its sensors",
+        "none",
+        "nothing, or ihd calibrate",
+    ),
+];
+
+const ESTIMATORS: &[Code] = &[
+    code(
+        "carrier_followed",
+        "info",
+        "the switching frequency moves within the stretch and was followed",
+        "none",
+        "nothing",
+    ),
+    code(
+        "load_step",
+        "info, warning",
+        "the load jumps inside a half-cycle: the pieces were identified, or the method goes through it",
+        "6 % of the impedance, above noise and trend",
+        "nothing, or least-squares, lockin, pinn",
+    ),
+    code(
+        "piece_left_out",
+        "warning",
+        "a piece between two steps is too short for the method",
+        "10 switching periods",
+        "nothing, or lockin",
+    ),
+    code(
+        "model_residual",
+        "info, warning",
+        "R and L leave more of the voltage than noise would; σ contains it",
+        "χ² of 4; .5 % of R, .35 % of L for a warning",
+        "look for a moving frequency, a step, a neighbouring coil, aliased edges",
+    ),
+    code(
+        "not_converged",
+        "error; info where least squares says the same",
+        "the network stopped before it settled",
+        "none",
+        "more steps, or the preset hybrid",
+    ),
+];
+
 const GATE: &[Code] = &[
     code(
         "method_failed",
@@ -193,13 +327,6 @@ const GATE: &[Code] = &[
         "capture longer, or use another method",
     ),
     code(
-        "not_converged",
-        "error",
-        "the network stopped before it settled",
-        "none",
-        "more steps, or the preset hybrid",
-    ),
-    code(
         "not_covered",
         "warning; error for the lookup",
         "the estimate spans a part of the half-cycles' middles only",
@@ -210,21 +337,21 @@ const GATE: &[Code] = &[
         "uncertain",
         "warning, error",
         "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
-        "1 % of R, .7 % of L for a warning; 3 % of either for an error",
+        ".7 % of R, .49 % of L for a warning; 3 % of either for an error",
         "a longer capture, a smaller range, more bits",
     ),
     code(
         "disagreement",
         "warning, error",
-        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle, beyond twice what \
-         both σ explain",
-        ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
+        "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle",
+        ".7 % of R, .49 % of L for a warning; 1 %, .7 % and twice what both σ explain for an error",
         "use least squares or pinn",
     ),
     code(
         "unconfirmed",
-        "warning, error",
-        "the same between least squares and lock-in: something changes faster than they follow",
+        "warning, error; info where an alias disturbs the lock-in alone",
+        "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
+         something changes faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
         "capture a steady load",
     ),
@@ -234,6 +361,13 @@ const GATE: &[Code] = &[
         "least squares failed on this stretch: nothing to check against",
         "none",
         "capture longer or sample faster",
+    ),
+    code(
+        "correction_doubtful",
+        "warning",
+        "the sensors were corrected, and that rests on little",
+        "6 MS/s (a lag below 4 % of the sampling interval is not looked at there); .35 % of R",
+        "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(
         "interference",

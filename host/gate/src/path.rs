@@ -4,10 +4,12 @@ use ihd_identify::{
     Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
 };
 use ihd_signal::{Capture, Remark, Segment};
+use ihd_survey::calibration::blind::Ask;
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::judge::{Evidence, failed, judge};
 use crate::remarks;
+use crate::sensors::{Applied, look};
 use crate::verdict::Judgement;
 use crate::witness::Witness;
 
@@ -18,6 +20,8 @@ pub struct Request<'a> {
     pub hints: Hints,
     /// Who shall estimate.
     pub methods: &'a [Method],
+    /// What to do about the sensors.
+    pub sensors: Ask,
     /// Settings of the methods.
     pub settings: &'a Settings,
     /// Whether to reconstruct the waveforms of methods that do not do so themselves.
@@ -42,6 +46,8 @@ pub struct Outcome {
 pub struct Examined {
     /// What is in the capture.
     pub survey: Survey,
+    /// What is to be said of the sensors.
+    pub sensors: Vec<Remark>,
     /// The stretches that were identified, in order of time.
     pub segments: Vec<Segment>,
     /// Stretch by stretch, method by method in the order asked for.
@@ -60,14 +66,23 @@ pub fn examine(
     request: &Request<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examined, SurveyError> {
-    let survey = Survey::of(capture, &request.hints)?;
-    let segments = survey.segments(capture);
+    let looked = look(capture, &request.hints, request.sensors)?;
+    let sensors = looked.remarks();
+    let applied = match (&looked.correction, &looked.sensors) {
+        (Some(_), Some(Ok(found))) => Some(Applied::of(found)),
+        _ => None,
+    };
+    let segments = looked.survey.segments(&looked.capture);
+    let survey = looked.survey;
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
-        let remarks = remarks::of_survey(&survey, segment);
+        let mut remarks = remarks::of_survey(&survey, segment);
+        remarks.extend(sensors.iter().cloned());
+        let load = survey.spans.get(index).and_then(|span| span.load);
+        remarks.extend(applied.and_then(|applied| applied.remark(segment, load)));
         let witness = Witness::of(segment);
         for &method in request.methods {
             let done = outcomes.len();
@@ -80,17 +95,23 @@ pub fn examine(
             if let (true, Ok(estimate)) = (request.reconstruct, &mut result) {
                 reconstruction::complete(segment, estimate);
             }
+            let judgement = judged(&remarks, segment, &witness, method, &result);
+            // After the judgement: what all methods share is no noise between them.
+            if let (Some(applied), Ok(estimate)) = (applied, &mut result) {
+                applied.widen(estimate);
+            }
             outcomes.push(Outcome {
                 method,
                 segment: index,
-                judgement: judged(&remarks, segment, &witness, method, &result),
                 result,
+                judgement,
             });
         }
     }
     progress("", total, total);
     Ok(Examined {
         survey,
+        sensors,
         segments,
         outcomes,
     })

@@ -8,8 +8,9 @@
 Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45 and 70 kHz, behavioural load and field model, without
 noise and at 30 dB. Everybody is told the switching and mains frequency, and is held against the same truth
 at the same times. One thread on one core. Peers: processor time of the second of two runs, so that
-compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its estimators in --repeats runs,
-which is no less than their processor time. Prints Markdown; docs/pinn.md has what it printed.
+compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its
+estimators in --repeats runs, which is no less than their processor time. Prints Markdown; docs/pinn.md
+has what it printed.
 """
 
 import os
@@ -18,6 +19,7 @@ for name in ("OMP", "OPENBLAS", "MKL", "RAYON"):
     os.environ[f"{name}_NUM_THREADS"] = "1"
 
 import argparse
+import json
 import sys
 import tempfile
 import time
@@ -48,32 +50,41 @@ KHZ = (45, 70)
 SNR_DB = (None, 30)
 
 
-def measured(ihd, capture, repeats, filters):
-    """{name: (errors, seconds)} of everybody on one capture."""
+def measured(args, capture, filters):
+    """{name: (errors, seconds)} of everybody on one capture; `filters`: the slow ones too."""
     found = {}
-    for method, (t_s, r, l, seconds) in captures.identified(ihd, capture, list(OURS), repeats).items():
+    own = captures.identified(args.ihd, capture, list(OURS), args.repeats)
+    for method, (t_s, r, l, seconds) in own.items():
         found[OURS[method]] = (captures.errors_pct(capture, t_s, r, l), seconds)
     for name, identify, slow in PEERS:
         if slow and not filters:
             continue
-        if not slow:
-            identify(capture)
-        started = time.process_time()
-        estimate = identify(capture)
-        seconds = time.process_time() - started
-        found[name] = (captures.errors_pct(capture, *estimate), seconds)
+        kept = capture.path.with_suffix(f".{identify.__module__}.{identify.__name__}.json")
+        if not kept.exists():
+            kept.write_text(json.dumps(peer(identify, capture, slow)))
+        found[name] = json.loads(kept.read_text())
     return found
 
 
-def point(ihd, load, khz, snr_db, args, folder):
+def peer(identify, capture, slow):
+    """(errors, seconds) of one peer, the second time it runs unless it is slow."""
+    if not slow:
+        identify(capture)
+    started = time.process_time()
+    estimate = identify(capture)
+    seconds = time.process_time() - started
+    return captures.errors_pct(capture, *estimate), seconds
+
+
+def point(args, load, khz, snr_db, folder):
     """Means over the seeds at one operating point: {name: (array of four errors, seconds)}."""
     gathered = defaultdict(list)
     # Without noise there is nothing to repeat.
     for seed in range(1, 1 + (args.seeds if snr_db else 1)):
         case = captures.Case(load, khz, snr_db, seed)
         print(case.stem, file=sys.stderr, flush=True)
-        capture = captures.simulated(ihd, case, folder)
-        for name, (errors, seconds) in measured(ihd, capture, args.repeats, not args.no_filters).items():
+        capture = captures.simulated(args.ihd, case, folder)
+        for name, (errors, seconds) in measured(args, capture, seed <= args.filter_seeds).items():
             gathered[name].append((np.ravel(errors), seconds))
     return {
         name: (np.mean([errors for errors, _ in runs], axis=0), np.mean([s for _, s in runs]))
@@ -123,8 +134,8 @@ def main():
     parser.add_argument("--ihd", required=True, help="the program, as built by cargo")
     parser.add_argument("--seeds", type=int, default=3, help="seeds of noise")
     parser.add_argument("--repeats", type=int, default=5, help="runs of ihd, of which the fastest counts")
-    parser.add_argument("--folder", help="where captures are kept; a temporary folder if not given")
-    parser.add_argument("--no-filters", action="store_true", help="without the filterpy EKFs (20 s a capture each)")
+    parser.add_argument("--folder", help="where captures and what peers made of them are kept, so that it goes on where it was stopped")
+    parser.add_argument("--filter-seeds", type=int, default=1, help="of which for the filterpy EKFs, 20 s a capture each")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.folder or temporary
@@ -132,11 +143,11 @@ def main():
         everything = []
         print(
             "R/L in % over the whole half-cycle · over its middle 80 %, mean over "
-            f"{args.seeds} seeds of noise; ms for two half-cycles, mean over the columns.\n"
+            f"{args.seeds} seeds of noise (filterpy: {min(args.seeds, args.filter_seeds)}); ms for two half-cycles, mean over the columns.\n"
         )
         for load, title in LOADS.items():
             points = {
-                (khz, snr): point(args.ihd, load, khz, snr, args, folder) for khz in KHZ for snr in SNR_DB
+                (khz, snr): point(args, load, khz, snr, folder) for khz in KHZ for snr in SNR_DB
             }
             print(f"{title}:\n\n{table(points)}\n", flush=True)
             everything += points.values()

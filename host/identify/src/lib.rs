@@ -18,6 +18,7 @@ pub mod pinn;
 pub mod reconstruction;
 mod reference;
 pub mod rls;
+mod steps;
 mod sweep;
 pub mod trajectory;
 
@@ -177,18 +178,41 @@ pub fn run_watched(
     watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
     segment.check()?;
-    if let Some(carrier) = sweep::of(method, segment) {
-        // Its truth would be that of another clock.
-        return sweep::identify(method, segment, &carrier, settings, |warped, settings| {
+    let centred = wants_no_mean(method).then(|| segment.without_offsets());
+    let segment = centred.as_ref().unwrap_or(segment);
+    let Some(carrier) = sweep::of(method, segment) else {
+        return steps::identify(
+            method,
+            segment,
+            settings,
+            &|t_s| t_s,
+            |segment, settings| at_constant_load(method, segment, settings, watch),
+        );
+    };
+    sweep::identify(
+        method,
+        segment,
+        &carrier,
+        settings,
+        |warped, settings, clock| {
+            // Its truth would be that of another clock.
             let (truth, report) = (None, &mut *watch.report);
-            at_constant_frequency(method, warped, settings, &mut Watch { truth, report })
-        });
-    }
-    at_constant_frequency(method, segment, settings, watch)
+            let mut watch = Watch { truth, report };
+            steps::identify(method, warped, settings, clock, |warped, settings| {
+                at_constant_load(method, warped, settings, &mut watch)
+            })
+        },
+    )
 }
 
-/// The method on a segment of one frequency.
-fn at_constant_frequency(
+/// Whether a mean of the samples, which neither the coil's voltage nor its current has, would bend what the method finds.
+/// The boxcars of the lock-in do not see it; the firmware is given what its ADC sees, and `ekf-paper` is as printed.
+fn wants_no_mean(method: Method) -> bool {
+    !matches!(method, Method::Lockin | Method::Firmware | Method::EkfPaper)
+}
+
+/// The method on a segment of one frequency, in which the load does not step.
+fn at_constant_load(
     method: Method,
     segment: &Segment,
     settings: &Settings,
@@ -200,13 +224,10 @@ fn at_constant_frequency(
         Method::EkfPaper => ekf::literal::identify(segment),
         Method::Rts => ekf::identify_smoothed(segment, settings),
         Method::Lockin => lockin::identify(segment, &settings.lockin),
-        // A mean is no part of what these two explain a segment with, and they would bend R and L for it.
-        Method::LeastSquares => {
-            least_squares::identify(&segment.without_offsets(), &settings.least_squares)
-        }
+        Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
-        Method::Pinn => pinn::identify(&segment.without_offsets(), settings, watch),
+        Method::Pinn => pinn::identify(segment, settings, watch),
     }?;
     if !matches!(method, Method::LeastSquares | Method::Pinn) {
         reference::hold_against(&mut estimate, segment, settings);

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use ihd_pinn::{Config, Identified, PinnError, Progress, Task, TruthAt, Waveform};
+use ihd_pinn::{Config, Identified, PinnError, Progress, SlowInputs, Task, TruthAt, Waveform};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
 use super::model_residual::ModelResidual;
+use super::pinn::CarrierInputs;
 use super::{Estimate, Watch};
 
 /// The configuration with the segment's own white noise where it names none.
@@ -17,6 +18,25 @@ pub fn informed(config: Config, segment: &Segment) -> Config {
         ..config
     }
 }
+
+/// The configuration for a window whose carrier moves, in the mains half-cycle that begins at `crossing_s` in seconds.
+pub fn follow(config: &mut Config, carrier: &CarrierInputs, crossing_s: f64) {
+    // Of the slow times R and L between are interpolated linearly.
+    const SLOW_POINTS: usize = 4;
+    let wanted = carrier.intervals.min(MOST_INTERVALS);
+    config.spline_intervals = config.spline_intervals.max(wanted);
+    config.slow_points = config.slow_points.max(SLOW_POINTS * wanted);
+    // It was made for other inputs.
+    config.start = None;
+    config.inputs = Some(SlowInputs {
+        t0_s: carrier.t0_s - crossing_s,
+        dt_s: carrier.dt_s,
+        functions: carrier.functions.clone(),
+    });
+}
+
+/// Most spline intervals of a half-cycle that the network takes.
+const MOST_INTERVALS: usize = 400;
 
 /// The samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s` in seconds;
 /// the waveform's time counts from there.

@@ -17,6 +17,22 @@ pub struct PinnSettings {
     pub deterministic: bool,
     /// Any other setting of `ihd_pinn::Config` by its name.
     pub config: toml::Table,
+    /// The carrier of the segment, where it moves.
+    #[serde(skip)]
+    pub carrier: Option<CarrierInputs>,
+}
+
+/// What the network is told of a carrier that moves, on the segment's clock.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CarrierInputs {
+    /// Time of the first value in seconds.
+    pub t0_s: f64,
+    /// Time from one value to the next in seconds.
+    pub dt_s: f64,
+    /// How far the frequency is from its mean, and how fast it moves, each within about -1..=1.
+    pub functions: Vec<Vec<f64>>,
+    /// Spline intervals of the phasors in a mains half-cycle.
+    pub intervals: usize,
 }
 
 /// Names of the network's presets, with commas between them.
@@ -106,12 +122,15 @@ pub fn identify(
     use super::{Method, network};
 
     let started = Instant::now();
-    let config = network::informed(settings.pinn.resolve().map_err(unfit)?, segment);
+    let mut config = network::informed(settings.pinn.resolve().map_err(unfit)?, segment);
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
         if ((to - from) as f64) < least {
             continue;
+        }
+        if let Some(carrier) = &settings.pinn.carrier {
+            network::follow(&mut config, carrier, segment.crossing_of_s((from, to)));
         }
         network::half_cycle(segment, (from, to), &config, None, watch, &mut estimate)
             .map_err(unfit)?;

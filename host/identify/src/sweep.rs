@@ -7,6 +7,7 @@ use std::ops::Range;
 use ihd_signal::carrier::{Carrier, Warp};
 use ihd_signal::{Remark, Segment, Severity};
 
+use super::pinn::CarrierInputs;
 use super::{Estimate, IdentifyError, Method, Settings, reconstruction};
 
 /// The carrier of a segment, where it moves and the method takes it as constant.
@@ -48,7 +49,29 @@ fn quickened(settings: &Settings, carrier: &Carrier, half_cycle_s: f64) -> Setti
     quick
 }
 
-/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one.
+/// What a network is told of the carrier: its frequency and how fast that moves, through the warped samples.
+fn inputs(warp: &Warp<'_>, warped: &Segment, carrier: &Carrier) -> CarrierInputs {
+    let sweep = carrier.sweep();
+    let dt_s = 1.0 / warped.f_sw_hz;
+    let count = (warped.len() as f64 * warped.dt_s / dt_s).ceil() as usize + 1;
+    let at = |k: usize| warp.time_s(warped.t0_s + k as f64 * dt_s);
+    let off = |t_s: f64| (carrier.hz(t_s) - sweep.mean_hz) / sweep.deviation_hz;
+    // Over four periods, a step of what follows the carrier is no matter.
+    let slope = |t_s: f64| {
+        let beside_s = 2.0 * dt_s;
+        (off(t_s + beside_s) - off(t_s - beside_s)) / (2.0 * beside_s * TAU * sweep.rate_hz)
+    };
+    let function = |of: &dyn Fn(f64) -> f64| (0..count).map(|k| of(at(k))).collect();
+    CarrierInputs {
+        t0_s: warped.t0_s,
+        dt_s,
+        functions: vec![function(&off), function(&slope)],
+        intervals: (PHASOR_INTERVALS * sweep.rate_hz * warped.half_cycle_s()).ceil() as usize,
+    }
+}
+
+/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one and
+/// is told the capture's time at a warped one.
 ///
 /// # Errors
 /// The last part's where none could be identified.
@@ -57,12 +80,16 @@ pub(super) fn identify(
     segment: &Segment,
     carrier: &Carrier,
     settings: &Settings,
-    mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
+    mut identify: impl FnMut(
+        &Segment,
+        &Settings,
+        &dyn Fn(f64) -> f64,
+    ) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     let mut whole = Estimate::new(method, carrier.mean_hz());
     whole.v_hat_v = vec![0.0; segment.len()];
     whole.i_hat_a = vec![0.0; segment.len()];
-    let settings = quickened(settings, carrier, segment.half_cycle_s());
+    let mut settings = quickened(settings, carrier, segment.half_cycle_s());
     let mut failed = None;
     for range in parts(method, segment) {
         let warp = Warp::new(segment, carrier, range.clone());
@@ -71,7 +98,10 @@ pub(super) fn identify(
             failed = Some(short.into());
             continue;
         }
-        match identify(&warped, &settings) {
+        if method == Method::Pinn {
+            settings.pinn.carrier = Some(inputs(&warp, &warped, carrier));
+        }
+        match identify(&warped, &settings, &|t_s| warp.time_s(t_s)) {
             Ok(mut found) => {
                 reconstruction::complete(&warped, &mut found);
                 whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&found.v_hat_v));

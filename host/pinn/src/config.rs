@@ -8,7 +8,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Backend, ImpedanceOrder, Parameters, PinnError, Preset, PresetLibrary, SlowEmbedding, ViMlp,
+    Backend, ImpedanceOrder, Parameters, PinnError, Preset, PresetLibrary, SlowEmbedding,
+    SlowInputs, ViMlp,
 };
 
 /// What trains the RL-MLP on the physics term.
@@ -125,6 +126,9 @@ pub struct Config {
     pub time_limit_s: f64,
     /// Parameters of an earlier result to start from.
     pub start: Option<Parameters>,
+    /// Further inputs of the RL-MLP, which belong to one window; the presets with a VI-MLP have no use for them.
+    #[serde(skip)]
+    pub inputs: Option<SlowInputs>,
 }
 
 impl Default for Config {
@@ -157,6 +161,7 @@ impl Default for Config {
             tolerance: 2e-5,
             time_limit_s: 10.0,
             start: None,
+            inputs: None,
         }
     }
 }

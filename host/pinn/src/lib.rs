@@ -57,6 +57,7 @@ mod preset_library;
 mod progress;
 mod result;
 mod rl_mlp;
+mod slow_inputs;
 mod slow_model;
 #[cfg(test)]
 mod trial;
@@ -76,5 +77,6 @@ pub use preset::Preset;
 pub use preset_library::{NamedConfig, PresetLibrary};
 pub use progress::{Progress, StoppedBecause};
 pub use result::{Identified, Losses, Reconstruction};
+pub use slow_inputs::SlowInputs;
 pub use vi_mlp::ViMlp;
 pub use waveform::Waveform;

@@ -182,15 +182,11 @@ impl SlowPhysics {
         let features = self
             .tau_s
             .iter()
-            .flat_map(|tau| {
-                parameters
-                    .embedding
-                    .features(samples.t0_s + tau, samples.f_mains_hz)
-            })
+            .flat_map(|tau| parameters.features(samples.t0_s + tau))
             .collect();
         let column = |values: &[f64]| matrix(values.to_vec(), [count, 1], device);
         SlowTensors {
-            features: matrix(features, [count, parameters.embedding.width()], device),
+            features: matrix(features, [count, parameters.width()], device),
             c_rr: column(&self.c_rr),
             c_rl: column(&self.c_rl),
             c_ll: column(&self.c_ll),

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::SlowEmbedding;
+use crate::{SlowEmbedding, SlowInputs};
 
 /// One fully connected layer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,6 +37,9 @@ pub struct Parameters {
     /// The VI-MLP (sine) of the presets that have one.
     #[serde(default)]
     pub vi_layers: Vec<Layer>,
+    /// Inputs beside the embedding's, of the window that was trained on.
+    #[serde(skip)]
+    pub inputs: Option<SlowInputs>,
 }
 
 /// Number of outputs: R and L.
@@ -46,8 +49,21 @@ impl Parameters {
     /// R (ohm) and L (H) at `t_s` seconds after a mains zero crossing.
     #[must_use]
     pub fn r_l_at(&self, t_s: f64) -> (f64, f64) {
-        let [r, l] = self.outputs(&self.embedding.features(t_s, self.f_mains_hz));
+        let [r, l] = self.outputs(&self.features(t_s));
         (self.r_scale_ohm * r, self.l_scale_h * l)
+    }
+
+    /// The network's inputs at `t_s` seconds after a mains zero crossing.
+    pub(crate) fn features(&self, t_s: f64) -> Vec<f64> {
+        let mut features = self.embedding.features(t_s, self.f_mains_hz);
+        features.extend(self.inputs.iter().flat_map(|inputs| inputs.at(t_s)));
+        features
+    }
+
+    /// Number of inputs.
+    pub(crate) fn width(&self) -> usize {
+        let further = self.inputs.as_ref().map_or(0, |i| i.functions.len());
+        self.embedding.width() + further
     }
 
     /// R / r_scale and L / l_scale for these features.
@@ -94,7 +110,7 @@ impl Parameters {
     ) -> Self {
         // Drawn here and not by burn, so that every backend starts from the same digits.
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut inputs = self.embedding.width();
+        let mut inputs = self.width();
         self.layers = hidden_layers
             .iter()
             .copied()
@@ -158,7 +174,7 @@ impl Parameters {
 
     /// Whether the layers chain up from the features to R and L and hold finite numbers.
     pub(crate) fn is_sound(&self) -> bool {
-        let mut inputs = self.embedding.width();
+        let mut inputs = self.width();
         let chained = self.layers.iter().all(|l| {
             let fits = l.inputs == inputs
                 && l.weights.len() == l.inputs * l.outputs

@@ -53,11 +53,7 @@ impl SlowModel {
 
     /// Own code for these slow times.
     pub fn own(physics: &SlowPhysics, samples: &Normalised, parameters: &Parameters) -> Self {
-        let at = |tau: &f64| {
-            parameters
-                .embedding
-                .features(samples.t0_s + tau, samples.f_mains_hz)
-        };
+        let at = |tau: &f64| parameters.features(samples.t0_s + tau);
         Self::Own {
             features: physics.tau_s.iter().map(at).collect(),
             physics: physics.clone(),

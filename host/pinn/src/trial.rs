@@ -94,6 +94,7 @@ pub(crate) fn network() -> Parameters {
         l_scale_h: 20e-6,
         layers: Vec::new(),
         vi_layers: Vec::new(),
+        inputs: None,
     }
     .initial(&[5, 3], 11, [1.25, 1.25])
 }

@@ -50,7 +50,7 @@ pub(crate) fn laplace(
         l_h: Vec::with_capacity(times_s.len()),
     };
     for &t_s in times_s {
-        let features = parameters.embedding.features(t_s, parameters.f_mains_hz);
+        let features = parameters.features(t_s);
         let [r, l] = output_rows(parameters, &features);
         sigmas.r_ohm.push(parameters.r_scale_ohm * deviation(&r));
         sigmas.l_h.push(parameters.l_scale_h * deviation(&l));

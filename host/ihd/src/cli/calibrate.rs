@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use ihd_signal::Capture;
 use ihd_survey::Survey;
-use ihd_survey::calibration::{Calibration, Reference, estimate};
+use ihd_survey::calibration::{Calibration, Reference, blind, estimate};
 
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
@@ -21,6 +21,7 @@ use super::simulate::quantity::quantity;
     ihd calibrate empty.csv --reference no-pot --out bench.toml\n  \
     ihd calibrate empty.csv --reference no-pot,r=0.1,l=72u --out bench.toml\n  \
     ihd calibrate dummy.csv --reference r=3.3,l=25u --out bench.json --json\n  \
+    ihd calibrate any-load.csv --reference blind --out bench.toml\n  \
     ihd identify capture.csv --calibration bench.toml\n\n\
     Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage, 7 the file is empty, cut or\n\
     damaged (what could be read is the result)")]
@@ -29,15 +30,36 @@ pub struct CalibrateArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     hints: HintArgs,
-    /// What was captured: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, or a load with r=, l= or both
-    #[arg(long, value_name = "WHAT", value_parser = reference)]
-    reference: Reference,
+    /// What was captured: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, a load with r=, l= or both, or blind: any load,
+    /// by the plateaus between the bridge's edges
+    #[arg(long, value_name = "WHAT", value_parser = against)]
+    reference: Against,
+    /// With blind: value of the resonance capacitor in F (1080n), which gives the ratio of the gains
+    #[arg(long, value_name = "F", value_parser = quantity)]
+    resonance_capacitance: Option<f64>,
     /// Write the calibration to this file: JSON if it ends so, else TOML
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print the calibration as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// What a capture is calibrated against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Against {
+    /// A load of which something is known.
+    Known(Reference),
+    /// The plateaus between the bridge's edges, with any load.
+    Plateaus,
+}
+
+/// Reads `blind`, or a reference.
+fn against(text: &str) -> Result<Against> {
+    match text {
+        "blind" => Ok(Against::Plateaus),
+        _ => reference(text).map(Against::Known),
+    }
 }
 
 /// Reads `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
@@ -79,7 +101,16 @@ impl CalibrateArgs {
     fn calibrate(&self, capture: &Capture) -> Result<()> {
         let hints = self.capture.hints(self.hints.hints());
         let survey = Survey::of(capture, &hints)?;
-        let found = estimate(capture, &survey, self.reference)?;
+        let found = match self.reference {
+            Against::Known(reference) => estimate(capture, &survey, reference)?,
+            Against::Plateaus => {
+                let found = blind::estimate(capture, &survey, self.resonance_capacitance)?;
+                for remark in found.remarks(true) {
+                    output::complain(format_args!("{remark}"));
+                }
+                Calibration::of_plateaus(&found, &survey)
+            }
+        };
         for doubt in found.doubts() {
             output::complain(format_args!("warning: {doubt}"));
         }
@@ -109,12 +140,16 @@ impl CalibrateArgs {
 /// The calibration for a person.
 fn summary(found: &Calibration) -> String {
     format!(
-        "skew       {:.2} ± {:.2} ns (current later)\n\
+        "skew       {:.2} ± {:.2} ns (current later)\n{}\
          gain       voltage over current {:.5} ± {:.5}\n\
          offsets    {:.4} V, {:.5} A\n\
          assumed    {}\n",
         found.skew_s * 1e9,
         found.skew_sigma_s * 1e9,
+        match found.response.is_none() {
+            true => String::new(),
+            false => format!("response   {}\n", found.response),
+        },
         found.gain_ratio,
         found.gain_ratio_sigma,
         found.v_offset_v,

@@ -28,6 +28,7 @@ pub mod opener;
 pub mod record;
 pub mod replay;
 pub mod scenario;
+pub mod sensor_args;
 #[cfg(feature = "daemon")]
 pub mod serve;
 pub mod simulate;

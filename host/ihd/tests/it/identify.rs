@@ -146,3 +146,48 @@ fn the_help_of_both_commands_has_an_example() {
         assert!(String::from_utf8_lossy(&output.stdout).contains("Examples:"));
     }
 }
+
+/// A coil beside this one: the result is printed with its findings, the command ends with 7, and with 0 on request.
+#[test]
+fn a_refused_result_is_printed_and_ends_with_7() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let simulate = "simulate --load behavioural --rate 12.5M --snr 50";
+    for args in ["-o clean.mcap", "--neighbour 1.2k,8 -o tone.mcap"] {
+        let words = simulate.split(' ').chain(args.split(' '));
+        let output = ihd().current_dir(&folder).args(words).output();
+        assert!(output.expect("it runs").status.success());
+    }
+    let identified = |args: &[&str]| {
+        let output = ihd()
+            .current_dir(&folder)
+            .arg("identify")
+            .args(args)
+            .output();
+        let output = output.expect("it runs");
+        (output.status.code(), output.stdout)
+    };
+    let (code, stdout) = identified(&["clean.mcap", "--json"]);
+    let clean: Value = serde_json::from_slice(&stdout).expect("JSON");
+    assert_eq!(
+        (code, &clean[0]["gate"]["verdict"]),
+        (Some(0), &"pass".into())
+    );
+    assert_eq!(clean[0]["gate"]["why"], serde_json::json!([]));
+    let (code, stdout) = identified(&["tone.mcap", "--json"]);
+    assert_eq!(code, Some(7));
+    let refused: Value = serde_json::from_slice(&stdout).expect("JSON");
+    let first = &refused[0];
+    assert!(first["r_ohm"].as_array().is_some_and(|r| !r.is_empty()));
+    assert_eq!(first["gate"]["verdict"], "refuse");
+    let findings = first["findings"].as_array().expect("findings");
+    let tone = findings.iter().find(|f| f["code"] == "interference");
+    let tone = tone.expect("the tone is named");
+    assert_eq!(tone["severity"], "error");
+    assert!(tone["value"].as_f64() > tone["limit"].as_f64());
+    let why = first["gate"]["why"].as_array().expect("reasons");
+    assert!(why.contains(&tone["text"]));
+    let (code, stdout) = identified(&["tone.mcap", "--anyway"]);
+    assert_eq!(code, Some(0));
+    let text = String::from_utf8_lossy(&stdout);
+    assert!(text.contains("gate: refuse: a tone of"), "{text}");
+}

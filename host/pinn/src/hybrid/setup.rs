@@ -21,7 +21,10 @@ pub(super) fn harmonic_basis(
 ) -> Result<HarmonicBasis, PinnError> {
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let share = samples.duration_s() / half_cycle_s;
-    let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(4);
+    // Of a piece between two steps of the load there may be ten periods, three an interval.
+    let periods = samples.len() as f64 * samples.omega * samples.dt_s / TAU;
+    let least = ((periods / 3.0) as usize).clamp(1, 4);
+    let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(least);
     let basis = HarmonicBasis {
         spline: spline(samples, intervals, config),
         harmonics: config.harmonics.clone(),
@@ -104,6 +107,7 @@ pub(super) fn network_outline(samples: &Normalised, config: &Config) -> Paramete
             l_scale_h: config.l_scale_h,
             layers: Vec::new(),
             vi_layers: Vec::new(),
+            inputs: config.inputs.clone(),
         },
     }
 }

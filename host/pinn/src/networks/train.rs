@@ -269,6 +269,7 @@ impl Training<'_> {
             l_scale_h: self.config.l_scale_h,
             layers: Shape::extract(&self.problem.shape.rl, &theta),
             vi_layers: Shape::extract(&self.problem.shape.vi, &theta),
+            inputs: None,
         }
     }
 

@@ -41,7 +41,7 @@ impl<'a> Warp<'a> {
     }
 
     /// Time in seconds of the part's first sample, which both clocks share.
-    fn from_s(&self) -> f64 {
+    fn start_s(&self) -> f64 {
         self.segment.t_s(self.first)
     }
 
@@ -57,7 +57,7 @@ impl<'a> Warp<'a> {
         let fine = self.segment.samples_per_period() > FINE;
         Segment {
             f_sw_hz: self.f_hz,
-            t0_s: self.from_s(),
+            t0_s: self.start_s(),
             ..self.segment.with_samples(
                 interpolated(&self.segment.v_v, &places, fine),
                 interpolated(&self.segment.i_a, &places, fine),
@@ -67,7 +67,7 @@ impl<'a> Warp<'a> {
 
     /// The capture's time in seconds at a warped one.
     pub fn time_s(&self, warped_s: f64) -> f64 {
-        let periods = self.periods_at_first + self.f_hz * (warped_s - self.from_s());
+        let periods = self.periods_at_first + self.f_hz * (warped_s - self.start_s());
         Search::new(self.carrier).time_s(periods)
     }
 

@@ -96,6 +96,7 @@ pub fn estimate(
         gain_ratio_sigma: found.gain.1,
         v_offset_v: survey.voltage.mean,
         i_offset_a: survey.current.mean,
+        response: super::Correction::default(),
         reference: reference.to_string(),
         assumed,
         capture: survey.name.clone(),

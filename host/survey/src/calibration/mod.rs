@@ -10,12 +10,16 @@
 //! - **offsets** are the channels' means: the resonance capacitor carries no direct current, and a
 //!   coil without direct current has no mean voltage.
 
+pub mod blind;
 mod delay;
 mod estimate;
 mod reference;
 
 use std::path::{Path, PathBuf};
 
+pub use self::blind::Correction;
+use self::blind::{Response, SelfCalibration};
+use crate::Survey;
 pub use estimate::{CalibrateError, estimate};
 use ihd_signal::Capture;
 pub use reference::Reference;
@@ -39,6 +43,9 @@ pub struct Calibration {
     pub v_offset_v: f64,
     /// Offset of the current channel in ampere.
     pub i_offset_a: f64,
+    /// Bandwidths and droop, where there are any; its own skew is 0.
+    #[serde(default, skip_serializing_if = "Correction::is_none")]
+    pub response: Correction,
     /// What it was measured against.
     pub reference: String,
     /// What was taken for granted.
@@ -81,6 +88,44 @@ const WELL_KNOWN_S: f64 = 1e-9;
 const LARGEST_SKEW_S: f64 = 10e-6;
 
 impl Calibration {
+    /// From what a capture shows of its own sensors, whatever its load.
+    pub fn of_plateaus(found: &SelfCalibration, survey: &Survey) -> Self {
+        let alike = found.alike();
+        let mut contradictions = Vec::new();
+        if !found.is_sound() {
+            let faults = found.remarks(false).into_iter();
+            let worse = faults.filter(|r| r.severity > ihd_signal::Severity::Info);
+            contradictions.extend(worse.map(|r| r.text));
+        }
+        Self {
+            skew_s: match found.response {
+                Response::Right => 0.0,
+                _ => alike.skew_s,
+            },
+            skew_sigma_s: found.lag_s.sigma,
+            gain_ratio: found
+                .known_capacitance_f
+                .map_or(1.0, |c_f| c_f / found.capacitance_f.value),
+            gain_ratio_sigma: match found.known_capacitance_f {
+                Some(_) => found.capacitance_f.sigma / found.capacitance_f.value,
+                None => 0.0,
+            },
+            v_offset_v: survey.voltage.mean,
+            i_offset_a: survey.current.mean,
+            response: Correction {
+                skew_s: 0.0,
+                ..alike
+            },
+            reference: "blind".to_owned(),
+            assumed: vec![
+                "a bridge without resistance: 10 mohm would be 11 ns at 1080 nF".to_owned(),
+                "no direct current in the coil (offsets)".to_owned(),
+            ],
+            capture: survey.name.clone(),
+            contradictions,
+        }
+    }
+
     /// Reads a file: JSON if it is named so, else TOML.
     ///
     /// # Errors
@@ -131,6 +176,20 @@ impl Calibration {
             ("gain_ratio_sigma", self.gain_ratio_sigma, 0.0, 100.0),
             ("v_offset_v", self.v_offset_v, -1e5, 1e5),
             ("i_offset_a", self.i_offset_a, -1e5, 1e5),
+            ("response.skew_s", self.response.skew_s, 0.0, 0.0),
+            (
+                "response.i_tau_s",
+                self.response.i_tau_s,
+                0.0,
+                LARGEST_SKEW_S,
+            ),
+            (
+                "response.v_tau_s",
+                self.response.v_tau_s,
+                0.0,
+                LARGEST_SKEW_S,
+            ),
+            ("response.i_droop_hz", self.response.i_droop_hz, 0.0, 1e5),
         ] {
             if !(least..=most).contains(&value) {
                 return Err(format!(
@@ -200,6 +259,7 @@ impl Calibration {
         for i in &mut capture.i_a {
             *i = (f64::from(*i) - self.i_offset_a) as f32;
         }
+        self.response.apply(capture);
         let rail = |full: f64, offset: f64, gain: f64| (full - offset.abs()).max(0.0) * gain;
         capture.v_full_scale_v = capture
             .v_full_scale_v

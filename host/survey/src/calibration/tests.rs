@@ -204,6 +204,10 @@ fn files_come_back_and_others_are_refused() {
         gain_ratio_sigma: 1e-4,
         v_offset_v: 4.0,
         i_offset_a: -0.7,
+        response: Correction {
+            i_tau_s: 1.25e-7,
+            ..Correction::default()
+        },
         reference: "no-pot".to_owned(),
         assumed: vec!["right gains".to_owned()],
         capture: "empty.csv".to_owned(),
@@ -282,6 +286,7 @@ fn what_cannot_be_told_from_none_and_what_another_file_denies_is_doubted() {
         gain_ratio_sigma: 0.0,
         v_offset_v: 0.0,
         i_offset_a: 0.0,
+        response: Correction::default(),
         reference: "no-pot".into(),
         assumed: Vec::new(),
         capture: "a".into(),

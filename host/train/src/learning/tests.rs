@@ -1,15 +1,16 @@
 //! Learning from windows of the simulated hob: restarts, and a pot that warms up.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ihd_link::{Client, Event, Window};
-use ihd_pinn::Config;
+use ihd_pinn::{Config, Identified, StoppedBecause};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
-use super::{Learning, Outcome, Taught};
+use super::network::identify_window;
+use super::{Learning, Outcome, Taught, judge};
 
 fn network() -> Config {
     Config {
@@ -164,6 +165,37 @@ fn a_warming_pot_is_followed_for_twenty_minutes() {
     let (r_pct, l_pct, pushed) = follow_a_warming_pot(20.0, 45.0);
     assert!(r_pct < 2.0 && l_pct < 2.0, "R {r_pct:.2} %, L {l_pct:.2} %");
     assert!(pushed >= 5);
+}
+
+/// The judge of `ihd identify` stands before the lookup: what least squares contradicts and what has not settled teach nothing.
+#[test]
+fn a_window_that_is_contradicted_teaches_nothing() {
+    let mut kitchen = Kitchen::new(false, 20);
+    kitchen.client.set_power(1_500).unwrap();
+    let segment = kitchen.window().0.segment();
+    let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+    let before = Instant::now();
+    let right = judge(&segment, &found);
+    println!("judged in {:.1} ms", before.elapsed().as_secs_f64() * 1e3);
+    assert_eq!(right.gate.why, [""; 0]);
+    let codes = |changed: &Identified| -> Vec<&str> {
+        let judgement = judge(&segment, changed);
+        assert!(judgement.gate.refuses());
+        judgement.doubts().map(|d| d.code).collect()
+    };
+    let mut off = found.clone();
+    off.r_ohm.iter_mut().for_each(|r| *r *= 1.03);
+    assert!(codes(&off).contains(&"disagreement"));
+    let mut unsettled = found.clone();
+    unsettled.stopped_because = StoppedBecause::TimeLimit;
+    assert!(codes(&unsettled).contains(&"not_converged"));
+    // A reading of the current a tenth of what it is: no cell of a lookup holds ten times L.
+    let tenth = segment.i_a.iter().map(|i| 0.1 * i).collect();
+    let segment = segment.with_samples(segment.v_v.clone(), tenth);
+    let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+    let judgement = judge(&segment, &found);
+    assert!(judgement.gate.refuses());
+    assert!(judgement.doubts().any(|d| d.code == "implausible_load"));
 }
 
 /// Processor time of this thread in seconds, where the system tells it.

@@ -15,6 +15,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::capture_args::CaptureArgs;
 use super::hint_args::HintArgs;
 use super::output;
+use super::sensor_args::SensorArgs;
 use super::simulate::quantity::quantity;
 use super::usage::Usage;
 use crate::report::identified;
@@ -77,6 +78,8 @@ pub struct IdentifyArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     hints: HintArgs,
+    #[command(flatten)]
+    sensors: SensorArgs,
 }
 
 /// Results that the gate refuses; they were printed.
@@ -153,6 +156,7 @@ impl IdentifyArgs {
     fn identify(&self, capture: &Capture, settings: &Settings, methods: &[Method]) -> Result<()> {
         let request = Request {
             hints: self.capture.hints(self.hints.hints()),
+            sensors: self.sensors.ask()?,
             methods,
             settings,
             reconstruct: true,
@@ -168,6 +172,11 @@ impl IdentifyArgs {
             bar.set_message(text.to_owned());
         })?;
         bar.finish_and_clear();
+        for remark in &examined.sensors {
+            if remark.severity > Severity::Info || remark.code == "self_calibrated" {
+                output::complain(format_args!("{remark}"));
+            }
+        }
         for finding in &examined.survey.findings {
             if finding.severity() > Severity::Info {
                 output::complain(format_args!("{}: {finding}", finding.severity()));

@@ -7,11 +7,13 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use ihd_capture::open::{LoneChannel, lone_channel};
-use ihd_survey::{Finding, Severity, Survey};
+use ihd_survey::calibration::blind::look;
+use ihd_survey::{Finding, Severity};
 
 use super::capture_args::{CaptureArgs, Loaded};
 use super::hint_args::HintArgs;
 use super::output;
+use super::sensor_args::SensorArgs;
 use crate::report::survey;
 
 /// Show what is in a capture: channels, rate, switching frequency, mains, noise, and what is wrong.
@@ -28,6 +30,8 @@ pub struct InspectArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     hints: HintArgs,
+    #[command(flatten)]
+    sensors: SensorArgs,
     /// Print everything as one JSON object
     #[arg(long)]
     json: bool,
@@ -73,17 +77,18 @@ impl InspectArgs {
     }
 
     fn inspect(&self, loaded: &Loaded) -> Result<()> {
-        let capture = &loaded.capture;
         let hints = self.capture.hints(self.hints.hints());
-        let survey = Survey::of(capture, &hints)?;
+        let looked = look(&loaded.capture, &hints, self.sensors.ask()?)?;
+        let remarks = looked.remarks();
+        let (capture, survey) = (looked.capture.as_ref(), &looked.survey);
         let incomplete = loaded.incomplete().map(|what| what.to_string());
         if self.json {
-            output::json(&report::json(&survey, incomplete))?;
+            output::json(&report::json(&looked, &remarks, incomplete))?;
         } else {
-            output::text(&report::text(capture, &survey))?;
+            output::text(&report::text(capture, survey, &remarks))?;
         }
         if let Some(path) = &self.plot {
-            survey::write(capture, &survey, path)?;
+            survey::write(capture, survey, path)?;
         }
         let is_error = |f: &&Finding| f.severity() == Severity::Error;
         match survey.findings.iter().filter(is_error).count() {

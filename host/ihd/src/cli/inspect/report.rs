@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use ihd_capture::open::LoneChannel;
-use ihd_signal::Capture;
+use ihd_signal::{Capture, Remark};
+use ihd_survey::calibration::blind::{Correction, Looked, SelfCalibration};
 use ihd_survey::mains::Source;
 use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
 use serde::Serialize;
@@ -20,12 +21,25 @@ struct Reported<'a> {
 }
 
 /// The survey as one JSON object; its numbers in the units that their names state.
-pub fn json(survey: &Survey, incomplete: Option<String>) -> impl Serialize {
+pub fn json<'a>(
+    looked: &'a Looked<'a>,
+    sensors: &'a [Remark],
+    incomplete: Option<String>,
+) -> impl Serialize + 'a {
+    let survey = &looked.survey;
     #[derive(Serialize)]
     struct Report<'a> {
         #[serde(flatten)]
         survey: &'a Survey,
         findings: Vec<Reported<'a>>,
+        /// What the capture shows of its own sensors.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        self_calibration: Option<&'a SelfCalibration>,
+        /// What was taken out.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        correction: Option<Correction>,
+        /// What is to be said of the sensors.
+        sensors: &'a [Remark],
         /// What of the file could not be read.
         #[serde(skip_serializing_if = "Option::is_none")]
         incomplete: Option<String>,
@@ -38,6 +52,9 @@ pub fn json(survey: &Survey, incomplete: Option<String>) -> impl Serialize {
     Report {
         survey,
         findings: survey.findings.iter().map(reported).collect(),
+        self_calibration: looked.sensors.as_ref().and_then(|s| s.as_ref().ok()),
+        correction: looked.correction,
+        sensors,
         incomplete,
     }
 }
@@ -88,7 +105,7 @@ pub fn lone_text(lone: &LoneChannel) -> String {
 }
 
 /// The survey for a person.
-pub fn text(capture: &Capture, survey: &Survey) -> String {
+pub fn text(capture: &Capture, survey: &Survey, sensors: &[Remark]) -> String {
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
         let _ = writeln!(out, "{name:<10} {text}");
@@ -135,6 +152,13 @@ pub fn text(capture: &Capture, survey: &Survey) -> String {
     }
     if let Some(note) = survey.skew_note() {
         line("skew", note);
+    }
+    for remark in sensors {
+        let word = match remark.severity {
+            Severity::Info => "sensors".to_owned(),
+            worse => worse.to_string(),
+        };
+        line(&word, remark.text.clone());
     }
     if survey.findings.is_empty() {
         line("findings", "none".to_owned());

@@ -1,5 +1,7 @@
 //! The matrix: what a sound capture may look like. What is wrong with others stands in [`super::faulty`].
 
+use ihd_identify::Method;
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_sim::pot::{Metal, Pot};
 use ihd_sim::recording::sensing::Rate;
@@ -32,6 +34,10 @@ pub struct Case {
     pub settings: Settings,
     /// What happens to the samples afterwards.
     pub damage: Vec<Damage>,
+    /// Value of the resonance capacitor in farad, where the user states it.
+    pub capacitance_f: Option<f64>,
+    /// Code of a remark that is word enough at any severity: for what no capture can show.
+    pub word: Option<&'static str>,
 }
 
 impl Case {
@@ -42,6 +48,8 @@ impl Case {
             short: false,
             settings,
             damage: Vec::new(),
+            capacitance_f: None,
+            word: None,
         }
     }
 
@@ -52,9 +60,24 @@ impl Case {
         }
     }
 
+    /// Whether a method is for such a capture at all: the firmware's chain works at the hob's own frequencies.
+    pub fn suits(&self, method: Method) -> bool {
+        let own = f64::from(F_SW_MIN_HZ)..=f64::from(F_SW_MAX_HZ);
+        method != Method::Firmware || own.contains(&self.settings.f_sw_hz)
+    }
+
     pub(super) fn damaged(self, damage: Damage) -> Self {
         let damage = [self.damage.as_slice(), &[damage]].concat();
         Self { damage, ..self }
+    }
+
+    /// The user states the resonance capacitor's value.
+    pub(super) fn with_capacitance(self) -> Self {
+        let capacitance_f = Some(f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9);
+        Self {
+            capacitance_f,
+            ..self
+        }
     }
 
     pub(super) fn short(self) -> Self {

@@ -36,8 +36,15 @@ pub(super) fn sensors() -> Vec<Case> {
         Case::faulty("droop 100 Hz", sensing(|s| s.i_droop_hz = 100.0)),
         Case::faulty("droop 1 kHz", sensing(|s| s.i_droop_hz = 1e3)).short(),
         Case::faulty("droop 5 kHz", sensing(|s| s.i_droop_hz = 5e3)),
-        Case::faulty("voltage gain +3 %", sensing(|s| s.v_gain = 1.03)).short(),
-        Case::faulty("current gain -2 %", sensing(|s| s.i_gain = 0.98)),
+        Case::faulty("voltage gain +3 %", sensing(|s| s.v_gain = 1.03))
+            .with_capacitance()
+            .short(),
+        Case::faulty("current gain -2 %", sensing(|s| s.i_gain = 0.98)).with_capacitance(),
+        // Another gain and another capacitor look the same.
+        Case {
+            word: Some("gain_unknown"),
+            ..Case::faulty("voltage gain +3 %, C unknown", sensing(|s| s.v_gain = 1.03))
+        },
         Case::faulty(
             "offsets 12 V, 3 A",
             sensing(|s| (s.v_offset_v, s.i_offset_a) = (12.0, 3.0)),

@@ -4,10 +4,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ihd_gate::{Examined, Request, examine};
 use ihd_identify::{Method, Settings};
-use ihd_signal::{Capture, Severity};
+use ihd_signal::{Capture, Remark, Severity};
 use ihd_sim::inverter::InverterError;
 use ihd_sim::recording::run::{Recording, record};
 use ihd_survey::Hints;
+use ihd_survey::calibration::blind::{Ask, Mode};
 use serde::Serialize;
 
 use super::cases::{Case, Group, all};
@@ -145,9 +146,16 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
     let mut settings = Settings::default();
     // A busy machine must not decide on a table.
     settings.pinn.deterministic = true;
+    let methods: Vec<Method> = (plan.methods.iter().copied())
+        .filter(|method| case.suits(*method))
+        .collect();
     let request = Request {
         hints: Hints::default(),
-        methods: &plan.methods,
+        methods: &methods,
+        sensors: Ask {
+            mode: Mode::Auto,
+            capacitance_f: case.capacitance_f,
+        },
         settings: &settings,
         reconstruct: false,
     };
@@ -168,7 +176,7 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             elapsed_s: 0.0,
         };
         match &examined {
-            Ok(examined) => together(nothing, examined, truth),
+            Ok(examined) => together(nothing, case, examined, truth),
             Err(error) => Run {
                 refused: true,
                 said: vec!["nothing_to_work_on".to_owned()],
@@ -178,11 +186,11 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             },
         }
     };
-    plan.methods.iter().map(of_method).collect()
+    methods.iter().map(of_method).collect()
 }
 
 /// All stretches of a method.
-fn together(mut run: Run, examined: &Examined, truth: &Truth<'_>) -> Run {
+fn together(mut run: Run, case: &Case, examined: &Examined, truth: &Truth<'_>) -> Run {
     let own = |o: &&ihd_gate::Outcome| o.method == run.method;
     for outcome in examined.outcomes.iter().filter(own) {
         let found = errors(truth, outcome, &examined.segments);
@@ -193,7 +201,8 @@ fn together(mut run: Run, examined: &Examined, truth: &Truth<'_>) -> Run {
         run.stretches += 1;
         let findings = &outcome.judgement.findings;
         let mut warned = false;
-        for finding in findings.iter().filter(|f| f.severity >= Severity::Warning) {
+        let counts = |f: &&Remark| f.severity >= Severity::Warning || Some(f.code) == case.word;
+        for finding in findings.iter().filter(counts) {
             warned = true;
             if !run.said.iter().any(|code| code == finding.code) {
                 run.said.push(finding.code.to_owned());

@@ -76,12 +76,9 @@ mod tests {
                 .collect();
             let left = zero_phase(&tone, dt_s);
             let kept = 1.0 / (1.0 + (f_hz / CORNER_HZ).powf(2.0 * order));
-            // Off the ends, where it settles; the bilinear map bends 2 MHz by half a percent.
+            // Off the ends, where it settles; the bilinear map bends 1 and 2 MHz by .4 and 2 % of what is left.
             for (a, b) in tone.iter().zip(&left).take(40_000).skip(10_000) {
-                assert!(
-                    (kept * a - b).abs() < 2e-3 * kept.max(0.1),
-                    "{f_hz}: {a} {b}"
-                );
+                assert!((kept * a - b).abs() < 3e-4, "{f_hz}: {a} {b}");
             }
         }
     }

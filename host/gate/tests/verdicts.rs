@@ -1,0 +1,178 @@
+//! The gate on simulated captures: what is right passes without a word, what is wrong is refused or warned of.
+
+use ihd_gate::{Examined, Outcome, Request, Verdict, examine};
+use ihd_identify::accuracy::Accuracy;
+use ihd_identify::{Method, Settings as Methods};
+use ihd_signal::{Capture, Severity};
+use ihd_sim::recording::run::record;
+use ihd_sim::recording::sensing::{Rate, Sensing};
+use ihd_sim::recording::settings::{Change, Event, LoadKind, Neighbour, Settings};
+use ihd_survey::Hints;
+use ihd_survey::calibration::blind::Ask;
+
+/// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
+fn clean() -> Settings {
+    Settings {
+        load: LoadKind::Behavioural,
+        sensing: Sensing {
+            rate: Rate::Hz(12.5e6),
+            bits: 12,
+            snr_db: Some(50.0),
+            ..Sensing::default()
+        },
+        ..Settings::default()
+    }
+}
+
+fn capture(settings: &Settings) -> Capture {
+    let recording = record(settings, |_| ()).expect("settings that can be");
+    // What a user's scope does not know.
+    Capture {
+        mains_hz: None,
+        zero_crossing_s: None,
+        ..recording.capture("a test")
+    }
+}
+
+fn examined(capture: &Capture, methods: &[Method]) -> Examined {
+    let request = Request {
+        hints: Hints::default(),
+        methods,
+        sensors: Ask::default(),
+        settings: &Methods::default(),
+        reconstruct: false,
+    };
+    examine(capture, &request, &mut |_, _, _| ()).expect("a carrier")
+}
+
+fn codes(outcome: &Outcome) -> Vec<&'static str> {
+    outcome.judgement.doubts().map(|d| d.code).collect()
+}
+
+#[test]
+fn what_is_right_passes_without_a_word() {
+    let locked = Sensing {
+        rate: Rate::Locked,
+        bits: 12,
+        pole_hz: 500e3,
+        ..Sensing::default()
+    };
+    let with_noise = |snr_db| Sensing {
+        snr_db: Some(snr_db),
+        ..clean().sensing
+    };
+    for settings in [
+        clean(),
+        Settings {
+            duty: 0.35,
+            ..clean()
+        },
+        Settings {
+            sensing: locked,
+            ..clean()
+        },
+        Settings {
+            sensing: with_noise(30.0),
+            ..clean()
+        },
+        Settings {
+            sensing: with_noise(20.0),
+            ..clean()
+        },
+    ] {
+        let capture = capture(&settings);
+        let examined = examined(&capture, &[Method::LeastSquares, Method::Lockin]);
+        assert_eq!(examined.outcomes.len(), 2);
+        for outcome in &examined.outcomes {
+            let verdict = outcome.judgement.gate.verdict;
+            let said = &outcome.judgement.findings;
+            assert_eq!(verdict, Verdict::Pass, "{:?}: {said:?}", settings.sensing);
+            assert_eq!(codes(outcome), [""; 0], "{:?}: {said:?}", settings.sensing);
+        }
+    }
+}
+
+/// An error of more than 1 % of R or .7 % of L (middle 80 %) is never silent, whatever made it.
+#[test]
+fn what_is_wrong_is_not_silent() {
+    let step = |t_s, r_factor, l_factor| Event {
+        t_s,
+        change: Change::Load { r_factor, l_factor },
+    };
+    let tone = |offset_hz, v| Some(Neighbour { offset_hz, v });
+    let twenty_db = Sensing {
+        snr_db: Some(20.0),
+        ..clean().sensing
+    };
+    let methods = [Method::LeastSquares, Method::Lockin, Method::Kf];
+    let mut wrong = 0;
+    for settings in [
+        Settings {
+            neighbour: tone(1.2e3, 8.0),
+            ..clean()
+        },
+        Settings {
+            neighbour: tone(-830.0, 4.0),
+            ..clean()
+        },
+        Settings {
+            events: vec![step(5e-3, 3.0, 1.0), step(5.3e-3, 1.0, 1.0)],
+            ..clean()
+        },
+        Settings {
+            sensing: twenty_db,
+            ..clean()
+        },
+    ] {
+        let capture = capture(&settings);
+        let examined = examined(&capture, &methods);
+        for outcome in &examined.outcomes {
+            let segment = &examined.segments[outcome.segment];
+            let found = outcome.result.as_ref().expect("an estimate");
+            let accuracy = Accuracy::of(found, segment, &capture.truth, f64::NEG_INFINITY);
+            // A stretch may lie between two of the truth's points.
+            let Some(Accuracy { middle: errors, .. }) = accuracy else {
+                continue;
+            };
+            if errors.r_pct > 1.0 || errors.l_pct > 0.7 {
+                wrong += 1;
+                let doubts = outcome.judgement.doubts().count();
+                assert!(doubts > 0, "{} is off by {errors:?}", outcome.method);
+            }
+        }
+    }
+    assert!(wrong >= 5, "only {wrong} results are wrong at all");
+}
+
+/// Errors in variables: noise on the current's derivative biases the linear filter's L towards zero.
+#[test]
+fn the_linear_filter_is_refused_in_noise_and_least_squares_is_not() {
+    let mut settings = clean();
+    settings.sensing.snr_db = Some(20.0);
+    let examined = examined(&capture(&settings), &[Method::Kf, Method::LeastSquares]);
+    let [kf, least_squares] = &examined.outcomes[..] else {
+        panic!("{} outcomes", examined.outcomes.len());
+    };
+    assert!(kf.judgement.gate.refuses() && codes(kf).contains(&"disagreement"));
+    assert!(!least_squares.judgement.gate.refuses());
+}
+
+/// A tone costs what it is strong enough for, and nothing where the fit does not follow it.
+#[test]
+fn a_tone_is_judged_by_what_it_costs() {
+    let severity = |offset_hz: f64, v: f64| {
+        let settings = Settings {
+            neighbour: Some(Neighbour { offset_hz, v }),
+            ..clean()
+        };
+        let examined = examined(&capture(&settings), &[Method::LeastSquares]);
+        let findings = examined.outcomes.iter().flat_map(|o| &o.judgement.findings);
+        findings
+            .filter(|f| f.code == "interference")
+            .map(|f| f.severity)
+            .max()
+    };
+    assert_eq!(severity(1.2e3, 8.0), Some(Severity::Error));
+    assert_eq!(severity(1.2e3, 0.02), None);
+    assert_eq!(severity(20e3, 8.0), None);
+}

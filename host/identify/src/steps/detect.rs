@@ -1,0 +1,251 @@
+//! Where R or L steps: the impedance of a few periods before against that of a few after.
+//!
+//! What moves by nature moves slowly, and the noise is the same everywhere but for the amplitude: a step stands out against
+//! both. Beside the mains zero crossings, where R and L have kinks, nothing is judged.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::Segment;
+use ihd_signal::correlation::Correlator;
+use ihd_signal::noise::median;
+use nalgebra::Complex;
+
+use crate::lockin::r_l;
+
+/// A step of the load.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Step {
+    /// When, in seconds on the segment's clock.
+    pub t_s: f64,
+    /// R before and after in ohm.
+    pub r_ohm: (f64, f64),
+    /// L before and after in henry.
+    pub l_h: (f64, f64),
+}
+
+/// Frames, one a switching period, on either side whose mean is compared.
+const BESIDE: usize = 5;
+
+/// Frames between the two sides: a frame and the slope at it reach two periods far.
+const BETWEEN: usize = 4;
+
+/// Frames from a position to the outermost that it looks at.
+const REACH: usize = BESIDE + BETWEEN / 2;
+
+/// Switching periods on either side of a position within which the step is looked for.
+const NEAR_PERIODS: f64 = 4.0;
+
+/// Share of the largest current below which nothing is judged.
+const LEAST_CURRENT: f64 = 0.12;
+
+/// Least step that is reported, as a share of the impedance.
+const LEAST: f64 = 0.06;
+
+/// Frames on either side of a step that show a part of it.
+const BLURRED: usize = 2;
+
+/// Times the median of what noise gives: 7.5 standard deviations.
+const OVER_NOISE: f64 = 6.5;
+
+/// Times what R and L change by nature nearby.
+const OVER_TREND: f64 = 5.0;
+
+/// Steps in order of time.
+pub(super) fn steps(segment: &Segment) -> Vec<Step> {
+    let frames = Frames::of(segment);
+    let differences: Vec<f64> = (0..frames.z.len()).map(|k| frames.difference(k)).collect();
+    let weighted = |k: usize| differences[k] * frames.current(k);
+    let noise = (0..differences.len()).filter(|k| differences[*k] > 0.0);
+    let Some(noise) = median(noise.map(weighted).collect()) else {
+        return Vec::new();
+    };
+    let stands_out = |k: &usize| {
+        differences[*k] > LEAST
+            && weighted(*k) > OVER_NOISE * noise
+            && differences[*k] > OVER_TREND * trend(&differences, *k)
+    };
+    let mut candidates: Vec<usize> = (0..differences.len()).filter(stands_out).collect();
+    candidates.sort_by(|a, b| differences[*b].total_cmp(&differences[*a]));
+    let mut found: Vec<usize> = Vec::new();
+    for k in candidates {
+        if found
+            .iter()
+            .all(|other| k.abs_diff(*other) > REACH + BLURRED)
+        {
+            found.push(k);
+        }
+    }
+    found.sort_unstable();
+    let mut steps: Vec<Step> = found.iter().map(|k| frames.step(segment, *k)).collect();
+    // A shadow of a step is found where the step is.
+    let apart_s = BLURRED as f64 * frames.step_s;
+    steps.dedup_by(|b, a| b.t_s - a.t_s < apart_s);
+    steps
+}
+
+/// What R and L change by nature around a position: the lower quartile, of which a step nearby is no part.
+fn trend(differences: &[f64], k: usize) -> f64 {
+    let near =
+        |j: &usize| j.abs_diff(k) > REACH && j.abs_diff(k) <= 3 * REACH && differences[*j] > 0.0;
+    let (from, to) = (
+        k.saturating_sub(3 * REACH),
+        (k + 3 * REACH + 1).min(differences.len()),
+    );
+    let mut x: Vec<f64> = (from..to).filter(near).map(|j| differences[j]).collect();
+    x.sort_by(f64::total_cmp);
+    x.get(x.len() / 4).copied().unwrap_or(0.0)
+}
+
+/// Impedance and current of every switching period.
+struct Frames {
+    /// R and ωL in ohm.
+    z: Vec<Complex<f64>>,
+    /// The current's amplitude as a share of the largest.
+    i: Vec<f64>,
+    /// Time of the first frame's middle in seconds.
+    t0_s: f64,
+    /// Time from one frame to the next in seconds.
+    step_s: f64,
+    omega: f64,
+}
+
+impl Frames {
+    /// Frames of two periods under a Hann window, which sees neither a mean nor harmonics; the slope is that from the frame
+    /// before to the one after.
+    fn of(segment: &Segment) -> Self {
+        let per_period = segment.samples_per_period();
+        let (length, hop) = (
+            (2.0 * per_period).round() as usize,
+            per_period.round() as usize,
+        );
+        let omega = TAU * segment.f_sw_hz;
+        let step_s = hop as f64 * segment.dt_s;
+        let correlator = Correlator::new(segment, length, [1.0]);
+        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / length as f64);
+        let weight: Vec<f64> = (0..length).map(hann).collect();
+        let weigh = |x: &[f64]| -> Vec<f64> { x.iter().zip(&weight).map(|(x, w)| x * w).collect() };
+        let starts = (0..=segment.len().saturating_sub(length)).step_by(hop.max(1));
+        let phasors: Vec<_> = starts
+            .map(|first| {
+                let range = first..first + length;
+                let sums = correlator.block(
+                    first,
+                    &weigh(&segment.v_v[range.clone()]),
+                    &weigh(&segment.i_a[range]),
+                );
+                (sums.v[0], sums.i[0])
+            })
+            .collect();
+        let largest = phasors
+            .iter()
+            .map(|p| p.1.norm())
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let inner = phasors.windows(3);
+        let (z, i) = inner
+            .map(|w| {
+                let ((_, before), (v, i), (_, after)) = (w[0], w[1], w[2]);
+                let d = i * Complex::new(0.0, omega) + (after - before) / (2.0 * step_s);
+                let (r, l) = r_l(v, i, d);
+                (Complex::new(r, omega * l), i.norm() / largest)
+            })
+            .unzip();
+        Self {
+            z,
+            i,
+            t0_s: segment.t0_s + 0.5 * length as f64 * segment.dt_s + step_s,
+            step_s,
+            omega,
+        }
+    }
+
+    /// Frames before and after the one at `k`, as far as it looks; `None` at the ends.
+    fn sides(&self, k: usize) -> Option<[std::ops::Range<usize>; 2]> {
+        let before = k.checked_sub(REACH)?..k - BETWEEN / 2;
+        let after = k + BETWEEN / 2 + 1..k + REACH + 1;
+        (after.end <= self.z.len()).then_some([before, after])
+    }
+
+    /// Mean impedance in ohm, weighted with the current's power.
+    fn mean(&self, frames: std::ops::Range<usize>) -> Complex<f64> {
+        let weight = |k: &usize| self.i[*k] * self.i[*k];
+        let sum: Complex<f64> = frames.clone().map(|k| self.z[k] * weight(&k)).sum();
+        sum / frames.map(|k| weight(&k)).sum::<f64>()
+    }
+
+    /// Least current within reach.
+    fn current(&self, k: usize) -> f64 {
+        let reach = self.sides(k).map(|[before, after]| before.start..after.end);
+        reach.map_or(0.0, |r| self.i[r].iter().copied().fold(1.0, f64::min))
+    }
+
+    /// How far the impedance after frame `k` is from that before, as a share of the smaller; 0 where nothing is judged.
+    fn difference(&self, k: usize) -> f64 {
+        let Some([before, after]) = self.sides(k).filter(|_| self.current(k) > LEAST_CURRENT)
+        else {
+            return 0.0;
+        };
+        let (a, b) = (self.mean(before), self.mean(after));
+        let share = (b - a).norm() / a.norm().min(b.norm());
+        if share.is_finite() { share } else { 0.0 }
+    }
+
+    /// The step near frame `k`.
+    fn step(&self, segment: &Segment, k: usize) -> Step {
+        let mut k = k;
+        let near_s = self.time_s(k);
+        let mut t_s = near_s;
+        // With a better time the means are those of the loads themselves, and so the time is better.
+        for _ in 0..2 {
+            let (a, b) = self.means(k);
+            t_s = self.place(segment, near_s, a, b);
+            k = ((t_s - self.t0_s) / self.step_s).round().max(0.0) as usize;
+        }
+        let (a, b) = self.means(k);
+        Step {
+            t_s,
+            r_ohm: (a.re, b.re),
+            l_h: (a.im / self.omega, b.im / self.omega),
+        }
+    }
+
+    /// Time of a frame's middle in seconds.
+    fn time_s(&self, k: usize) -> f64 {
+        self.t0_s + k as f64 * self.step_s
+    }
+
+    /// Mean impedance in ohm before and after frame `k`; at the ends, of what there is.
+    fn means(&self, k: usize) -> (Complex<f64>, Complex<f64>) {
+        let last = self.z.len().saturating_sub(REACH + 1);
+        let k = k.clamp(REACH.min(last), last);
+        let [before, after] = self.sides(k).unwrap_or([k..k + 1, k..k + 1]);
+        (self.mean(before), self.mean(after))
+    }
+
+    /// Time in seconds near `near_s` until which the impedance `a` explains the samples, and from which on `b` does: of
+    /// v = R·i + L·di/dt each sixth of a period leaves an error, and their squares are least there.
+    fn place(&self, segment: &Segment, near_s: f64, a: Complex<f64>, b: Complex<f64>) -> f64 {
+        let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
+        let reach_s = NEAR_PERIODS * self.step_s;
+        let from = index(near_s - reach_s);
+        let to = (index(near_s + reach_s) + 1).min(segment.len());
+        let length = (segment.samples_per_period() / 6.0).round().max(1.0) as usize;
+        let error = |k: usize, z: Complex<f64>| {
+            // Over an interval the current's slope is the difference of its ends, and noise counts little.
+            let mean = |x: &[f64]| {
+                let inner: f64 = x[k + 1..k + length].iter().sum();
+                (inner + 0.5 * (x[k] + x[k + length])) / length as f64
+            };
+            let rise = segment.i_a[k + length] - segment.i_a[k];
+            let slope = rise / (length as f64 * segment.dt_s);
+            mean(&segment.v_v) - z.re * mean(&segment.i_a) - z.im / self.omega * slope
+        };
+        let (mut sum, mut least, mut best) = (0.0, 0.0, from);
+        for k in from..to.saturating_sub(length) {
+            sum += error(k, a).powi(2) - error(k, b).powi(2);
+            if sum < least {
+                (least, best) = (sum, k + length.div_ceil(2));
+            }
+        }
+        segment.t_s(best)
+    }
+}

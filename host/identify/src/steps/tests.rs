@@ -1,0 +1,88 @@
+use ihd_signal::Segment;
+use ihd_sim::recording::run::{Recording, record};
+use ihd_sim::recording::sensing::Rate;
+use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings as Recorded};
+
+use super::*;
+use crate::{accuracy, run};
+
+/// A half-cycle of the behavioural load at 50 kHz, whose R and L become these times the law's at these times in seconds.
+fn recorded(steps: &[(f64, f64, f64)], rate_hz: f64, snr_db: Option<f64>) -> (Recording, Segment) {
+    let mut settings = Recorded {
+        f_sw_hz: 50e3,
+        load: LoadKind::Behavioural,
+        duration_s: 10e-3,
+        ..Recorded::default()
+    };
+    settings.sensing.rate = Rate::Hz(rate_hz);
+    settings.sensing.allow_aliasing = true;
+    settings.sensing.snr_db = snr_db;
+    let event = |&(t_s, r_factor, l_factor): &(f64, f64, f64)| Event {
+        t_s,
+        change: Change::Load { r_factor, l_factor },
+    };
+    settings.events = steps.iter().map(event).collect();
+    let recording = record(&settings, |_| ()).unwrap();
+    let capture = recording.capture("steps");
+    let wide = |x: &[f32]| x.iter().map(|x| f64::from(*x)).collect();
+    let (v_v, i_a) = (wide(&capture.v_v), wide(&capture.i_a));
+    let segment = recording.clean_segment().with_samples(v_v, i_a);
+    (recording, segment)
+}
+
+const LIFTED: [(f64, f64, f64); 1] = [(5e-3, 0.6, 1.35)];
+const SPOON: [(f64, f64, f64); 2] = [(5e-3, 3.0, 1.0), (5.3e-3, 1.0, 1.0)];
+
+#[test]
+fn steps_are_found_where_they_are_and_with_their_sizes() {
+    for (rate_hz, snr_db) in [(11.37e6, None), (11.37e6, Some(20.0)), (2.57e6, Some(30.0))] {
+        let found = detect::steps(&recorded(&LIFTED, rate_hz, snr_db).1);
+        assert_eq!(found.len(), 1, "{found:?}");
+        let step = found[0];
+        assert!((step.t_s - 5e-3).abs() < 20e-6, "{step:?}");
+        // The current rises, and R and L follow it by nature.
+        let times = step.r_ohm.1 / step.r_ohm.0;
+        assert!((0.5..0.75).contains(&times), "{step:?}");
+        let times = step.l_h.1 / step.l_h.0;
+        assert!((1.2..1.55).contains(&times), "{step:?}");
+        let found = detect::steps(&recorded(&SPOON, rate_hz, snr_db).1);
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!((found[0].t_s - 5.0e-3).abs() < 20e-6, "{found:?}");
+        assert!((found[1].t_s - 5.3e-3).abs() < 20e-6, "{found:?}");
+    }
+}
+
+#[test]
+fn a_load_that_does_not_step_shows_no_step() {
+    for (rate_hz, snr_db) in [
+        (11.37e6, None),
+        (11.37e6, Some(20.0)),
+        (1.03e6, Some(20.0)),
+        (2.57e6, Some(30.0)),
+    ] {
+        let found = detect::steps(&recorded(&[], rate_hz, snr_db).1);
+        assert!(found.is_empty(), "{rate_hz} {snr_db:?}: {found:?}");
+    }
+}
+
+#[test]
+fn the_pieces_are_identified_and_joined_in_order_of_time() {
+    for steps in [&LIFTED[..], &SPOON[..]] {
+        let (recording, segment) = recorded(steps, 11.37e6, Some(50.0));
+        for method in [Method::LeastSquares, Method::Lockin] {
+            let estimate = run(method, &segment, &Settings::default()).unwrap();
+            assert!(estimate.t_s.windows(2).all(|t| t[0] < t[1]));
+            let said = estimate.remarks.iter().filter(|r| r.code == "load_step");
+            assert_eq!(said.count(), steps.len());
+            let found = accuracy::Accuracy::of(&estimate, &segment, &recording.truth, 0.0).unwrap();
+            // The truth itself takes two periods for a step: half of each is a quarter of a percent of the half-cycle.
+            assert!(
+                found.middle.r_pct < 0.4 && found.middle.l_pct < 0.2,
+                "{method}: {found:?}"
+            );
+        }
+        let whole = run(Method::Rls, &segment, &Settings::default()).unwrap();
+        let warns = |r: &Remark| r.code == "load_step" && r.severity == Severity::Warning;
+        assert!(whole.remarks.iter().any(warns));
+    }
+}

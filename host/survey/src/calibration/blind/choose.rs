@@ -1,0 +1,185 @@
+//! Which plateaus, which guards, which model: by what the capture itself shows.
+
+use super::BlindError;
+use super::basis::Bases;
+use super::edges::Stretch;
+use super::fit::{Fit, Found, Model, Scope};
+use super::plateau::{Guards, Plateau, of_stretch};
+
+/// What was chosen, and what was found.
+#[derive(Clone, Debug)]
+pub(super) struct Chosen {
+    pub fit: Fit,
+    /// The plateaus that were used: of both sides, or of the one whose level is ground.
+    pub side: Option<usize>,
+    /// Relative change of the charge at the largest current by the cubed current.
+    pub bend: Found,
+    /// By how many squared deviations a skew explains less than what was chosen.
+    pub beyond_skew: f64,
+    pub plateaus: usize,
+    /// Samples of a plateau in the mean.
+    pub samples: f64,
+    /// Largest amplitude of the current in ampere.
+    pub i_a: f64,
+    /// The lag as a skew, whatever it comes from.
+    pub skew_s: Found,
+}
+
+/// Guards that are tried, in order: an edge of 0.2 µs that swings; a filter of 500 kHz that settles; the slowest that
+/// leaves half a plateau.
+const AFTER_S: [f64; 5] = [0.3e-6, 0.7e-6, 1.2e-6, 1.8e-6, 2.6e-6];
+
+/// Guard before an edge in seconds: what the phase is uncertain by.
+const BEFORE_S: f64 = 0.1e-6;
+
+/// Fewest plateaus of a side.
+const FEWEST: usize = 20;
+
+/// Least gain in squared deviations, of a model of equal freedom over a skew, to be told apart from it.
+pub(super) const TOLD_APART: f64 = 12.0;
+
+/// Finds what the plateaus of the stretches show. `settling_s`: a filter of this time constant, which both channels share,
+/// leaves a tail after each edge.
+pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<Chosen, BlindError> {
+    let mut best: Option<Chosen> = None;
+    let mut bases = Bases::default();
+    let mut most = 0;
+    let edges: Vec<_> = stretches
+        .iter()
+        .filter_map(|s| Some((s, s.edges()?)))
+        .collect();
+    for after_s in AFTER_S {
+        // Edges are found to a third of a sample.
+        let of = |s: &Stretch| Guards {
+            before_s: BEFORE_S + 0.4 * s.dt_s,
+            after_s,
+        };
+        let plateaus: Vec<Plateau> = edges
+            .iter()
+            .flat_map(|(s, edges)| of_stretch(s, edges, of(s), &mut bases))
+            .collect();
+        most = most.max(plateaus.len());
+        let Some(now) = judge(&plateaus, settling_s) else {
+            continue;
+        };
+        let fits = now.is_flat();
+        let better = |b: &Chosen| now.fit.misfit.share < 0.7 * b.fit.misfit.share;
+        if fits || best.as_ref().is_none_or(better) {
+            best = Some(now);
+        }
+        if fits {
+            break;
+        }
+    }
+    best.ok_or(match most {
+        0 => BlindError::NoEdges,
+        plateaus => BlindError::TooFew { plateaus },
+    })
+}
+
+/// Largest share of the capacitor's voltage that may be left with the same shape in every plateau.
+const MISFIT: f64 = 2e-3;
+
+impl Chosen {
+    /// Whether the plateaus are flat but for noise, or nearly.
+    pub fn is_flat(&self) -> bool {
+        let (chi_square, kinds) = self.fit.misfit.chi_square;
+        let usual = kinds as f64 + 5.0 * (2.0 * kinds as f64).sqrt();
+        chi_square < usual || self.fit.misfit.share < MISFIT
+    }
+}
+
+/// How far the two sides may differ, in standard deviations, of 1/C relatively, and in seconds.
+const SIDES_SIGMAS: f64 = 3.5;
+const SIDES_SHARE: f64 = 2e-3;
+const SIDES_S: f64 = 1.5e-9;
+
+fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<Chosen> {
+    let scope = |side| Scope {
+        plateaus,
+        side,
+        cubic: false,
+        settling_s,
+    };
+    let of_side = |side: usize| {
+        let enough = plateaus.iter().filter(|p| p.side == side).count() >= FEWEST;
+        let fit = scope(Some(side)).fit(Model::Skew);
+        fit.filter(|_| enough)
+    };
+    let sides = [of_side(0), of_side(1)];
+    let side = match &sides {
+        [Some(a), Some(b)] if agree(a, b) => None,
+        // The level that does not follow the mains is ground; a bus gives way to the current that it feeds.
+        [Some(a), Some(b)] => {
+            let still = |f: &Fit, side: usize| f.follows_bus[side].abs();
+            Some(usize::from(still(b, 1) < still(a, 0)))
+        }
+        [Some(_), None] => Some(0),
+        [None, Some(_)] => Some(1),
+        [None, None] => return None,
+    };
+    let mut scope = scope(side);
+    let (fit, skew_s, beyond_skew) = best_model(&scope)?;
+    scope.cubic = true;
+    let used = || plateaus.iter().filter(|p| side.is_none_or(|s| s == p.side));
+    let i_a = used().map(|p| p.carrier.i_a).fold(0.0, f64::max);
+    let bend = scope.fit(fit.model).map_or(Found::default(), |f| Found {
+        value: 0.75 * f.cubic.value * i_a * i_a,
+        sigma: 0.75 * f.cubic.sigma * i_a * i_a,
+    });
+    let count = used().count();
+    Some(Chosen {
+        fit,
+        side,
+        bend,
+        beyond_skew,
+        plateaus: count,
+        samples: used().map(|p| p.samples as f64).sum::<f64>() / count as f64,
+        i_a,
+        skew_s,
+    })
+}
+
+fn agree(a: &Fit, b: &Fit) -> bool {
+    let within = |a: Found, b: Found, least: f64| {
+        let apart = (a.value - b.value).abs();
+        apart <= least.max(SIDES_SIGMAS * a.sigma.hypot(b.sigma))
+    };
+    within(a.elastance, b.elastance, SIDES_SHARE * a.elastance.value)
+        && within(a.time_s, b.time_s, SIDES_S)
+}
+
+/// The model with the least Bayesian information criterion; the skew that stands for it; and by how many squared deviations
+/// it explains more than that.
+fn best_model(scope: &Scope) -> Option<(Fit, Found, f64)> {
+    let all: Vec<Fit> = [
+        Model::Right,
+        Model::Skew,
+        Model::SlowCurrent,
+        Model::Droop,
+        Model::SkewAndDroop,
+        Model::SlowCurrentAndDroop,
+    ]
+    .into_iter()
+    .filter_map(|model| scope.fit(model))
+    .filter(is_physical)
+    .collect();
+    let skew = scope.fit(Model::Skew)?;
+    let least = all.iter().map(|f| f.left.0).fold(f64::INFINITY, f64::min);
+    let numbers = skew.left.1 as f64;
+    let variance = least / numbers;
+    let criterion =
+        |fit: &Fit| fit.left.0 / variance + fit.model.parameters() as f64 * numbers.ln();
+    let fit = all
+        .into_iter()
+        .min_by(|a, b| criterion(a).total_cmp(&criterion(b)))?;
+    let beyond = (skew.left.0 - fit.left.0) / variance;
+    Some((fit, skew.time_s, beyond))
+}
+
+/// Time constants and corners are positive, and a corner is far below the carrier: 10 Hz to 20 kHz.
+fn is_physical(fit: &Fit) -> bool {
+    let tau = matches!(fit.model, Model::SlowCurrent | Model::SlowCurrentAndDroop);
+    let droop = fit.droop.value == 0.0 || (60.0..1.3e5).contains(&fit.droop.value);
+    droop && (!tau || fit.time_s.value > 0.0)
+}

@@ -1,0 +1,294 @@
+//! Where the bridge switches: the phase of the carrier, and at which phases the edges lie.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use nalgebra::Complex;
+
+/// A stretch of a capture with one carrier, evenly sampled.
+#[derive(Clone, Debug)]
+pub(super) struct Stretch {
+    /// Coil voltage in volt, without its mean.
+    pub v_v: Vec<f64>,
+    /// Coil current in ampere, without its mean, positive where it takes power from positive voltage.
+    pub i_a: Vec<f64>,
+    /// Time from sample to sample in seconds.
+    pub dt_s: f64,
+    /// Switching frequency in hertz; the phase is followed from there.
+    pub f_sw_hz: f64,
+}
+
+/// What the carrier does at one sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Carrier {
+    /// Periods since some start.
+    pub periods: f64,
+    /// Amplitude of the bridge's voltage in volt.
+    pub v_v: f64,
+    /// Its change in volt per second.
+    pub v_per_s: f64,
+    /// Amplitude of the current in ampere.
+    pub i_a: f64,
+}
+
+/// The carrier along a stretch: linear between frames.
+#[derive(Clone, Debug)]
+pub(super) struct Track {
+    hop: f64,
+    first: f64,
+    frames: Vec<Carrier>,
+}
+
+/// A carrier, and the phases between its edges in periods.
+pub(super) type Edges = (Track, [Range<f64>; 2]);
+
+/// Switching periods in a frame, and from frame to frame.
+const FRAME: f64 = 4.0;
+const HOP: f64 = 2.0;
+
+/// Frames over which the change of the bus is taken.
+const BUS_FRAMES: usize = 3;
+
+/// Steps of this share of a period are compared: an edge is shorter, and noise of a single sample at 125 MS/s is
+/// more than a fiftieth of an edge.
+const STEP: f64 = 0.01;
+
+impl Stretch {
+    /// Samples of a period.
+    pub fn per_period(&self) -> f64 {
+        1.0 / (self.f_sw_hz * self.dt_s)
+    }
+
+    /// Charge in coulomb since the first sample, by trapezoids: good enough to find edges.
+    fn charge_c(&self) -> Vec<f64> {
+        let mut sum = 0.0;
+        let steps = self.i_a.windows(2).map(|w| 0.5 * (w[0] + w[1]) * self.dt_s);
+        std::iter::once(0.0)
+            .chain(steps.map(|step| {
+                sum += step;
+                sum
+            }))
+            .collect()
+    }
+
+    /// Charge in coulomb without what is slower than the carrier: less its mean over three periods.
+    pub fn swinging_charge_c(&self) -> Vec<f64> {
+        let q_c = self.charge_c();
+        let half = ((1.5 * self.per_period()).round() as usize).max(1);
+        let mut sums = Vec::with_capacity(q_c.len() + 1);
+        sums.push(0.0);
+        let mut sum = 0.0;
+        sums.extend(q_c.iter().map(|q| {
+            sum += q;
+            sum
+        }));
+        let mean = |k: usize| {
+            let (a, b) = (k.saturating_sub(half), (k + half).min(q_c.len()));
+            (sums[b] - sums[a]) / (b - a).max(1) as f64
+        };
+        q_c.iter().enumerate().map(|(k, q)| q - mean(k)).collect()
+    }
+
+    /// 1/C in 1/farad: what most steps of the voltage have in common with the charge that flowed. The median is not
+    /// moved by the few steps that hold an edge.
+    fn elastance(&self) -> Option<f64> {
+        let q_c = self.charge_c();
+        let m = ((0.05 * self.per_period()) as usize).max(1);
+        let every = (self.v_v.len() / 100_000).max(1);
+        let mut steps: Vec<(f64, f64)> = (0..self.v_v.len().saturating_sub(m))
+            .step_by(every)
+            .map(|k| (self.v_v[k + m] - self.v_v[k], q_c[k + m] - q_c[k]))
+            .filter(|(_, q)| *q != 0.0)
+            .map(|(v, q)| (-v / q, q.abs()))
+            .collect();
+        steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let half = 0.5 * steps.iter().map(|s| s.1).sum::<f64>();
+        let mut sum = 0.0;
+        let middle = steps.iter().find(|s| {
+            sum += s.1;
+            sum >= half
+        });
+        middle.map(|s| s.0).filter(|e| e.is_finite())
+    }
+
+    /// Follows the phase of v + q/C, which is the bridge's; `None` where there are too few periods.
+    fn track(&self, elastance: f64) -> Option<Track> {
+        let samples = |periods: f64| (periods * self.per_period()).round() as usize;
+        let (frame, hop) = (samples(FRAME), samples(HOP).max(1));
+        if frame < 8 || self.v_v.len() < 4 * frame {
+            return None;
+        }
+        let window: Vec<f64> = (0..frame)
+            .map(|k| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / frame as f64))
+            .collect();
+        let scale = 2.0 / window.iter().sum::<f64>();
+        let omega = TAU * self.f_sw_hz;
+        let turn = Complex::from_polar(1.0, -omega * self.dt_s);
+        let mut frames = Vec::new();
+        let mut last: f64 = 0.0;
+        for from in (0..=self.v_v.len() - frame).step_by(hop) {
+            let mut at = Complex::from_polar(scale, -omega * self.dt_s * from as f64);
+            let (mut v, mut i) = (Complex::<f64>::default(), Complex::<f64>::default());
+            for (k, w) in window.iter().enumerate() {
+                v += at * (w * self.v_v[from + k]);
+                i += at * (w * self.i_a[from + k]);
+                at *= turn;
+            }
+            let bridge = v + i * elastance / Complex::new(0.0, omega);
+            let phase = bridge.arg() / TAU;
+            last = phase + (last - phase).round();
+            let middle = from as f64 + 0.5 * (frame - 1) as f64;
+            frames.push(Carrier {
+                periods: self.f_sw_hz * self.dt_s * middle + last,
+                v_v: bridge.norm(),
+                v_per_s: 0.0,
+                i_a: i.norm(),
+            });
+        }
+        let hop_s = hop as f64 * self.dt_s;
+        for k in 0..frames.len() {
+            let (a, b) = (
+                k.saturating_sub(BUS_FRAMES),
+                (k + BUS_FRAMES).min(frames.len() - 1),
+            );
+            frames[k].v_per_s = (frames[b].v_v - frames[a].v_v) / ((b - a).max(1) as f64 * hop_s);
+        }
+        let first = 0.5 * (frame - 1) as f64;
+        Some(Track {
+            hop: hop as f64,
+            first,
+            frames,
+        })
+    }
+
+    /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude then.
+    fn fold(&self, track: &Track, elastance: f64, least_v: f64) -> Fold {
+        let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
+        let m = ((STEP * self.per_period()).round() as usize).max(1);
+        let q_c = self.charge_c();
+        let mut sums = vec![(0.0, 0u32); bins];
+        for k in m..self.v_v.len() {
+            let c = track.at(k);
+            if c.v_v < least_v {
+                continue;
+            }
+            let step = self.v_v[k] - self.v_v[k - m] + elastance * (q_c[k] - q_c[k - m]);
+            let bin = (c.periods.rem_euclid(1.0) * bins as f64) as usize;
+            let sum = &mut sums[bin.min(bins - 1)];
+            *sum = (sum.0 + (step / c.v_v).powi(2), sum.1 + 1);
+        }
+        let mut rms: Vec<Option<f64>> = sums
+            .iter()
+            .map(|(sum, n)| (*n > 0).then(|| (sum / f64::from(*n)).sqrt()))
+            .collect();
+        // A locked rate meets few phases; what it never meets belongs to the next that it does.
+        for k in (0..2 * bins).rev() {
+            rms[k % bins] = rms[k % bins].or(rms[(k + 1) % bins]);
+        }
+        Fold {
+            rms: rms.into_iter().map(|r| r.unwrap_or(0.0)).collect(),
+            step: m as f64 / self.per_period(),
+        }
+    }
+
+    /// The carrier, and the phases between its edges; `None` where nothing switches.
+    pub fn edges(&self) -> Option<Edges> {
+        let elastance = self.elastance()?;
+        let track = self.track(elastance)?;
+        let between = self.between_edges(&track, elastance)?;
+        Some((track, between))
+    }
+
+    /// Phases between the edges, as parts of a period: from the end of one to the beginning of the next; the second may
+    /// exceed 1. `None` where no two edges stand out.
+    fn between_edges(&self, track: &Track, elastance: f64) -> Option<[Range<f64>; 2]> {
+        self.fold(track, elastance, LEAST * track.largest_v())
+            .between_edges()
+    }
+}
+
+/// Share of the largest amplitude of the bridge's voltage from which a plateau is taken: what is weaker weighs little.
+pub(super) const LEAST: f64 = 0.1;
+
+/// Steps of v + q/C by phase.
+struct Fold {
+    rms: Vec<f64>,
+    /// Length of a step in periods.
+    step: f64,
+}
+
+/// How far a step must exceed the usual one to be part of an edge, as a share of the largest.
+const EDGE: f64 = 0.12;
+
+/// How many times the usual step the largest must be for edges to be there at all.
+const STANDS_OUT: f64 = 3.0;
+
+impl Fold {
+    fn between_edges(&self) -> Option<[Range<f64>; 2]> {
+        let mut sorted = self.rms.clone();
+        sorted.sort_by(f64::total_cmp);
+        let (usual, most) = (sorted[sorted.len() / 2], *sorted.last()?);
+        if most.is_nan() || most <= STANDS_OUT * usual {
+            return None;
+        }
+        let limit = usual + EDGE * (most - usual);
+        let bins = self.rms.len();
+        let busy: Vec<usize> = (0..bins).filter(|k| self.rms[*k] > limit).collect();
+        let first = *busy.first()?;
+        let next = busy.iter().skip(1).copied().chain([first + bins]);
+        let mut quiet: Vec<Range<f64>> = busy
+            .iter()
+            .zip(next)
+            // A step ends at its bin's phase: the edge ended a step before.
+            .map(|(a, b)| {
+                let of = |bin: usize| bin as f64 / bins as f64;
+                of(a + 1) - self.step..of(b)
+            })
+            .collect();
+        quiet.sort_by(|a, b| (b.end - b.start).total_cmp(&(a.end - a.start)));
+        let [a, b] = quiet.get(..2)?.to_vec().try_into().ok()?;
+        Some(if a.start <= b.start { [a, b] } else { [b, a] })
+    }
+}
+
+/// Newton's steps to the place of a phase: the frequency is within a few percent of the mean, so each gives two digits.
+const PLACE_STEPS: usize = 6;
+
+impl Track {
+    /// Where the phase passes a number of periods, in samples from the first one.
+    pub fn place(&self, periods: f64, per_period: f64) -> f64 {
+        // Between frames the phase is straight, and near to its mean slope everywhere.
+        let mut k = (periods - self.between(0.0).periods) * per_period;
+        for _ in 0..PLACE_STEPS {
+            k += (periods - self.between(k).periods) * per_period;
+        }
+        k
+    }
+
+    /// What the carrier does at sample `k`.
+    pub fn at(&self, k: usize) -> Carrier {
+        self.between(k as f64)
+    }
+
+    /// What it does at a time in samples; at either end the last frames go on.
+    fn between(&self, sample: f64) -> Carrier {
+        let place = (sample - self.first) / self.hop;
+        let last = self.frames.len().saturating_sub(2);
+        let n = (place.max(0.0) as usize).min(last);
+        let w = place - n as f64;
+        let (a, b) = (self.frames[n], self.frames[n + 1]);
+        // The phase goes on, amplitudes do not.
+        let held = w.clamp(0.0, 1.0);
+        Carrier {
+            periods: a.periods + w * (b.periods - a.periods),
+            v_v: a.v_v + held * (b.v_v - a.v_v),
+            v_per_s: a.v_per_s + held * (b.v_per_s - a.v_per_s),
+            i_a: a.i_a + held * (b.i_a - a.i_a),
+        }
+    }
+
+    /// Largest amplitude of the bridge's voltage in volt.
+    pub fn largest_v(&self) -> f64 {
+        self.frames.iter().map(|f| f.v_v).fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,182 @@
+//! What there is to say of it.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::{Remark, Severity};
+
+use super::{BlindError, Response, SelfCalibration};
+
+/// Error of R in percent from which a lag that is not taken out is worth a warning.
+const COSTLY_PCT: f64 = 0.5;
+
+/// By how much C may differ from the one that was told, as a share, beside its standard deviations.
+const GAIN: f64 = 0.01;
+
+impl BlindError {
+    /// It as a remark: R and L are wrong where the wrong voltage was measured; else it costs nothing but certainty.
+    pub fn remark(&self) -> Remark {
+        match self {
+            Self::BridgeVoltage => Remark::new("bridge_voltage", Severity::Error, self.to_string()),
+            _ => Remark::new(
+                "self_calibration_impossible",
+                Severity::Info,
+                self.to_string(),
+            ),
+        }
+    }
+}
+
+impl SelfCalibration {
+    /// What is to be said of the sensors; `corrected`: the correction was applied.
+    pub fn remarks(&self, corrected: bool) -> Vec<Remark> {
+        let mut out = Vec::new();
+        out.extend(self.model_remarks());
+        out.push(self.lag_remark(corrected));
+        out.push(self.gain_remark());
+        out
+    }
+
+    /// Tests that failed.
+    fn model_remarks(&self) -> Vec<Remark> {
+        let mut out = Vec::new();
+        let bend = self.tests.bend;
+        if self.is_bent() {
+            out.push(
+                Remark::new(
+                    "sensor_nonlinear",
+                    Severity::Warning,
+                    format!(
+                        "the current's sensor is not linear: at {:.0} A its gain is off by {:.1} ± {:.1} %, and so are R and L; \
+                         take a probe of more range",
+                        self.i_a,
+                        100.0 * bend.value,
+                        100.0 * bend.sigma
+                    ),
+                )
+                .with(100.0 * bend.value, Some(0.4)),
+            );
+        }
+        if !self.tests.flat {
+            out.push(
+                Remark::new(
+                    "plateaus_not_flat",
+                    Severity::Warning,
+                    format!(
+                        "between edges, voltage and charge do not add up to a plateau: {:.2} % of the capacitor's voltage is left; \
+                         no sensor that is known here explains it, R and L may be off by as much",
+                        100.0 * self.tests.misfit
+                    ),
+                )
+                .with(100.0 * self.tests.misfit, None),
+            );
+        }
+        out
+    }
+
+    fn lag_remark(&self, corrected: bool) -> Remark {
+        let (ns, sigma) = (self.lag_s.value * 1e9, self.lag_s.sigma * 1e9);
+        let cost = self.cost_pct.map_or(String::new(), |(r, l)| {
+            format!(
+                ", {} to R by {r:.2} %, to L by {l:.2} %",
+                if corrected {
+                    "which would matter"
+                } else {
+                    "which matters"
+                }
+            )
+        });
+        if !self.is_significant() {
+            let text =
+                format!("the sensors agree: the current is behind by {ns:.1} ± {sigma:.1} ns");
+            return Remark::new("sensors_agree", Severity::Info, text).with(ns, Some(3.0 * sigma));
+        }
+        let (code, what) = self.in_words();
+        if corrected {
+            let text = format!(
+                "self-calibrated: {what}{cost}; {}. A resistance of the bridge of 10 mohm would be {:.0} ns of it",
+                self.alike(),
+                0.01 * self.capacitance_f.value * 1e9
+            );
+            return Remark::new("self_calibrated", Severity::Info, text).with(ns, None);
+        }
+        let costly = self.cost_pct.is_none_or(|(r, _)| r > COSTLY_PCT);
+        let severity = if costly {
+            Severity::Warning
+        } else {
+            Severity::Info
+        };
+        let why = if !self.is_sound() {
+            "; it is not corrected, because the model does not hold".to_owned()
+        } else if self.may_be_the_bridge() {
+            format!(
+                "; a resistance of the bridge of {:.0} mohm looks the same, so it is not corrected: calibrate against a reference",
+                self.bridge_r_ohm() * 1e3
+            )
+        } else {
+            "; it is not corrected: --self-calibrate auto does".to_owned()
+        };
+        Remark::new(code, severity, format!("{what}{cost}{why}")).with(ns, Some(3.0 * sigma))
+    }
+
+    /// The response's code and what it is, with the numbers.
+    fn in_words(&self) -> (&'static str, String) {
+        let (lag, sigma) = (self.lag_s.value * 1e9, self.lag_s.sigma * 1e9);
+        let band = |whose: &str, tau_s: f64| {
+            let khz = 1e-3 / (TAU * tau_s);
+            format!(
+                "the {whose} has a bandwidth of {khz:.0} kHz only ({:.1} ± {sigma:.1} ns)",
+                tau_s * 1e9
+            )
+        };
+        match self.response {
+            Response::Right | Response::Skew { .. } if lag > 0.0 => (
+                "skew",
+                format!("the current is behind by {lag:.1} ± {sigma:.1} ns"),
+            ),
+            Response::Right | Response::Skew { .. } => (
+                "skew",
+                format!("the current is sampled {:.1} ± {sigma:.1} ns late", -lag),
+            ),
+            Response::SlowCurrent { tau_s } => ("bandwidth", band("current", tau_s)),
+            Response::SlowVoltage { tau_s } => ("bandwidth", band("voltage", tau_s)),
+            Response::Droop { corner_hz, .. } => (
+                "droop",
+                format!(
+                    "the current droops with a corner of {corner_hz:.0} Hz, and is {:.1} ± {sigma:.1} ns ahead in all",
+                    -lag
+                ),
+            ),
+        }
+    }
+
+    fn gain_remark(&self) -> Remark {
+        let (nf, sigma) = (
+            self.capacitance_f.value * 1e9,
+            self.capacitance_f.sigma * 1e9,
+        );
+        let Some(known_f) = self.known_capacitance_f else {
+            let text = format!(
+                "the series capacitor is {nf:.1} ± {sigma:.1} nF if both gains are right; which of the three is off cannot be told: \
+                 give its value (--resonance-capacitance) to have the gains checked"
+            );
+            return Remark::new("gain_unknown", Severity::Info, text).with(nf, None);
+        };
+        let off = known_f / self.capacitance_f.value - 1.0;
+        let limit = GAIN.max(3.0 * self.capacitance_f.sigma / self.capacitance_f.value);
+        if off.abs() <= limit {
+            let text = format!(
+                "the gains are right to {:.2} %: {nf:.1} ± {sigma:.1} nF",
+                100.0 * limit
+            );
+            return Remark::new("gain_right", Severity::Info, text)
+                .with(100.0 * off, Some(100.0 * limit));
+        }
+        let text = format!(
+            "the gain of the voltage over that of the current is off by {:+.2} %, and so are R and L: the series capacitor shows \
+             as {nf:.1} ± {sigma:.1} nF instead of {:.1} nF",
+            100.0 * off,
+            known_f * 1e9
+        );
+        Remark::new("gain", Severity::Warning, text).with(100.0 * off, Some(100.0 * limit))
+    }
+}
