@@ -285,7 +285,7 @@ const ESTIMATORS: &[Code] = &[
         "load_step",
         "info, warning",
         "the load jumps inside a half-cycle: the pieces were identified, or the method goes through it",
-        "see docs/estimators.md",
+        "6 % of the impedance, above noise and trend",
         "nothing, or least-squares, lockin, pinn",
     ),
     code(

@@ -432,3 +432,57 @@ fn a_capture_without_samples_says_so() {
         "{refused}"
     );
 }
+
+/// The capture of a carrier that moves by so much, so often, both in hertz.
+fn swept(deviation_hz: f64, rate_hz: f64) -> Capture {
+    let mut s = settings(50e3, 20e-3);
+    s.sweep = Some(ihd_sim::recording::settings::Sweep {
+        deviation_hz,
+        rate_hz,
+    });
+    s.sensing.snr_db = Some(30.0);
+    capture(&s)
+}
+
+#[test]
+fn a_sweep_is_one_span_with_a_finding() {
+    for (deviation, rate) in [(5e3, 100.0), (1e3, 1e3), (1e3, 47.0)] {
+        let got = survey(&swept(deviation, rate));
+        assert_eq!(got.spans.len(), 1, "{deviation} {rate}: {:?}", got.findings);
+        assert!(got.spans[0].samples + 2 >= got.samples);
+        let seen = got.findings.iter().find_map(|f| match f {
+            Finding::FrequencySweep {
+                mean_hz,
+                deviation_hz,
+                rate_hz,
+            } => Some((*mean_hz, *deviation_hz, *rate_hz)),
+            _ => None,
+        });
+        let (mean_hz, deviation_hz, rate_hz) = seen.expect("the sweep");
+        assert!((mean_hz - 50e3).abs() < 0.5 * deviation, "{mean_hz}");
+        assert!(
+            (deviation_hz / deviation - 1.0).abs() < 0.1,
+            "{deviation_hz}"
+        );
+        assert!((rate_hz / rate - 1.0).abs() < 0.2, "{rate_hz}");
+    }
+}
+
+#[test]
+fn the_firmwares_dither_is_steps_and_no_sweep() {
+    // One percent up, back, one percent down, at the zero crossings.
+    let mut s = settings(50e3, 40e-3);
+    let at = |t_s: f64, f_hz: f64| Event {
+        t_s,
+        change: Change::Frequency(f_hz),
+    };
+    s.events = vec![at(10e-3, 50.5e3), at(20e-3, 50e3), at(30e-3, 49.5e3)];
+    let got = survey(&capture(&s));
+    let sweeps = |f: &&Finding| matches!(f, Finding::FrequencySweep { .. });
+    assert_eq!(got.findings.iter().filter(sweeps).count(), 0);
+    let found: Vec<f64> = got.spans.iter().map(|s| s.f_sw_hz).collect();
+    assert_eq!(found.len(), 4, "{found:?}");
+    for (found, right) in found.iter().zip([50e3, 50.5e3, 50e3, 49.5e3]) {
+        assert!((found - right).abs() < 5.0, "{found} {right}");
+    }
+}

@@ -41,6 +41,9 @@ const LEAST_CURRENT: f64 = 0.12;
 /// Least step that is reported, as a share of the impedance.
 const LEAST: f64 = 0.06;
 
+/// Frames on either side of a step that show a part of it.
+const BLURRED: usize = 2;
+
 /// Times the median of what noise gives: 7.5 standard deviations.
 const OVER_NOISE: f64 = 6.5;
 
@@ -65,12 +68,19 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
     candidates.sort_by(|a, b| differences[*b].total_cmp(&differences[*a]));
     let mut found: Vec<usize> = Vec::new();
     for k in candidates {
-        if found.iter().all(|other| k.abs_diff(*other) > REACH) {
+        if found
+            .iter()
+            .all(|other| k.abs_diff(*other) > REACH + BLURRED)
+        {
             found.push(k);
         }
     }
     found.sort_unstable();
-    found.into_iter().map(|k| frames.step(segment, k)).collect()
+    let mut steps: Vec<Step> = found.iter().map(|k| frames.step(segment, *k)).collect();
+    // A shadow of a step is found where the step is.
+    let apart_s = BLURRED as f64 * frames.step_s;
+    steps.dedup_by(|b, a| b.t_s - a.t_s < apart_s);
+    steps
 }
 
 /// What R and L change by nature around a position: the lower quartile, of which a step nearby is no part.

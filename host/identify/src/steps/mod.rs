@@ -136,12 +136,13 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
         .collect()
 }
 
-/// Settings for a piece: boxcars that fit into it.
+/// Settings for a piece: boxcars that fit into it, and phasors that follow the current while it settles after a step.
 fn shortened(settings: &Settings, piece: &Segment) -> Settings {
     let mut settings = settings.clone();
     let periods = piece.len() as f64 / piece.samples_per_period();
     // Two boxcars, which may become a quarter longer, and three periods.
     let longest_s = (periods - 4.0) / 2.5 / piece.f_sw_hz;
+    settings.least_squares.phasor_intervals *= 2;
     settings.lockin.boxcar_s = settings.lockin.boxcar_s.min(longest_s);
     settings
 }

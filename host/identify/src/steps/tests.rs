@@ -35,7 +35,7 @@ const SPOON: [(f64, f64, f64); 2] = [(5e-3, 3.0, 1.0), (5.3e-3, 1.0, 1.0)];
 
 #[test]
 fn steps_are_found_where_they_are_and_with_their_sizes() {
-    for (rate_hz, snr_db) in [(11.3e6, None), (11.3e6, Some(20.0)), (2.57e6, Some(30.0))] {
+    for (rate_hz, snr_db) in [(11.37e6, None), (11.37e6, Some(20.0)), (2.57e6, Some(30.0))] {
         let found = detect::steps(&recorded(&LIFTED, rate_hz, snr_db).1);
         assert_eq!(found.len(), 1, "{found:?}");
         let step = found[0];
@@ -55,8 +55,8 @@ fn steps_are_found_where_they_are_and_with_their_sizes() {
 #[test]
 fn a_load_that_does_not_step_shows_no_step() {
     for (rate_hz, snr_db) in [
-        (11.3e6, None),
-        (11.3e6, Some(20.0)),
+        (11.37e6, None),
+        (11.37e6, Some(20.0)),
         (1.03e6, Some(20.0)),
         (2.57e6, Some(30.0)),
     ] {
@@ -68,7 +68,7 @@ fn a_load_that_does_not_step_shows_no_step() {
 #[test]
 fn the_pieces_are_identified_and_joined_in_order_of_time() {
     for steps in [&LIFTED[..], &SPOON[..]] {
-        let (recording, segment) = recorded(steps, 11.3e6, Some(50.0));
+        let (recording, segment) = recorded(steps, 11.37e6, Some(50.0));
         for method in [Method::LeastSquares, Method::Lockin] {
             let estimate = run(method, &segment, &Settings::default()).unwrap();
             assert!(estimate.t_s.windows(2).all(|t| t[0] < t[1]));

@@ -103,9 +103,10 @@ impl Sensors {
     fn count(&mut self, found: &SelfCalibration) {
         let scaled = |f: Found, by: f64| Found {
             value: by * f.value,
-            sigma: by * f.sigma,
+            sigma: by.abs() * f.sigma,
         };
-        self.lag_ns.add(scaled(found.lag_s, 1e9));
+        // Of a window the kind of sensor is not worth choosing.
+        self.lag_ns.add(scaled(found.as_skew_s, -1e9));
         self.capacitance_nf.add(scaled(found.capacitance_f, 1e9));
         self.windows = self.windows.saturating_add(1);
     }
@@ -169,4 +170,84 @@ impl Sensors {
 /// Time constant of the filter that both channels of a board share, in seconds.
 fn settling_s() -> f64 {
     1.0 / (TAU * f64::from(ANTI_ALIAS_HZ))
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_sim::pot::{Metal, Pot};
+    use ihd_sim::recording::run::record;
+    use ihd_sim::recording::sensing::{Rate, Sensing};
+    use ihd_sim::recording::settings::{LoadKind, Settings};
+
+    use super::*;
+
+    /// Windows of a board whose current is sampled late, at 40 dB.
+    fn window(skew_s: f64, seed: u64) -> Segment {
+        let settings = Settings {
+            load: LoadKind::Behavioural,
+            pot: Pot::new(Metal::Ferritic, 0.21),
+            duration_s: 10e-3,
+            seed,
+            sensing: Sensing {
+                rate: Rate::Locked,
+                pole_hz: f64::from(ANTI_ALIAS_HZ),
+                bits: 12,
+                skew_s,
+                snr_db: Some(40.0),
+                ..Sensing::default()
+            },
+            ..Settings::default()
+        };
+        let recording = record(&settings, |_| ()).unwrap();
+        let capture = recording.capture("window");
+        let wide = |x: &[f32]| x.iter().map(|x| f64::from(*x)).collect();
+        Segment {
+            f_sw_hz: settings.f_sw_hz,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+            t0_s: 0.0,
+            dt_s: 3.0 / (61.0 * settings.f_sw_hz),
+            v_v: wide(&capture.v_v),
+            i_a: wide(&capture.i_a),
+        }
+    }
+
+    #[test]
+    fn a_skew_is_found_in_windows_told_once_and_kept_over_a_restart() {
+        let mut sensors = Sensors::default();
+        let mut told = 0;
+        let mut last = None;
+        for seed in 0..24 {
+            let window = window(60e-9, seed);
+            let (corrected, said) = sensors.look(&window);
+            told += said.iter().filter(|r| r.code == "self_calibrated").count();
+            assert_eq!(corrected != window, sensors.correction().is_some());
+            last = Some(corrected);
+        }
+        let lag = sensors.lag_s().unwrap();
+        println!("{:?} of {} windows", lag, sensors.windows());
+        assert!(
+            (lag.value + 60e-9).abs() < 4.0 * lag.sigma + 2e-9,
+            "{lag:?}"
+        );
+        assert!(told == 1 && sensors.correction().is_some(), "{sensors:?}");
+        // What was taken out is not found again.
+        let mut after = Sensors::default();
+        after.look(&last.unwrap());
+        let left = after.lag_s().unwrap();
+        assert!(left.value.abs() < 4.0 * left.sigma + 2e-9, "{left:?}");
+        let text = serde_json::to_string(&sensors).unwrap();
+        assert_eq!(serde_json::from_str::<Sensors>(&text).unwrap(), sensors);
+    }
+
+    #[test]
+    fn of_right_sensors_nothing_is_said() {
+        let mut sensors = Sensors::default();
+        for seed in 0..12 {
+            let window = window(0.0, 100 + seed);
+            let (same, said) = sensors.look(&window);
+            assert_eq!((same, said), (window, Vec::new()), "{sensors:?}");
+        }
+        assert!(sensors.windows() >= FEWEST, "{sensors:?}");
+    }
 }
