@@ -119,7 +119,9 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
         .into_iter()
         .max_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
     let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
-    let (severity, limit) = if pct[0].max(pct[1]) > MAX_SIGMA_PCT {
+    // A stretch of less than half a half-cycle has ends, where splines are free, and hardly a middle.
+    let whole = segment.len() as f64 * segment.dt_s >= 0.5 * segment.half_cycle_s();
+    let (severity, limit) = if whole && pct[0].max(pct[1]) > MAX_SIGMA_PCT {
         (Severity::Error, MAX_SIGMA_PCT)
     } else {
         (Severity::Warning, WARNING_SHARE * tolerable)
