@@ -178,12 +178,14 @@ impl Carrier {
         let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();
         let (low, high) = (rank(0.02).unwrap_or(mean_hz), rank(0.98).unwrap_or(mean_hz));
         let deviation_hz = 0.5 * (high - low);
-        // Of a sine the slope is 2π·rate times the deviation, both rms.
-        let slopes = self.f_hz.windows(2).zip(&self.weight);
-        let slope = slopes.map(|(f, w)| w * ((f[1] - f[0]) / self.step_s).powi(2));
-        let off = self.f_hz.iter().zip(&self.weight);
-        let off: f64 = off.map(|(f, w)| w * (f - mean_hz).powi(2)).sum();
-        let rate_hz = (slope.sum::<f64>() / off.max(f64::MIN_POSITIVE)).sqrt() / TAU;
+        // Of a sine the slope is 2π·rate times the deviation, both rms; not weighted, or the mains would choose where.
+        let centre_hz = f.iter().sum::<f64>() / f.len().max(1) as f64;
+        let off: f64 = f.iter().map(|f| (f - centre_hz).powi(2)).sum();
+        let pairs = self.f_hz.windows(2).zip(self.weight.windows(2));
+        let slope: f64 = (pairs.filter(|(_, w)| w[0] > STRONG && w[1] > STRONG))
+            .map(|(f, _)| ((f[1] - f[0]) / self.step_s).powi(2))
+            .sum();
+        let rate_hz = (slope / off.max(f64::MIN_POSITIVE)).sqrt() / TAU;
         Sweep {
             mean_hz,
             deviation_hz,
