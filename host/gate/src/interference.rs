@@ -2,19 +2,18 @@
 //! carrier. They lie beside f_sw, where neither harmonics nor the mains' sidebands are, and what they cost is measured:
 //! least squares with them against least squares without.
 
-use std::f64::consts::{LN_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
-use ihd_identify::least_squares::LeastSquaresSettings;
-use ihd_identify::lockin::{Boxcar, Phasors, demodulate};
-use ihd_identify::trajectory::Trajectory;
-use ihd_identify::{Estimate, Method, Settings, run};
+use ihd_identify::Estimate;
+use ihd_identify::lockin::{Boxcar, demodulate};
 use ihd_signal::noise::median;
 use ihd_signal::{Remark, Segment, Severity};
 use nalgebra::Complex;
-use realfft::RealFftPlanner;
 
 use crate::comparison::{self, Difference};
 use crate::judge::{TOLERABLE_PCT, WARNING_SHARE};
+use crate::lines::{Lines, peak};
+use crate::static_load::{self, Period};
 
 /// Phasors that are looked at together: a tone need not last longer.
 const MOST_PHASORS: usize = 8192;
@@ -22,27 +21,15 @@ const MOST_PHASORS: usize = 8192;
 /// Fewest phasors in which a tone is looked for.
 const LEAST_PHASORS: usize = 128;
 
-/// Intervals of R and L in a half-cycle that the load is given here: what moves faster is left for the tones.
-const SMOOTH_INTERVALS: usize = 8;
-
 /// Switching periods of a boxcar: among two, three and four there is one that whole samples nearly fill, at 61/3 samples
 /// a period too, so that the harmonics lie on its zeros.
 const BOXCAR_PERIODS: f64 = 3.0;
 
-/// Power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
-const LINE: f64 = 30.0;
+/// Switching periods of the boxcar that has to see the same: what only one of them shows is its own.
+const CHECK_PERIODS: f64 = 5.0;
 
-/// Power over that at the mirrored offset: the load's own changes have both sides, a tone has one.
-const ONE_SIDED: f64 = 4.0;
-
-/// Lines on either side that make up the floor.
-const NEIGHBOURS: usize = 32;
-
-/// Lines that the window's main lobe covers on either side.
-const LOBE: usize = 4;
-
-/// Largest offset that is looked at, as a share of the phasors' rate, which is about f_sw.
-const MOST_OFFSET: f64 = 0.25;
+/// Difference between the two, as a share of the tone.
+const SAME: f64 = 0.35;
 
 /// Tones that are taken out of one stretch at most.
 const MOST_TONES: usize = 6;
@@ -50,55 +37,84 @@ const MOST_TONES: usize = 6;
 /// Share of [`TOLERABLE_PCT`] from which on a tone is mentioned at all.
 const INFO_SHARE: f64 = 0.2;
 
-/// Offset in hertz up to which least squares follows a tone fully: half a wave in each of its intervals of 0.4 ms.
-const FOLLOWED_HZ: f64 = 1.2e3;
-
 /// A tone beside the carrier.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Tone {
     /// Its frequency less f_sw, in hertz.
     pub offset_hz: f64,
     /// Its amplitude and phase in volt, counted from the segment's first sample.
     pub v: Complex<f64>,
-    /// Samples in which it was found.
-    pub samples: (usize, usize),
+    /// Its shape over time, 1 in the mean: constant, or that of the bus.
+    pub shape: Vec<f64>,
+    /// Place in samples of the shape's first value, and from one value to the next.
+    pub place: (f64, f64),
+    /// What it may cost R where it is followed, in percent; least squares follows up to about a kilohertz.
+    pub may_cost_pct: f64,
+    /// Whether a harmonic of the inverter's own edges aliases there.
+    pub alias: bool,
 }
 
-/// The remark on tones that cost something; `None` without.
-pub fn remark(segment: &Segment, reference: &Estimate) -> Option<Remark> {
-    let tones = find(segment, reference);
+impl Tone {
+    /// The shape at a sample; `None` where the tone was not looked for.
+    fn at(&self, sample: usize) -> Option<f64> {
+        let x = (sample as f64 - self.place.0) / self.place.1;
+        let last = self.shape.len().checked_sub(1)?;
+        if x < -1.0 || x > last as f64 + 1.0 {
+            return None;
+        }
+        let x = x.clamp(0.0, last as f64);
+        let k = (x as usize).min(last.saturating_sub(1));
+        let next = self.shape.get(k + 1).unwrap_or(&self.shape[k]);
+        Some(self.shape[k] + (x - k as f64) * (next - self.shape[k]))
+    }
+}
+
+/// The remark on tones, given least squares with and without them; `None` where they cost nothing.
+pub fn remark(
+    segment: &Segment,
+    tones: &[Tone],
+    reference: &Estimate,
+    cleaned: &Estimate,
+) -> Option<Remark> {
     let strongest = tones
         .iter()
         .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()))?;
-    let cleaned = run(
-        Method::LeastSquares,
-        &without(segment, &tones),
-        &Settings::default(),
-    )
-    .ok()?;
     let share =
         |d: &Difference| (d.mean_pct[0] / TOLERABLE_PCT[0]).max(d.mean_pct[1] / TOLERABLE_PCT[1]);
-    let costs = comparison::differences(segment, reference, &cleaned);
+    let costs = comparison::differences(segment, reference, cleaned);
     let cost = costs
         .into_iter()
         .max_by(|a, b| share(a).total_cmp(&share(b)))?;
+    // What shorter windows than those of least squares would see; an alias is nothing that the coil has.
+    let may_cost_pct = if strongest.alias {
+        0.0
+    } else {
+        strongest.may_cost_pct
+    };
     let severity = match share(&cost) {
         s if s > 1.0 => Severity::Error,
-        s if s > WARNING_SHARE => Severity::Warning,
+        s if s.max(may_cost_pct / TOLERABLE_PCT[0]) > WARNING_SHARE => Severity::Warning,
         s if s > INFO_SHARE => Severity::Info,
         _ => return None,
     };
     let text = format!(
         "a tone of {:.1} V lies {:+.2} kHz beside the switching frequency, at {:.2} kHz: it costs {:.1} % of R and \
-         {:.1} % of L; switch the coil beside this one off, or sample at another rate if it is an alias",
+         {:.1} % of L; {}",
         strongest.v.norm(),
         strongest.offset_hz * 1e-3,
         (segment.f_sw_hz + strongest.offset_hz) * 1e-3,
         cost.mean_pct[0],
-        cost.mean_pct[1]
+        cost.mean_pct[1],
+        if strongest.alias {
+            "it is an alias of the inverter's edges: sample at another rate"
+        } else {
+            "switch the coil beside this one off"
+        }
     );
+    let worse =
+        usize::from(cost.mean_pct[1] / TOLERABLE_PCT[1] > cost.mean_pct[0] / TOLERABLE_PCT[0]);
     let remark = Remark::new("interference", severity, text);
-    Some(remark.with(cost.mean_pct[0], Some(TOLERABLE_PCT[0])))
+    Some(remark.with(cost.mean_pct[worse], Some(TOLERABLE_PCT[worse])))
 }
 
 /// The segment without these tones.
@@ -106,110 +122,157 @@ pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
     let mut v_v = segment.v_v.clone();
     for tone in tones {
         let periods = (segment.f_sw_hz + tone.offset_hz) * segment.dt_s;
-        let (from, to) = tone.samples;
-        for (k, v) in v_v.iter_mut().enumerate().take(to).skip(from) {
+        for (k, v) in v_v.iter_mut().enumerate() {
+            let Some(shape) = tone.at(k) else {
+                continue;
+            };
             let (sin, cos) = libm::sincos(TAU * (periods * k as f64).fract());
-            *v -= tone.v.re * cos - tone.v.im * sin;
+            *v -= shape * (tone.v.re * cos - tone.v.im * sin);
         }
     }
     segment.with_samples(v_v, segment.i_a.clone())
 }
 
-/// Tones in what R and L leave of the voltage's fundamental.
+/// Tones in what R and L, as functions of the current, leave of the voltage's fundamental.
 pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
-    let boxcar = Boxcar::fitting(
-        segment.samples_per_period(),
-        segment.f_sw_hz,
-        BOXCAR_PERIODS / segment.f_sw_hz,
-    );
-    let smooth = Settings {
-        least_squares: LeastSquaresSettings {
-            impedance_intervals: SMOOTH_INTERVALS,
-            ..LeastSquaresSettings::default()
-        },
-        ..Settings::default()
-    };
-    let Ok(load) = run(Method::LeastSquares, segment, &smooth) else {
+    let Some(residual) = Residual::of(segment, BOXCAR_PERIODS) else {
         return Vec::new();
     };
-    let phasors = demodulate(segment, boxcar);
-    let Some(residual) = Residual::of(segment, &phasors, &load, boxcar) else {
-        return Vec::new();
-    };
-    let least_v = residual.least_v(reference);
+    let volt_per_pct = residual.volt_per_pct(reference);
+    let aliases = aliases_hz(segment);
     let chunks = residual.v.len().div_ceil(MOST_PHASORS).max(1);
     let length = residual.v.len() / chunks;
-    (0..chunks)
-        .flat_map(|k| residual.tones(k * length..(k + 1) * length, &least_v))
-        .collect()
+    let mut tones: Vec<Tone> = (0..chunks)
+        .flat_map(|k| {
+            residual.tones(
+                k * length..(k + 1) * length,
+                volt_per_pct,
+                &aliases,
+                segment,
+            )
+        })
+        .collect();
+    if !tones.is_empty() {
+        let check = Residual::of(segment, CHECK_PERIODS);
+        tones.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
+    }
+    tones
 }
 
-/// V − R·I − L·dI/dt, phasor by phasor.
+/// Where harmonics beyond half the sampling rate fall beside the carrier, in hertz from it.
+fn aliases_hz(segment: &Segment) -> Vec<f64> {
+    let rate_hz = 1.0 / segment.dt_s;
+    let most = (3.0 * segment.samples_per_period()).min(400.0) as usize;
+    let folded = |h: usize| {
+        let hz = h as f64 * segment.f_sw_hz;
+        (hz - (hz / rate_hz).round() * rate_hz).abs() - segment.f_sw_hz
+    };
+    (2..=most).map(folded).collect()
+}
+
+/// Samples a period below which edges of .2 µs have strong harmonics beyond half the rate.
+const COARSE: f64 = 150.0;
+
+/// Offset in hertz up to which the lock-in's boxcars of 0.1 ms let a tone through.
+const LOCKIN_HZ: f64 = 10e3;
+
+/// Whether an edge's harmonic folds to where the lock-in passes it and least squares does not: then it is the lock-in
+/// that is off.
+pub fn disturbs_the_lockin(segment: &Segment) -> bool {
+    let passed = |hz: &f64| (FOLLOWED_HZ..LOCKIN_HZ).contains(&hz.abs());
+    segment.samples_per_period() < COARSE && aliases_hz(segment).iter().any(passed)
+}
+
+/// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.
+const FOLLOWED_HZ: f64 = 1.2e3;
+
+/// What R and L as functions of the current leave of the voltage, phasor by phasor.
 struct Residual {
     /// In volt.
     v: Vec<Complex<f64>>,
     /// Sine squared of the mains' phase: 1 at the crest, 0 where R and L have their kinks.
     weight: Vec<f64>,
+    /// |V| in volt, which follows the bus.
+    bus_v: Vec<f64>,
     /// |I| in ampere.
     i_a: Vec<f64>,
-    /// Index of the first phasor's centre, and from one to the next, in samples.
-    centre: f64,
-    stride: f64,
+    /// Place of the first phasor's centre, and from one to the next, in samples.
+    place: (f64, f64),
     dt_s: f64,
     /// Duration of a boxcar in seconds.
     boxcar_s: f64,
 }
 
 impl Residual {
-    fn of(segment: &Segment, phasors: &[Phasors], load: &Estimate, boxcar: Boxcar) -> Option<Self> {
+    fn of(segment: &Segment, periods: f64) -> Option<Self> {
+        let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
+        let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
+        let phasors = demodulate(segment, boxcar);
         if phasors.len() < LEAST_PHASORS {
             return None;
         }
-        let omega = TAU * segment.f_sw_hz;
+        let omega = TAU * f_sw_hz;
         let half_s = segment.half_cycle_s();
-        let mut trajectory = Trajectory::from(load, f64::NEG_INFINITY)?;
         let stride = phasors[1].centre - phasors[0].centre;
-        let mut out = Self {
-            v: Vec::with_capacity(phasors.len()),
-            weight: Vec::with_capacity(phasors.len()),
-            i_a: Vec::with_capacity(phasors.len()),
-            centre: phasors[1].centre,
-            stride,
-            dt_s: segment.dt_s,
-            boxcar_s: boxcar.samples() as f64 * segment.dt_s,
-        };
+        let mut periods = Vec::with_capacity(phasors.len());
         for w in phasors.windows(3) {
             let t_s = segment.t0_s + w[1].centre * segment.dt_s;
-            let (r, l) = trajectory.r_l(t_s);
             let slope = (w[2].i - w[0].i) / (2.0 * stride * segment.dt_s);
-            let d = w[1].i * Complex::new(0.0, omega) + slope;
-            out.v.push(w[1].v - w[1].i * r - d * l);
             let sin = libm::sin(PI * segment.since_crossing_s(t_s) / half_s);
-            out.weight.push(sin * sin);
-            out.i_a.push(w[1].i.norm());
+            periods.push(Period {
+                v: w[1].v,
+                i: w[1].i,
+                d: w[1].i * Complex::new(0.0, 1.0) + slope / omega,
+                weight: sin * sin,
+            });
         }
-        Some(out)
+        Some(Self {
+            v: static_load::residual(&periods)?,
+            weight: periods.iter().map(|p| p.weight).collect(),
+            bus_v: periods.iter().map(|p| p.v.norm()).collect(),
+            i_a: periods.iter().map(|p| p.i.norm()).collect(),
+            place: (phasors[1].centre, stride),
+            dt_s: segment.dt_s,
+            boxcar_s: boxcar.samples() as f64 * segment.dt_s,
+        })
     }
 
-    /// Time of phasor `k` after the segment's first sample, in seconds.
-    fn t_s(&self, k: usize) -> f64 {
-        (self.centre + k as f64 * self.stride) * self.dt_s
+    /// Place of phasor `k` in samples of the segment.
+    fn sample(&self, k: usize) -> f64 {
+        self.place.0 + k as f64 * self.place.1
     }
 
-    /// Smallest amplitude in volt, by offset in hertz, that may cost [`INFO_SHARE`] of what is tolerable. A tone turns:
-    /// its mean share of R is 2/π.
-    fn least_v(&self, reference: &Estimate) -> impl Fn(f64) -> f64 + use<> {
+    /// e^(−jωt) of an offset in hertz at phasor `k`.
+    fn turn(&self, offset_hz: f64, k: usize) -> Complex<f64> {
+        Complex::from_polar(1.0, -TAU * offset_hz * self.sample(k) * self.dt_s)
+    }
+
+    /// What both boxcars leave of a tone at this offset in hertz.
+    fn passed(&self, offset_hz: f64) -> f64 {
+        let x = PI * offset_hz * self.boxcar_s;
+        if x == 0.0 {
+            1.0
+        } else {
+            (libm::sin(x) / x).powi(2)
+        }
+    }
+
+    /// Amplitude in volt that may cost a percent of R where it is followed. A tone turns: its mean share of R is 2/π.
+    fn volt_per_pct(&self, reference: &Estimate) -> f64 {
         let weights: f64 = self.weight.iter().sum();
         let weighted = self.i_a.iter().zip(&self.weight).map(|(i, w)| i * w);
         let i_a = weighted.sum::<f64>() / weights.max(f64::MIN_POSITIVE);
         let r_ohm = median(reference.r_ohm.clone()).unwrap_or(0.0).abs();
-        move |offset_hz| {
-            let followed = (FOLLOWED_HZ / offset_hz.abs()).min(1.0).powi(4);
-            0.5 * PI * 1e-2 * INFO_SHARE * TOLERABLE_PCT[0] * i_a * r_ohm / followed
-        }
+        0.5 * PI * 1e-2 * i_a * r_ohm
     }
 
-    fn tones(&self, range: std::ops::Range<usize>, least_v: &impl Fn(f64) -> f64) -> Vec<Tone> {
+    fn tones(
+        &self,
+        range: std::ops::Range<usize>,
+        volt_per_pct: f64,
+        aliases_hz: &[f64],
+        segment: &Segment,
+    ) -> Vec<Tone> {
         let n = range.len();
         let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64);
         let weight: Vec<f64> = (0..n)
@@ -219,102 +282,79 @@ impl Residual {
         if n < LEAST_PHASORS || sum <= 0.0 {
             return Vec::new();
         }
-        let mut left: Vec<_> = self.v[range.clone()].to_vec();
-        let spacing_hz = 1.0 / (n as f64 * self.stride * self.dt_s);
-        let at = |k: f64| self.centre + (range.start as f64 + k) * self.stride;
-        let samples = (at(-0.5).max(0.0) as usize, at(n as f64 - 0.5) as usize);
-        let turn =
-            |hz: f64, k: usize| Complex::from_polar(1.0, -TAU * hz * self.t_s(range.start + k));
-        let mean = |x: &[Complex<f64>], hz: f64| -> Complex<f64> {
-            let terms = x.iter().zip(&weight).enumerate();
-            terms
-                .map(|(k, (x, w))| x * *w * turn(hz, k))
-                .sum::<Complex<f64>>()
-                / sum
+        let bus = self.bus_v[range.clone()].iter().zip(&weight);
+        let mean_v = bus.map(|(v, w)| v * w).sum::<f64>() / sum;
+        let shapes = [
+            vec![1.0; n],
+            self.bus_v[range.clone()]
+                .iter()
+                .map(|v| v / mean_v)
+                .collect(),
+        ];
+        let spacing_hz = 1.0 / (n as f64 * self.place.1 * self.dt_s);
+        // The bus's own sidebands belong to the alias.
+        let reach_hz = 2.0 * spacing_hz + 4.0 * segment.mains_hz;
+        let is_alias = |line: i64| {
+            let hz = line as f64 * spacing_hz;
+            aliases_hz.iter().any(|a| (a - hz).abs() < reach_hz)
+        };
+        let mut left = self.v[range.clone()].to_vec();
+        let amplitude = |x: &[Complex<f64>], shape: &[f64], hz: f64| {
+            let terms = x.iter().zip(&weight).zip(shape).enumerate();
+            let sum: Complex<f64> = terms
+                .map(|(k, ((x, w), s))| x * (w * s) * self.turn(hz, range.start + k))
+                .sum();
+            let power: f64 = weight.iter().zip(shape).map(|(w, s)| w * s * s).sum();
+            (sum / power, sum.norm_sqr() / power)
         };
         let mut found = Vec::new();
         while found.len() < MOST_TONES {
-            let Some(line) = strongest_line(&left, &weight) else {
+            let lines = Lines::of(&left, &weight);
+            let Some(line) = lines.and_then(|lines| lines.strongest(is_alias)) else {
                 break;
             };
-            let power = |hz: f64| mean(&left, hz).norm_sqr();
+            let power = |hz: f64| amplitude(&left, &shapes[0], hz).1;
             let offset_hz = peak(line as f64 * spacing_hz, spacing_hz, power);
-            let v = mean(&left, offset_hz);
-            if v.norm() < least_v(offset_hz) {
+            let explained = |shape: &&Vec<f64>| amplitude(&left, shape, offset_hz).1;
+            let shape = shapes
+                .iter()
+                .max_by(|a, b| explained(a).total_cmp(&explained(b)));
+            let Some(shape) = shape else {
+                break;
+            };
+            let (v, _) = amplitude(&left, shape, offset_hz);
+            let may_cost_pct = v.norm() / volt_per_pct.max(f64::MIN_POSITIVE);
+            if may_cost_pct < INFO_SHARE * TOLERABLE_PCT[0] {
                 break;
             }
-            for (k, x) in left.iter_mut().enumerate() {
-                *x -= v * turn(offset_hz, k).conj();
+            for (k, (x, s)) in left.iter_mut().zip(shape).enumerate() {
+                *x -= v * *s * self.turn(offset_hz, range.start + k).conj();
             }
-            let x = PI * offset_hz * self.boxcar_s;
-            let passed = if x == 0.0 {
-                1.0
-            } else {
-                (libm::sin(x) / x).powi(2)
-            };
             found.push(Tone {
                 offset_hz,
-                v: v / passed.max(0.1),
-                samples,
+                v: v / self.passed(offset_hz).max(0.1),
+                shape: shape.clone(),
+                place: (self.sample(range.start), self.place.1),
+                may_cost_pct,
+                alias: is_alias(line),
             });
         }
         found
     }
-}
 
-/// The strongest line that stands out of its neighbours and of its mirror image, by its signed number.
-fn strongest_line(x: &[Complex<f64>], weight: &[f64]) -> Option<i64> {
-    let n = x.len();
-    let power = spectrum(x, weight)?;
-    let of = |k: i64| power[k.rem_euclid(n as i64) as usize];
-    // Beyond, the kernel's first zero is near.
-    let most = (MOST_OFFSET * n as f64) as i64;
-    let stands_out = |k: &i64| {
-        let around = (LOBE..LOBE + NEIGHBOURS).flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
-        let floor = median(around.collect()).unwrap_or(f64::INFINITY) / LN_2;
-        let mirror = (-k - 1..=-k + 1).map(of).fold(0.0, f64::max);
-        of(*k) > LINE * floor && of(*k) > ONE_SIDED * mirror
-    };
-    let lines = (-most..=most).filter(|k| k.unsigned_abs() as usize > LOBE);
-    let is_peak = |k: &i64| of(*k) >= of(k - 1) && of(*k) >= of(k + 1);
-    let candidates = lines.filter(is_peak).filter(stands_out);
-    candidates.max_by(|a, b| of(*a).total_cmp(&of(*b)))
-}
-
-/// Power of each line of a complex signal, those of negative frequency in the upper half.
-fn spectrum(x: &[Complex<f64>], weight: &[f64]) -> Option<Vec<f64>> {
-    let n = x.len();
-    let fft = RealFftPlanner::new().plan_fft_forward(n);
-    let transformed = |part: fn(&Complex<f64>) -> f64| {
-        let mut input: Vec<f64> = x.iter().zip(weight).map(|(x, w)| part(x) * w).collect();
-        let mut output = fft.make_output_vec();
-        fft.process(&mut input, &mut output).ok()?;
-        Some(output)
-    };
-    let (re, im) = (transformed(|x| x.re)?, transformed(|x| x.im)?);
-    let mut power = vec![0.0; n];
-    for (k, (re, im)) in re.iter().zip(&im).enumerate() {
-        // X = Re + j·Im; the mirrored line takes the conjugates of both.
-        power[k] = (re.re - im.im).powi(2) + (re.im + im.re).powi(2);
-        if k > 0 {
-            power[n - k] = (re.re + im.im).powi(2) + (re.im - im.re).powi(2);
+    /// Whether this boxcar sees the tone too.
+    fn confirms(&self, tone: &Tone) -> bool {
+        let passed = self.passed(tone.offset_hz);
+        let (mut sum, mut power) = (Complex::new(0.0, 0.0), 0.0);
+        for (k, (x, w)) in self.v.iter().zip(&self.weight).enumerate() {
+            if let Some(shape) = tone.at(self.sample(k).max(0.0) as usize) {
+                sum += x * (w * shape) * self.turn(tone.offset_hz, k);
+                power += w * shape * shape;
+            }
         }
+        let seen = sum / (power * passed).max(f64::MIN_POSITIVE);
+        (seen - tone.v).norm() < SAME * tone.v.norm()
     }
-    Some(power)
-}
-
-/// Where `power` is largest within one line of `hz`, by ternary search.
-fn peak(hz: f64, spacing_hz: f64, power: impl Fn(f64) -> f64) -> f64 {
-    let (mut low, mut high) = (hz - spacing_hz, hz + spacing_hz);
-    for _ in 0..24 {
-        let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
-        if power(a) < power(b) {
-            low = a;
-        } else {
-            high = b;
-        }
-    }
-    0.5 * (low + high)
 }
 
 #[cfg(test)]
@@ -322,6 +362,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
+
+    use ihd_identify::{Method, Settings, run};
 
     use super::*;
 

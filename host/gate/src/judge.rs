@@ -5,6 +5,7 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, plausible};
 use ihd_signal::{Remark, Segment, Severity};
 
 use crate::comparison::{self, Difference};
+use crate::interference;
 use crate::remarks;
 use crate::verdict::Judgement;
 use crate::witness::Witness;
@@ -62,14 +63,20 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     findings.extend(coverage(segment, estimate));
     let agreement = agreement(evidence);
     // What a filter thinks of itself is its tuning's: where the reference is sure and says the same, it counts.
-    let confirmed = agreement.is_empty() && evidence.witness.reference.is_ok();
+    let confirmed = agreement.iter().all(|f| f.severity == Severity::Info)
+        && evidence.witness.reference.is_ok();
     let uncertain = match &evidence.witness.reference {
         Ok(reference) if confirmed => uncertainty(segment, reference),
         _ => uncertainty(segment, estimate),
     };
+    if confirmed {
+        // It stopped at a limit of steps, and at the right place.
+        let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
+        unsettled.for_each(|f| f.severity = Severity::Info);
+    }
     findings.extend(uncertain);
     findings.extend(agreement);
-    findings.extend(plausibility(estimate));
+    findings.extend(plausibility(segment, estimate));
     Judgement::of(findings)
 }
 
@@ -115,9 +122,9 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     let (severity, limit) = if pct[0].max(pct[1]) > MAX_SIGMA_PCT {
         (Severity::Error, MAX_SIGMA_PCT)
     } else {
-        (Severity::Warning, tolerable)
+        (Severity::Warning, WARNING_SHARE * tolerable)
     };
-    (value > tolerable).then(|| {
+    (value > WARNING_SHARE * tolerable).then(|| {
         let text = format!(
             "noise leaves {name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s: take a longer \
              capture, a smaller range or more bits"
@@ -134,64 +141,71 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
         witness,
         ..
     } = *evidence;
-    let mut found = Vec::new();
-    let against = |other: &Estimate, ours: &Estimate| {
-        beyond_noise(&comparison::differences(segment, ours, other))
-    };
-    match &witness.reference {
-        Err(error) => found.push(Remark::new(
-            "no_reference",
-            Severity::Warning,
-            format!("there is nothing to check the result against: {error}"),
-        )),
-        Ok(reference) => {
-            if let Some(apart) = against(reference, estimate) {
-                found.push(remark("disagreement", &apart, |pct, name, from_s| {
-                    format!(
-                        "{} differs from least squares by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: \
-                         one of them does not fit this capture; trust neither",
-                        estimate.method
-                    )
-                }));
-            }
-            let lockin = witness.lockin.as_ref().ok();
-            if let Some(apart) = lockin.and_then(|lockin| against(lockin, reference)) {
-                found.push(remark("unconfirmed", &apart, |pct, name, from_s| {
-                    format!(
-                        "least squares and lock-in differ by {pct:.1} % of {name} in the half-cycle from \
-                         {from_s:.4} s: the load, the frequency or the amplitude changes faster than they follow"
-                    )
-                }));
-            }
+    let reference = match &witness.reference {
+        Ok(reference) => reference,
+        Err(error) => {
+            return vec![Remark::new(
+                "no_reference",
+                Severity::Warning,
+                format!("there is nothing to check the result against: {error}"),
+            )];
         }
+    };
+    let mut found = Vec::new();
+    if let Some(apart) = worst(&comparison::differences(segment, estimate, reference)) {
+        found.push(remark("disagreement", &apart, |pct, name, from_s| {
+            format!(
+                "{} differs from least squares by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: one of \
+                 them does not fit this capture",
+                estimate.method
+            )
+        }));
+    }
+    let cleaned = witness.cleaned.as_ref().unwrap_or(reference);
+    let lockin = witness.lockin.as_ref().ok();
+    let apart = lockin.and_then(|l| worst(&comparison::differences(segment, l, cleaned)));
+    // Noise costs the lock-in more than least squares: that says nothing of the latter.
+    if let Some(apart) = apart.filter(|apart| !is_noise(apart)) {
+        let mut remark = remark("unconfirmed", &apart, |pct, name, from_s| {
+            format!(
+                "least squares and lock-in differ by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: the \
+                 load, the frequency or the amplitude changes faster than they follow"
+            )
+        });
+        if interference::disturbs_the_lockin(segment) {
+            remark.severity = Severity::Info;
+        }
+        found.push(remark);
     }
     found
 }
 
-/// The worst difference that noise does not explain and that matters.
-fn beyond_noise(all: &[Difference]) -> Option<Difference> {
-    let share = |d: &Difference| {
-        let of = |k: usize| {
-            let explained = d.mean_pct[k] <= NOISE_FACTOR * d.expected_pct[k];
-            if explained {
-                0.0
-            } else {
-                d.mean_pct[k] / TOLERABLE_PCT[k]
-            }
-        };
-        of(0).max(of(1))
-    };
+fn share(d: &Difference) -> f64 {
+    (d.mean_pct[0] / TOLERABLE_PCT[0]).max(d.mean_pct[1] / TOLERABLE_PCT[1])
+}
+
+/// Whether the standard deviations of both explain it.
+fn is_noise(d: &Difference) -> bool {
+    (0..2).all(|k| {
+        let small = d.mean_pct[k] <= WARNING_SHARE * TOLERABLE_PCT[k];
+        small || d.mean_pct[k] <= NOISE_FACTOR * d.expected_pct[k]
+    })
+}
+
+/// The worst difference, where it matters.
+fn worst(all: &[Difference]) -> Option<Difference> {
     let worst = all.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
     (share(worst) > WARNING_SHARE).then_some(*worst)
 }
 
+/// An error where the difference is more than is tolerable, and more than noise.
 fn remark(
     code: &'static str,
     apart: &Difference,
     text: impl Fn(f64, &str, f64) -> String,
 ) -> Remark {
     let (name, pct, limit) = worse(apart.mean_pct, TOLERABLE_PCT);
-    let severity = if pct > limit {
+    let severity = if pct > limit && !is_noise(apart) {
         Severity::Error
     } else {
         Severity::Warning
@@ -213,11 +227,17 @@ pub fn plausible_ranges() -> [(f64, f64); 2] {
     ]
 }
 
-/// A warning: a scope may look at anything; the lookup refuses by itself.
-fn plausibility(estimate: &Estimate) -> Option<Remark> {
+/// A warning: a scope may look at anything; the lookup refuses by itself. Near the zero crossings noise alone makes any
+/// R and L.
+fn plausibility(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     let [r_range, l_range] = plausible_ranges();
-    let outside =
-        |x: &[f64], (low, high): (f64, f64)| x.iter().copied().find(|x| !(low..=high).contains(x));
+    let half_s = segment.half_cycle_s();
+    let in_middle = |t: &f64| comparison::MIDDLE.contains(&(segment.since_crossing_s(*t) / half_s));
+    let outside = |x: &[f64], (low, high): (f64, f64)| {
+        let middle = estimate.t_s.iter().zip(x).filter(|(t, _)| in_middle(t));
+        let mut values = middle.map(|(_, x)| *x);
+        values.find(|x| !(low..=high).contains(x))
+    };
     let (text, value) = if let Some(r) = outside(&estimate.r_ohm, r_range) {
         (
             format!("R reaches {r:.3} Ω, which no hob's pot has (0.02-15.9 Ω)"),
@@ -225,13 +245,11 @@ fn plausibility(estimate: &Estimate) -> Option<Remark> {
         )
     } else {
         let l = outside(&estimate.l_h, l_range)?;
-        (
-            format!(
-                "L reaches {:.2} µH, which no hob's coil has (2-63.9 µH)",
-                l * 1e6
-            ),
-            l,
-        )
+        let text = format!(
+            "L reaches {:.2} µH, which no hob's coil has (2-63.9 µH)",
+            l * 1e6
+        );
+        (text, l)
     };
     Some(Remark::new("implausible_load", Severity::Warning, text).with(value, None))
 }

@@ -13,8 +13,11 @@ pub mod codes;
 pub mod comparison;
 pub mod interference;
 pub mod judge;
+pub mod lines;
 pub mod path;
 pub mod remarks;
+pub mod sensors;
+pub mod static_load;
 pub mod verdict;
 pub mod witness;
 

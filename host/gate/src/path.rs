@@ -4,11 +4,12 @@ use ihd_identify::{
     Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
 };
 use ihd_signal::{Capture, Remark, Segment};
-use ihd_survey::calibration::blind::{Ask, look};
+use ihd_survey::calibration::blind::Ask;
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::judge::{Evidence, failed, judge};
 use crate::remarks;
+use crate::sensors::{Applied, look};
 use crate::verdict::Judgement;
 use crate::witness::Witness;
 
@@ -67,6 +68,10 @@ pub fn examine(
 ) -> Result<Examined, SurveyError> {
     let looked = look(capture, &request.hints, request.sensors)?;
     let sensors = looked.remarks();
+    let applied = match (&looked.correction, &looked.sensors) {
+        (Some(_), Some(Ok(found))) => Some(Applied::of(found)),
+        _ => None,
+    };
     let segments = looked.survey.segments(&looked.capture);
     let survey = looked.survey;
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
@@ -76,6 +81,8 @@ pub fn examine(
         progress("reference", outcomes.len(), total);
         let mut remarks = remarks::of_survey(&survey, segment);
         remarks.extend(sensors.iter().cloned());
+        let load = survey.spans.get(index).and_then(|span| span.load);
+        remarks.extend(applied.and_then(|applied| applied.remark(segment, load)));
         let witness = Witness::of(segment);
         for &method in request.methods {
             let done = outcomes.len();
@@ -88,11 +95,16 @@ pub fn examine(
             if let (true, Ok(estimate)) = (request.reconstruct, &mut result) {
                 reconstruction::complete(segment, estimate);
             }
+            let judgement = judged(&remarks, segment, &witness, method, &result);
+            // After the judgement: what all methods share is no noise between them.
+            if let (Some(applied), Ok(estimate)) = (applied, &mut result) {
+                applied.widen(estimate);
+            }
             outcomes.push(Outcome {
                 method,
                 segment: index,
-                judgement: judged(&remarks, segment, &witness, method, &result),
                 result,
+                judgement,
             });
         }
     }

@@ -12,6 +12,10 @@ const TIME_DOMAIN_ONLY: [&str; 2] = ["coarsely_sampled", "offset"];
 /// costs nothing.
 const JUDGED_BY_SIGMA: &str = "noisy";
 
+/// Share of R in percent that aliasing may cost at most. What it costs lies on the fundamental itself, and nothing in
+/// the samples tells it from the load.
+const ALIASING_ERROR_PCT: f64 = 3.0;
+
 /// Whether a method works with phasors.
 fn works_with_phasors(method: Method) -> bool {
     matches!(
@@ -23,6 +27,10 @@ fn works_with_phasors(method: Method) -> bool {
 /// A remark as it concerns a method.
 pub fn for_method(remark: &Remark, method: Method) -> Remark {
     let mut remark = remark.clone();
+    let costly = remark.value.is_some_and(|pct| pct > ALIASING_ERROR_PCT);
+    if remark.code == "aliasing" && remark.severity == Severity::Warning && costly {
+        remark.severity = Severity::Error;
+    }
     let elsewhere = TIME_DOMAIN_ONLY.contains(&remark.code) && works_with_phasors(method);
     if remark.severity == Severity::Warning && (elsewhere || remark.code == JUDGED_BY_SIGMA) {
         remark.severity = Severity::Info;
@@ -36,8 +44,28 @@ pub fn of_survey(survey: &Survey, segment: &Segment) -> Vec<Remark> {
         .findings
         .iter()
         .filter(|finding| concerns(finding, segment))
-        .map(Finding::remark)
+        .map(|finding| {
+            let mut remark = finding.remark();
+            if is_measured(finding, segment) {
+                remark.severity = Severity::Info;
+            }
+            remark
+        })
         .collect()
+}
+
+/// Offset in hertz from which on an alias beside the carrier is seen as a tone, and what it costs is measured.
+const SEEN_AS_TONE_HZ: f64 = 300.0;
+
+/// Whether the finding is an expectation that the gate measures.
+fn is_measured(finding: &Finding, segment: &Segment) -> bool {
+    let Finding::Aliasing { order, .. } = finding else {
+        return false;
+    };
+    let (f_hz, rate_hz) = (segment.f_sw_hz, 1.0 / segment.dt_s);
+    let hz = f64::from(*order) * f_hz;
+    let folded_hz = (hz - (hz / rate_hz).round() * rate_hz).abs();
+    (folded_hz - f_hz).abs() > SEEN_AS_TONE_HZ
 }
 
 /// Share of a level that counts as being at it: the survey's bins are wider than a code.

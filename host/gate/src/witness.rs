@@ -11,7 +11,10 @@ use crate::interference;
 pub struct Witness {
     /// Least squares with its default settings, or why it failed.
     pub reference: Result<Estimate, IdentifyError>,
-    /// The lock-in with its default settings: it shares neither splines nor prior with the reference.
+    /// Least squares on the segment without foreign tones; `None` where there are none.
+    pub cleaned: Option<Estimate>,
+    /// The lock-in with its default settings, without foreign tones, which it follows further than anybody: it shares
+    /// neither splines nor prior with the reference.
     pub lockin: Result<Estimate, IdentifyError>,
     /// What was found in the segment itself.
     pub remarks: Vec<Remark>,
@@ -22,12 +25,28 @@ impl Witness {
     pub fn of(segment: &Segment) -> Self {
         let settings = Settings::default();
         let reference = run(Method::LeastSquares, segment, &settings);
-        let remarks = reference.as_ref().ok();
-        let remarks = remarks.and_then(|reference| interference::remark(segment, reference));
+        let tones = match &reference {
+            Ok(reference) => interference::find(segment, reference),
+            Err(_) => Vec::new(),
+        };
+        if tones.is_empty() {
+            return Self {
+                lockin: run(Method::Lockin, segment, &settings),
+                reference,
+                cleaned: None,
+                remarks: Vec::new(),
+            };
+        }
+        let clean = interference::without(segment, &tones);
+        let cleaned = run(Method::LeastSquares, &clean, &settings).ok();
+        let both = reference.as_ref().ok().zip(cleaned.as_ref());
+        let remark =
+            both.and_then(|(with, without)| interference::remark(segment, &tones, with, without));
         Self {
-            lockin: run(Method::Lockin, segment, &settings),
+            lockin: run(Method::Lockin, &clean, &settings),
             reference,
-            remarks: remarks.into_iter().collect(),
+            cleaned,
+            remarks: remark.into_iter().collect(),
         }
     }
 }

@@ -7,8 +7,9 @@
 
 use std::time::Instant;
 
-use ihd_signal::Segment;
 use ihd_signal::correlation::mean_impedance;
+use ihd_signal::noise::WhiteNoise;
+use ihd_signal::{Remark, Segment, Severity};
 use serde::{Deserialize, Serialize};
 
 use super::ekf::waveforms::{PeriodMeans, Waveforms, finite};
@@ -59,6 +60,24 @@ impl Filter {
     }
 }
 
+/// Attenuation of L from which it is an error.
+const LEAST_ATTENUATION: f64 = 0.01;
+
+/// What noise of the current does to L: a regressor whose mean square is noise by this `share` gives an L smaller by
+/// as much (errors in variables).
+fn attenuation(share: f64) -> Option<Remark> {
+    if share.is_nan() || share <= LEAST_ATTENUATION {
+        return None;
+    }
+    let percent = 100.0 * share.min(1.0);
+    let text = format!(
+        "noise of the current makes its derivative, and so L too small: by {percent:.1} % from the noise measured; take \
+         another method, or a longer derivative_periods"
+    );
+    let remark = Remark::new("noise_bias", Severity::Error, text);
+    Some(remark.with(percent, Some(100.0 * LEAST_ATTENUATION)))
+}
+
 /// Runs the linear filter over the segment.
 ///
 /// # Errors
@@ -83,11 +102,13 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     };
     let mut means = PeriodMeans::new(segment, [1.0, 1.0 / omega]);
     let mut waves = Waveforms::new(n, 1.0, 1.0);
+    let mut changes = 0.0;
     for k in 0..n {
         let (before, after) = (k.saturating_sub(half), (k + half).min(n - 1));
         let span = (after - before) as f64 / (2.0 * half as f64);
         let change = (segment.i_a[after] - segment.i_a[before]) * slope / span;
         let z = [segment.i_a[k], change];
+        changes += change * change;
         filter.step(z, segment.v_v[k], q, r);
         means.push(filter.theta[0], filter.theta[1], [filter.p[0], filter.p[2]]);
         waves.push(z[0], filter.theta[0] * z[0] + filter.theta[1] * z[1]);
@@ -95,6 +116,10 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     let mut estimate = means.finish(Method::Kf);
     finite(&estimate, segment)?;
     waves.finish(&mut estimate);
+    let noise = WhiteNoise::measure(segment).i_a * slope;
+    estimate
+        .remarks
+        .extend(attenuation(2.0 * noise * noise * n as f64 / changes));
     // The linear filter takes the current as it is: it reconstructs the voltage alone.
     estimate.i_hat_a = Vec::new();
     estimate.elapsed = started.elapsed();

@@ -16,6 +16,7 @@ mod model_residual;
 pub mod network;
 pub mod pinn;
 pub mod reconstruction;
+mod reference;
 pub mod rls;
 mod steps;
 mod sweep;
@@ -217,7 +218,7 @@ fn at_constant_load(
     settings: &Settings,
     watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    match method {
+    let mut estimate = match method {
         Method::Kf => kf::identify(segment, settings),
         Method::Ekf => ekf::identify(segment, settings),
         Method::EkfPaper => ekf::literal::identify(segment),
@@ -227,7 +228,11 @@ fn at_constant_load(
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
         Method::Pinn => pinn::identify(segment, settings, watch),
+    }?;
+    if !matches!(method, Method::LeastSquares | Method::Pinn) {
+        reference::hold_against(&mut estimate, segment, settings);
     }
+    Ok(estimate)
 }
 
 /// Why a segment could not be identified.

@@ -2,6 +2,8 @@
 
 use ihd_signal::{Remark, Severity};
 
+use super::Estimate;
+
 /// Standard deviations of R and L, relative, beyond which a residual of the model is a warning: half of the errors
 /// that no estimate may have unsaid.
 const LIMITS: [f64; 2] = [5e-3, 3.5e-3];
@@ -29,8 +31,21 @@ impl ModelResidual {
         }
     }
 
+    /// Puts what is to be said into an estimate's remarks, in place of one about a smaller residual.
+    pub fn note_in(&self, estimate: &mut Estimate) {
+        let Some(remark) = self.remark() else {
+            return;
+        };
+        let same = |r: &&mut Remark| r.code == remark.code;
+        match estimate.remarks.iter_mut().find(same) {
+            Some(before) if before.value >= remark.value => {}
+            Some(before) => *before = remark,
+            None => estimate.remarks.push(remark),
+        }
+    }
+
     /// What is to be said of it.
-    pub fn remark(&self) -> Option<Remark> {
+    fn remark(&self) -> Option<Remark> {
         let [chi2, r, l] = [self.chi2, self.r, self.l].map(|sum| sum / self.weight);
         if self.weight <= 0.0 || chi2 <= LEAST_CHI2 {
             return None;

@@ -6,6 +6,7 @@ use ihd_pinn::{Config, Identified, PinnError, Progress, SlowInputs, Task, TruthA
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
+use super::model_residual::ModelResidual;
 use super::pinn::CarrierInputs;
 use super::{Estimate, Watch};
 
@@ -94,6 +95,7 @@ pub fn append(found: &Identified, crossing_s: f64, estimate: &mut Estimate) {
     estimate.r_sigma_ohm.extend(&found.r_sigma_ohm);
     estimate.l_sigma_h.extend(&found.l_sigma_h);
     estimate.r_power_ohm.extend(&found.r_power_ohm);
+    model_residual(found).note_in(estimate);
     if !found.stopped_because.is_converged() {
         let text = format!(
             "the fit of the half-cycle from {crossing_s:.4} s did not converge ({}, {} steps)",
@@ -102,6 +104,18 @@ pub fn append(found: &Identified, crossing_s: f64, estimate: &mut Estimate) {
         let remark = Remark::new("not_converged", Severity::Error, text);
         estimate.remarks.push(remark);
     }
+}
+
+fn model_residual(found: &Identified) -> ModelResidual {
+    let mut residual = ModelResidual::default();
+    for (k, chi2) in found.chi2.iter().enumerate() {
+        let relative = [
+            found.r_sigma_ohm[k] / found.r_ohm[k],
+            found.l_sigma_h[k] / found.l_h[k],
+        ];
+        residual.add(found.i_amplitude_a[k].powi(2), *chi2, relative);
+    }
+    residual
 }
 
 /// A training's state in words; where the truth is known, the errors of R and L too.

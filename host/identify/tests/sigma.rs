@@ -12,6 +12,17 @@ use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{Change, Event};
 use ihd_sim::recording::settings::{LoadKind, Settings as Recording};
 
+/// Those of a build without burn whose σ is meant to be one: the literal filter's is the paper's.
+const METHODS: [Method; 7] = [
+    Method::LeastSquares,
+    Method::Lockin,
+    Method::Kf,
+    Method::Ekf,
+    Method::Rts,
+    Method::Rls,
+    Method::Firmware,
+];
+
 struct Case {
     name: &'static str,
     segment: Segment,
@@ -162,7 +173,7 @@ fn score(e: &Estimate, case: &Case) -> [f64; 4] {
 #[test]
 fn errors_are_within_twice_sigma_or_a_remark_warns() {
     for case in cases() {
-        for method in [Method::LeastSquares] {
+        for method in METHODS {
             let found = run(method, &case.segment, &Settings::default()).expect("a sound segment");
             let [r, l, r_pct, l_pct] = score(&found, &case);
             let warned = found

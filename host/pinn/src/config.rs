@@ -93,6 +93,9 @@ pub struct Config {
     /// Standard deviation expected of the RL-MLP's weights: with noise in the samples, a prior of
     /// that width keeps R and L from following it. 0 for eq. (7) alone. Levenberg-Marquardt only.
     pub weight_width: f64,
+    /// B-splines on top of the RL-MLP, where the evidence is for them: they follow R and L at the ends of the
+    /// half-cycle, which a network weighted with I² does not. For one physics harmonic.
+    pub correction: bool,
     /// Standard deviation of one sample's white noise in volt and ampere, where it was measured. Else
     /// the residual of the data terms stands for it, which also holds the harmonics that the VI branch
     /// leaves out: the prior is then stronger than the noise asks for.
@@ -104,7 +107,7 @@ pub struct Config {
     pub learning_rate: f64,
     /// The paper's VI-MLP in place of the harmonic VI branch: both networks are then trained together
     /// by Adam, and `harmonics`, `physics_harmonics`, `impedance_order`, `most_points`, `spline_intervals`,
-    /// `weight_width`, `noise` and `outer_passes` mean nothing.
+    /// `weight_width`, `correction`, `noise` and `outer_passes` mean nothing.
     pub vi_mlp: Option<ViMlp>,
     /// Trains so many times from successive seeds, 1..=64; the best is the result, the spread its
     /// uncertainty.
@@ -146,6 +149,7 @@ impl Default for Config {
             w_f: 5.0,
             w_i: 1.0,
             weight_width: 1.0,
+            correction: true,
             noise: None,
             optimiser: Optimiser::default(),
             learning_rate: 1e-2,

@@ -4,7 +4,10 @@
 //! phasor a cubic B-spline in slow time, and the same for v. The time derivative is analytic:
 //! `di_hat/dt = sum_h Re{ (I_h' + j h w I_h) exp(j h w t) }`.
 
-use ihd_spline::harmonic::phasor;
+use std::f64::consts::TAU;
+
+use ihd_spline::harmonic::{HarmonicFit, phasor};
+use ihd_spline::residual::Excess;
 use ihd_spline::{CubicSpline, Local};
 use nalgebra::Complex;
 
@@ -110,6 +113,21 @@ impl HarmonicBranch {
         }
         let count = samples.len() as f64;
         (squares.0 / count, squares.1 / count)
+    }
+
+    /// What the branch leaves of the fundamental beyond white noise of these variances, (v, i), of a point.
+    pub fn excess(&self, samples: &Normalised, white: (f64, f64)) -> Excess {
+        let fit = HarmonicFit {
+            spline: &self.basis.spline,
+            orders: &self.basis.harmonics,
+            gains: &self.basis.gains,
+            periods_per_sample: self.basis.omega * samples.dt_s / TAU,
+            dt_s: samples.dt_s,
+            block: 1,
+            centre: 0.0,
+        };
+        let white = [white.0.sqrt(), white.1.sqrt()];
+        Excess::of(&fit, [&samples.v, &samples.i], [&self.v, &self.i], white)
     }
 
     /// P / I_rms^2 over all harmonics at `tau_s` seconds after the first pair, normalised.

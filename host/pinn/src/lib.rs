@@ -37,6 +37,7 @@
 mod adam;
 mod backend;
 mod config;
+mod correction;
 mod dense;
 mod embedding;
 mod error;

@@ -129,6 +129,19 @@ impl SlowPhysics {
         ]
     }
 
+    /// Minus the derivatives of a slow time's residual, R's (0) or L's, by R / r_scale and L / l_scale.
+    pub fn by_output(&self, k: usize, row: usize) -> [f64; OUTPUTS] {
+        match row {
+            0 => [self.c_rr[k], self.c_rl[k]],
+            _ => [0.0, self.c_ll[k]],
+        }
+    }
+
+    /// Mean square of one component of the voltage, in units of the residuals.
+    pub fn mean_square(&self) -> f64 {
+        (dot(&self.d_r, &self.d_r) + dot(&self.d_l, &self.d_l)) / (2 * self.tau_s.len()) as f64
+    }
+
     /// The residuals e for the outputs (R / r_scale, L / l_scale) at each slow time: first the R
     /// rows of all slow times, then the L rows.
     pub fn residuals(&self, outputs: &[[f64; OUTPUTS]]) -> Vec<f64> {

@@ -98,6 +98,7 @@ impl Preset {
             Self::Hybrid => hybrid,
             Self::HybridAllHarmonics => Config {
                 physics_harmonics: hybrid.harmonics.clone(),
+                correction: false,
                 ..hybrid
             },
             Self::HybridFractional => Config {

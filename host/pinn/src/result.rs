@@ -44,10 +44,15 @@ pub struct Identified {
     /// L at those times, H.
     pub l_h: Vec<f64>,
     /// Standard deviation of R at those times, ohm: Laplace's approximation, or the spread of an
-    /// ensemble; empty where there is neither. It knows noise, not a load that breaks eq. (1).
+    /// ensemble; empty where there is neither. It holds noise and what eq. (1) and the harmonics leave of the
+    /// waveforms beyond it.
     pub r_sigma_ohm: Vec<f64>,
     /// Of L, H.
     pub l_sigma_h: Vec<f64>,
+    /// χ² of what is left of the fundamental against white noise at those times, which σ was raised by; empty where
+    /// σ is.
+    #[serde(default)]
+    pub chi2: Vec<f64>,
     /// Order n of Z(s) = s L_0 + K s^n that R and L were found with: [`crate::Config::impedance_order`].
     pub impedance_order: f64,
     /// P / I_rms^2 at those times, ohm, from the VI branch's signals with all their harmonics.
@@ -81,13 +86,13 @@ impl Identified {
     /// R at `t_s` seconds after the mains zero crossing, ohm.
     #[must_use]
     pub fn r_at(&self, t_s: f64) -> f64 {
-        self.parameters.r_l_at(t_s).0
+        interpolated(&self.t_s, &self.r_ohm, t_s)
     }
 
     /// L at `t_s` seconds after the mains zero crossing, H.
     #[must_use]
     pub fn l_at(&self, t_s: f64) -> f64 {
-        self.parameters.r_l_at(t_s).1
+        interpolated(&self.t_s, &self.l_h, t_s)
     }
 
     /// Means of sigma/R and sigma/L over the window, weighted with the squared current, in %:
@@ -109,6 +114,19 @@ impl Identified {
     }
 }
 
+/// Linear between the points, held beyond them.
+fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
+    let next = t_s.partition_point(|t| *t <= at_s);
+    match (next.checked_sub(1), t_s.get(next)) {
+        (Some(k), Some(after)) => {
+            let share = (at_s - t_s[k]) / (after - t_s[k]);
+            x[k] + share * (x[next] - x[k])
+        }
+        (Some(k), None) => x[k],
+        (None, _) => x.first().copied().unwrap_or(f64::NAN),
+    }
+}
+
 /// The signals in volt and ampere.
 pub(crate) fn reconstruction(samples: &Normalised, signals: Signals) -> Reconstruction {
     let scaled = |x: &[f64], unit: f64| x.iter().map(|x| x * unit).collect();
@@ -119,10 +137,14 @@ pub(crate) fn reconstruction(samples: &Normalised, signals: Signals) -> Reconstr
     }
 }
 
+/// Results a slow time: at the ends R bends within 0.1 ms.
+const RESULTS: usize = 4;
+
 /// Times after the first pair at which results are given, s.
 pub(crate) fn result_times_s(samples: &Normalised, config: &Config) -> Vec<f64> {
-    let last = (config.slow_points - 1) as f64;
-    (0..config.slow_points)
+    let count = RESULTS * config.slow_points;
+    let last = (count - 1) as f64;
+    (0..count)
         .map(|k| k as f64 / last * samples.duration_s())
         .collect()
 }
@@ -164,6 +186,7 @@ pub(crate) fn assemble_networks(
         l_h,
         r_sigma_ohm: Vec::new(),
         l_sigma_h: Vec::new(),
+        chi2: Vec::new(),
         r_power_ohm,
         i_amplitude_a,
         losses,

@@ -3,7 +3,27 @@
 //! A window lies between two mains zero crossings, and the envelope has its kinks only there: one
 //! smooth piece with clamped ends needs no inner knot of higher multiplicity.
 
+use std::f64::consts::FRAC_PI_2;
+
 const DEGREE: usize = 3;
+
+/// Noise of a phasor in the first interval, as a share of its amplitude there: more bends R and L, as noise of the
+/// current is noise of the regressor.
+const END_NOISE: f64 = 0.01;
+
+/// Shortest interval at a mains zero crossing, in seconds, whose phasor noise leaves to 1 % of its amplitude there:
+/// `noise` is the variance of one sample's white noise over the mean square of the signal, samples `dt_s` seconds
+/// apart. Infinite where the noise is.
+pub fn quiet_interval_s(noise: f64, dt_s: f64, half_cycle_s: f64) -> f64 {
+    // The largest amplitude of a half-cycle is twice its rms, and within the first interval half its slope.
+    let slope = FRAC_PI_2 * 2.0 / half_cycle_s;
+    let cube = 2.0 * noise * dt_s / (END_NOISE * slope).powi(2);
+    if cube.is_finite() {
+        libm::cbrt(cube)
+    } else {
+        f64::INFINITY
+    }
+}
 
 /// Basis of cubic B-splines on `[0, duration]`.
 #[derive(Debug, Clone)]
@@ -128,12 +148,13 @@ mod tests {
 
     #[test]
     fn the_basis_sums_to_one_and_its_slopes_to_zero() {
-        let spline = CubicSpline::new(7, 0.01);
-        for tau in times() {
-            let local = spline.at(tau);
-            assert!((local.values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
-            assert!(local.slopes_per_s.iter().sum::<f64>().abs() < 1e-8);
-            assert!(local.first + 4 <= spline.functions());
+        for spline in [CubicSpline::new(7, 0.01), CubicSpline::graded(7, 0.01, 0.0)] {
+            for tau in times() {
+                let local = spline.at(tau);
+                assert!((local.values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+                assert!(local.slopes_per_s.iter().sum::<f64>().abs() < 1e-8);
+                assert!(local.first + 4 <= spline.functions());
+            }
         }
     }
 
@@ -156,16 +177,37 @@ mod tests {
 
     #[test]
     fn slopes_are_the_derivative_of_the_values() {
-        let (spline, step) = (CubicSpline::new(6, 0.01), 1e-8);
-        for tau in times().skip(1).step_by(7).filter(|t| *t < 0.0099) {
-            let (before, here, after) =
-                (spline.at(tau - step), spline.at(tau), spline.at(tau + step));
-            if before.first == after.first {
-                for m in 0..4 {
-                    let numeric = (after.values[m] - before.values[m]) / (2.0 * step);
-                    assert!((numeric - here.slopes_per_s[m]).abs() < 1e-3);
+        let step = 1e-8;
+        for spline in [CubicSpline::new(6, 0.01), CubicSpline::graded(6, 0.01, 0.0)] {
+            for tau in times().skip(1).step_by(7).filter(|t| *t < 0.0099) {
+                let (before, here, after) =
+                    (spline.at(tau - step), spline.at(tau), spline.at(tau + step));
+                if before.first == after.first {
+                    for m in 0..4 {
+                        let numeric = (after.values[m] - before.values[m]) / (2.0 * step);
+                        assert!((numeric - here.slopes_per_s[m]).abs() < 2e-3);
+                    }
                 }
             }
         }
+    }
+
+    #[test]
+    fn graded_intervals_are_short_at_the_ends_and_no_shorter_than_allowed() {
+        let intervals = |spline: &CubicSpline| {
+            let ends: Vec<f64> = times()
+                .zip(times().skip(1))
+                .filter(|(a, b)| spline.at(*a).first != spline.at(*b).first)
+                .map(|(_, b)| b)
+                .collect();
+            (ends[0], ends[6] - ends[5])
+        };
+        let (first, middle) = intervals(&CubicSpline::graded(12, 0.01, 0.0));
+        assert!(first < 0.4e-3 && middle > 1.1e-3, "{first} {middle}");
+        // Twelve equal intervals are .83 ms.
+        let (first, _) = intervals(&CubicSpline::graded(12, 0.01, 0.5e-3));
+        assert!((0.5e-3..0.8e-3).contains(&first), "{first}");
+        let (first, middle) = intervals(&CubicSpline::graded(12, 0.01, 1e-3));
+        assert!((first - middle).abs() < 0.1e-3);
     }
 }

@@ -10,4 +10,4 @@ pub mod harmonic;
 pub mod residual;
 
 pub use banded::{Banded, Singular};
-pub use basis::{CubicSpline, Local};
+pub use basis::{CubicSpline, Local, quiet_interval_s};

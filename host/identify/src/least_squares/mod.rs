@@ -69,7 +69,7 @@ pub fn identify(
         }
         .into());
     }
-    estimate.remarks.extend(residual.remark());
+    residual.note_in(&mut estimate);
     estimate.elapsed = started.elapsed();
     Ok(estimate)
 }

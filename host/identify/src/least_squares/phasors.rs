@@ -1,14 +1,13 @@
 //! Phasors of the switching harmonics as B-splines, by least squares over all samples
 //! ([`ihd_spline::harmonic`]).
 
-use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
 
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
-use ihd_spline::CubicSpline;
 use ihd_spline::harmonic::{HarmonicFit, phasor};
 use ihd_spline::residual::Excess;
+use ihd_spline::{CubicSpline, quiet_interval_s};
 use nalgebra::Complex;
 
 use super::{LeastSquaresSettings, intervals};
@@ -16,10 +15,6 @@ use crate::{IdentifyError, Method};
 
 /// Fewest switching periods of a spline's interval: fewer cannot tell the harmonics apart.
 const LEAST_PERIODS: f64 = 3.0;
-
-/// Noise of a phasor in the first interval, as a share of its amplitude there: more bends R and L, as noise of the
-/// current is noise of the regressor.
-const END_NOISE: f64 = 0.01;
 
 /// Duration of the bridge's edges in seconds, from the hob's ratings.
 const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
@@ -87,8 +82,8 @@ impl Fit {
             .max(1);
         let duration_s = v_v.len() as f64 * segment.dt_s;
         let count = intervals(settings.phasor_intervals, duration_s, segment);
-        let quiet = quiet_interval_s(v_v, noise.v_v, segment)
-            .max(quiet_interval_s(i_a, noise.i_a, segment));
+        let noise_of = relative_noise(v_v, noise.v_v).max(relative_noise(i_a, noise.i_a));
+        let quiet = quiet_interval_s(noise_of, segment.dt_s, segment.half_cycle_s());
         let spline = CubicSpline::graded(
             count,
             duration_s,
@@ -154,18 +149,9 @@ impl Fit {
     }
 }
 
-/// Shortest interval at the zero crossing, in seconds, whose phasor noise leaves to [`END_NOISE`]: the amplitude
-/// there is the largest times π/2 of the interval's share of the half-cycle.
-fn quiet_interval_s(x: &[f64], sigma: f64, segment: &Segment) -> f64 {
-    let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
-    // The largest amplitude of a half-cycle is twice its rms.
-    let slope = 2.0 * mean_square.sqrt() * FRAC_PI_2 / segment.half_cycle_s();
-    let cube = 2.0 * sigma * sigma * segment.dt_s / (END_NOISE * slope).powi(2);
-    if cube.is_finite() {
-        libm::cbrt(cube)
-    } else {
-        f64::INFINITY
-    }
+/// Variance of a sample's noise over the mean square of the signal.
+fn relative_noise(x: &[f64], sigma: f64) -> f64 {
+    sigma * sigma * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
 }
 
 fn sinc(x: f64) -> f64 {

@@ -6,6 +6,7 @@
 //! the RL-MLP by the configured optimiser, with the branch held; alternating. The first branch is fitted to
 //! the data terms (5), (6) alone.
 
+mod corrected;
 mod pass;
 mod result;
 mod setup;
@@ -36,7 +37,8 @@ pub(crate) fn hybrid(
     mut log: Log<'_>,
 ) -> Result<Identified, PinnError> {
     let system = DataSystem::assemble(samples, setup::harmonic_basis(samples, config)?);
-    let mut branch = system.fit()?;
+    let by_data = system.fit()?;
+    let mut branch = by_data.clone();
     let mut network = setup::network_outline(samples, config);
     let order = setup::impedance_order(&branch, samples, &network, config);
     let inputs = Inputs {
@@ -51,7 +53,7 @@ pub(crate) fn hybrid(
         let descent = pass.train(&mut log)?;
         let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
         if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
-            return result::assemble(&pass, &branch, descent, log);
+            return result::assemble(&pass, [&by_data, &branch], descent, log);
         }
         network = descent.parameters;
         branch = system.fit_with_physics(&PhysicsTerm {

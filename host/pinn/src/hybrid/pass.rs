@@ -35,6 +35,8 @@ pub(super) struct Pass<'a> {
     /// The network at the start of the pass.
     start: Parameters,
     pub model: SlowModel,
+    /// Variance of the white noise of the normalised points, (v, i).
+    pub white: (f64, f64),
     pub prior: Prior,
     /// Variance of one physics residual.
     pub noise: f64,
@@ -82,6 +84,7 @@ impl<'a> Pass<'a> {
             },
             floor: physics.floor,
             tau_s: physics.tau_s,
+            white,
             inputs,
             start,
             noise,

@@ -1,5 +1,6 @@
 //! The result of the last pass: R(t), L(t) at evenly spaced times, their standard deviations, the losses.
 
+use super::corrected::Corrected;
 use super::pass::{Descent, Pass};
 use crate::harmonic_branch::HarmonicBranch;
 use crate::progress::Log;
@@ -9,7 +10,7 @@ use crate::{Identified, Losses, PinnError};
 
 pub(super) fn assemble(
     pass: &Pass<'_>,
-    branch: &HarmonicBranch,
+    [by_data, branch]: [&HarmonicBranch; 2],
     descent: Descent,
     log: Log<'_>,
 ) -> Result<Identified, PinnError> {
@@ -18,10 +19,16 @@ pub(super) fn assemble(
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
     let losses = losses(pass, &descent);
     let parameters = descent.parameters;
-    let (r_ohm, l_h) = t_s.iter().map(|t| parameters.r_l_at(*t)).unzip();
+    let corrected = Corrected::new(pass, by_data, &parameters);
+    let (r_ohm, l_h) = tau_s.iter().map(|tau| corrected.r_l_at(*tau)).unzip();
     let strength = pass.prior.strength;
     let sigmas = laplace(&pass.model, &parameters, pass.noise, strength, &t_s)?;
-    let (r_sigma_ohm, l_sigma_h) = sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
+    let mut chi2 = Vec::new();
+    let (mut r_sigma_ohm, mut l_sigma_h) =
+        sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
+    for ((tau, r), l) in tau_s.iter().zip(&mut r_sigma_ohm).zip(&mut l_sigma_h) {
+        chi2.push(corrected.raise(*tau, [r, l]));
+    }
     // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
     let amplitude = |tau: &f64| branch.phasors(*tau, 0).i.norm() * samples.i_max_ampere;
     let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
@@ -34,6 +41,7 @@ pub(super) fn assemble(
         l_h,
         r_sigma_ohm,
         l_sigma_h,
+        chi2,
         losses,
         iterations: log.iteration,
         passes: log.pass,

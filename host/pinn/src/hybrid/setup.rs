@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use ihd_spline::CubicSpline;
+use ihd_spline::{CubicSpline, quiet_interval_s};
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::impedance_law::{self, AtHarmonic, ImpedanceOrder, Named};
@@ -10,6 +10,9 @@ use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::waveform::Normalised;
 use crate::{Config, PinnError};
+
+/// Switching periods of a spline's interval that tell the harmonics apart.
+const LEAST_PERIODS: f64 = 3.0;
 
 /// The VI branch's functions, if the sampling can tell them apart.
 pub(super) fn harmonic_basis(
@@ -23,7 +26,7 @@ pub(super) fn harmonic_basis(
     let least = ((periods / 3.0) as usize).clamp(1, 4);
     let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(least);
     let basis = HarmonicBasis {
-        spline: CubicSpline::new(intervals, samples.duration_s()),
+        spline: spline(samples, intervals, config),
         harmonics: config.harmonics.clone(),
         omega: samples.omega,
         gains: config.harmonics.iter().map(|h| samples.gain(*h)).collect(),
@@ -31,6 +34,24 @@ pub(super) fn harmonic_basis(
     check_rate(samples, config)?;
     check_length(samples, &basis, intervals)?;
     Ok(basis)
+}
+
+/// Knots denser toward the zero crossings, as far as the measured noise allows.
+fn spline(samples: &Normalised, intervals: usize, config: &Config) -> CubicSpline {
+    let duration_s = samples.duration_s();
+    let half_cycle_s = 0.5 / samples.f_mains_hz;
+    let noise = config.noise.unwrap_or([f64::INFINITY; 2]);
+    let unit = [samples.v_max_volt, samples.i_max_ampere];
+    let channels = [&samples.v, &samples.i]
+        .into_iter()
+        .zip(noise.into_iter().zip(unit));
+    let quiet_s = channels.map(|(x, (sigma, unit))| {
+        let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
+        let variance = (sigma / unit).powi(2) / samples.block as f64;
+        quiet_interval_s(variance / mean_square, samples.dt_s, half_cycle_s)
+    });
+    let least_s = LEAST_PERIODS * TAU / samples.omega;
+    CubicSpline::graded(intervals, duration_s, quiet_s.fold(least_s, f64::max))
 }
 
 /// Two samples a period of the highest harmonic, at least.
@@ -60,7 +81,7 @@ fn check_length(
     for (needed, why) in [
         (4 * basis.len(), "four per unknown"),
         (
-            (3.0 * per_period * intervals as f64).ceil() as usize,
+            (LEAST_PERIODS * per_period * intervals as f64).ceil() as usize,
             "three switching periods per spline interval",
         ),
     ] {

@@ -11,6 +11,7 @@
 mod gate;
 mod network;
 mod observations;
+mod sensors;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -28,6 +29,7 @@ use crate::lookup::Built;
 
 pub use self::gate::judge;
 pub use self::observations::NotTeachable;
+pub use self::sensors::Sensors;
 pub use self::state::DamagedState;
 
 /// Most windows that are learned in silence after a device has refused lookups one after the other: at
@@ -39,6 +41,7 @@ const LONGEST_SILENCE: u32 = 1_024;
 pub struct Learning {
     network: Config,
     observations: Observations,
+    sensors: Sensors,
     /// The network of the last window that was fit, which the next one starts from.
     warm: Option<Parameters>,
     /// The lookup that was built last, which the next window is compared with.
@@ -95,6 +98,7 @@ impl Learning {
                 ..network
             },
             observations: Observations::default(),
+            sensors: Sensors::default(),
             warm: None,
             offered: None,
             versions: Versions::default(),
@@ -136,8 +140,15 @@ impl Learning {
     pub fn forget(&mut self) {
         *self = Self {
             versions: self.versions,
+            // The load is forgotten, the board is the same.
+            sensors: self.sensors,
             ..Self::new(self.network.clone())
         };
+    }
+
+    /// What the windows showed of the device's sensors.
+    pub fn sensors(&self) -> &Sensors {
+        &self.sensors
     }
 
     /// The next window's network starts from nothing.
@@ -167,7 +178,7 @@ impl Learning {
             start: self.warm.take(),
             ..self.network.clone()
         };
-        let segment = window.segment();
+        let (segment, said) = self.sensors.look(&window.segment());
         let identified = match network::identify_window(&segment, config, on_step) {
             Ok(identified) => identified,
             Err(why) => {
@@ -175,7 +186,7 @@ impl Learning {
                 return Outcome::Unfit { why, identified };
             }
         };
-        let Judgement { findings, gate } = judge(&segment, &identified);
+        let Judgement { findings, gate } = judge(&segment, &identified, &said);
         if gate.refuses() {
             let (why, identified) = (gate.why.join("; "), Some(Box::new(identified)));
             return Outcome::Unfit { why, identified };

@@ -7,12 +7,16 @@ use serde::{Deserialize, Serialize};
 
 use super::Learning;
 use super::observations::{MAX_CURVES, Observations};
+use super::sensors::Sensors;
 use super::version::Versions;
 use crate::lookup::LoadCurve;
 use crate::lookup::curve::MAX_POINTS;
 
-/// The layout of [`Saved`]; another one is not read.
-const FORMAT: u32 = 1;
+/// The layout of [`Saved`].
+const FORMAT: u32 = 2;
+
+/// The oldest one that is read: 1 knew nothing of the sensors.
+const OLDEST: u32 = 1;
 
 /// Why bytes are no state of [`Learning`].
 #[derive(Debug, thiserror::Error)]
@@ -26,6 +30,9 @@ pub enum DamagedState {
     /// The lookup that was built last does not pass the checks.
     #[error("the lookup that was learned is damaged: {0}")]
     Lookup(#[from] BlobError),
+    /// Numbers that no sensor has.
+    #[error("what was learned of the sensors is damaged")]
+    Sensors,
     /// Numbers that nothing could have taught.
     #[error("what was learned holds {0}")]
     Curves(&'static str),
@@ -40,6 +47,8 @@ struct Saved {
     offered: Option<Vec<u8>>,
     warm: Option<Parameters>,
     curves: Vec<LoadCurve>,
+    #[serde(default)]
+    sensors: Sensors,
 }
 
 impl Learning {
@@ -53,6 +62,7 @@ impl Learning {
             offered: self.offered.as_ref().map(|l| l.to_bytes().to_vec()),
             warm: self.warm.clone(),
             curves: self.observations.curves().to_vec(),
+            sensors: self.sensors,
         };
         // Maps with text as keys and numbers: nothing of it can fail to be JSON.
         serde_json::to_vec(&saved).unwrap_or_default()
@@ -69,7 +79,7 @@ impl Learning {
             format: u32,
         }
         let Format { format } = serde_json::from_slice(bytes)?;
-        if format != FORMAT {
+        if !(OLDEST..=FORMAT).contains(&format) {
             return Err(DamagedState::Format(format));
         }
         let saved: Saved = serde_json::from_slice(bytes)?;
@@ -81,6 +91,9 @@ impl Learning {
             warm: saved.warm.filter(|start| fits(start, &network)),
             observations: Observations::from_curves(checked(saved.curves)?),
             offered,
+            sensors: Some(saved.sensors)
+                .filter(Sensors::is_sound)
+                .ok_or(DamagedState::Sensors)?,
             versions: saved.versions,
             refusals: saved.refusals,
             silence: saved.silence,
@@ -126,7 +139,7 @@ mod tests {
         let text = String::from_utf8(good).unwrap();
         for (from, to, says) in [
             ("{", "", "cannot be read"),
-            ("\"format\":1", "\"format\":2", "format 2"),
+            ("\"format\":2", "\"format\":3", "format 3"),
             (
                 "\"curves\":[]",
                 "\"curves\":[{\"f_sw_hz\":0,\"points\":[]}]",
@@ -146,6 +159,16 @@ mod tests {
         );
         let lie = text.replacen("\"curves\":[]", &many, 1);
         assert!(Learning::from_bytes(lie.as_bytes(), config()).is_err());
+    }
+
+    /// What a build before the sensors wrote.
+    #[test]
+    fn the_first_format_is_read_and_knows_nothing_of_the_sensors() {
+        let text = String::from_utf8(Learning::new(Config::default()).to_bytes()).unwrap();
+        let (before, _) = text.split_once(",\"sensors\"").unwrap();
+        let old = before.replacen("\"format\":2", "\"format\":1", 1) + "}";
+        let restored = Learning::from_bytes(old.as_bytes(), Config::default()).unwrap();
+        assert_eq!(*restored.sensors(), Sensors::default());
     }
 
     #[test]

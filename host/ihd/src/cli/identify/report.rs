@@ -8,7 +8,6 @@ use ihd_gate::{Examined, Gate, Outcome};
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::{Capture, Remark, Segment, Severity};
-use ihd_survey::Survey;
 use serde::Serialize;
 
 use crate::report::table::Table;
@@ -70,6 +69,12 @@ impl<'a> Reported<'a> {
         outcomes.map(|(o, a)| self.entry(o, *a)).collect()
     }
 
+    /// Whether the sensors were corrected by what the capture shows.
+    fn self_calibrated(&self) -> bool {
+        let mut sensors = self.examined.sensors.iter();
+        sensors.any(|remark| remark.code == "self_calibrated")
+    }
+
     fn entry(&self, o: &'a Outcome, accuracy: Option<Accuracy>) -> Entry<'a> {
         let found = o.result.as_ref().ok();
         let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
@@ -116,13 +121,15 @@ impl<'a> Reported<'a> {
             let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
             out.push_str(&stretch(segment, &outcomes));
             for (outcome, _) in outcomes {
-                said(outcome, survey, &mut out);
+                said(outcome, self.examined, &mut out);
             }
         }
         match (self.capture.metadata.get("calibration"), survey.skew_note()) {
             (Some(calibration), _) => {
                 let _ = writeln!(out, "calibrated: {calibration}");
             }
+            // What was done instead was said.
+            (None, Some(_)) if self.self_calibrated() => {}
             (None, Some(note)) => {
                 let _ = writeln!(out, "not calibrated: {note}");
             }
@@ -132,9 +139,9 @@ impl<'a> Reported<'a> {
     }
 }
 
-/// A result's notes, its verdict, and the findings that are no reason for it; those of the survey were said once for
+/// A result's notes, its verdict, and the findings that are no reason for it; those of the capture and its sensors were said once for
 /// all methods.
-fn said(outcome: &Outcome, survey: &Survey, out: &mut String) {
+fn said(outcome: &Outcome, examined: &Examined, out: &mut String) {
     let method = outcome.method;
     match &outcome.result {
         Ok(estimate) => {
@@ -148,8 +155,13 @@ fn said(outcome: &Outcome, survey: &Survey, out: &mut String) {
         }
     }
     for finding in outcome.judgement.doubts() {
-        let of_survey = survey.findings.iter().any(|f| f.code() == finding.code);
-        if finding.severity == Severity::Warning && !of_survey {
+        let of_survey = examined
+            .survey
+            .findings
+            .iter()
+            .any(|f| f.code() == finding.code);
+        let of_sensors = examined.sensors.iter().any(|f| f.code == finding.code);
+        if finding.severity == Severity::Warning && !of_survey && !of_sensors {
             let _ = writeln!(out, "{method}: {finding}");
         }
     }

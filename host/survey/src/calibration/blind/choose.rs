@@ -44,15 +44,19 @@ pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<C
     let mut best: Option<Chosen> = None;
     let mut bases = Bases::default();
     let mut most = 0;
+    let edges: Vec<_> = stretches
+        .iter()
+        .filter_map(|s| Some((s, s.edges()?)))
+        .collect();
     for after_s in AFTER_S {
         // Edges are found to a third of a sample.
         let of = |s: &Stretch| Guards {
             before_s: BEFORE_S + 0.4 * s.dt_s,
             after_s,
         };
-        let plateaus: Vec<Plateau> = stretches
+        let plateaus: Vec<Plateau> = edges
             .iter()
-            .flat_map(|s| of_stretch(s, of(s), &mut bases))
+            .flat_map(|(s, edges)| of_stretch(s, edges, of(s), &mut bases))
             .collect();
         most = most.max(plateaus.len());
         let Some(now) = judge(&plateaus, settling_s) else {

@@ -39,6 +39,9 @@ pub(super) struct Track {
     frames: Vec<Carrier>,
 }
 
+/// A carrier, and the phases between its edges in periods.
+pub(super) type Edges = (Track, [Range<f64>; 2]);
+
 /// Switching periods in a frame, and from frame to frame.
 const FRAME: f64 = 4.0;
 const HOP: f64 = 2.0;
@@ -68,9 +71,27 @@ impl Stretch {
             .collect()
     }
 
+    /// Charge in coulomb without what is slower than the carrier: less its mean over three periods.
+    pub fn swinging_charge_c(&self) -> Vec<f64> {
+        let q_c = self.charge_c();
+        let half = ((1.5 * self.per_period()).round() as usize).max(1);
+        let mut sums = Vec::with_capacity(q_c.len() + 1);
+        sums.push(0.0);
+        let mut sum = 0.0;
+        sums.extend(q_c.iter().map(|q| {
+            sum += q;
+            sum
+        }));
+        let mean = |k: usize| {
+            let (a, b) = (k.saturating_sub(half), (k + half).min(q_c.len()));
+            (sums[b] - sums[a]) / (b - a).max(1) as f64
+        };
+        q_c.iter().enumerate().map(|(k, q)| q - mean(k)).collect()
+    }
+
     /// 1/C in 1/farad: what most steps of the voltage have in common with the charge that flowed. The median is not
     /// moved by the few steps that hold an edge.
-    pub fn elastance(&self) -> Option<f64> {
+    fn elastance(&self) -> Option<f64> {
         let q_c = self.charge_c();
         let m = ((0.05 * self.per_period()) as usize).max(1);
         let every = (self.v_v.len() / 100_000).max(1);
@@ -91,7 +112,7 @@ impl Stretch {
     }
 
     /// Follows the phase of v + q/C, which is the bridge's; `None` where there are too few periods.
-    pub fn track(&self, elastance: f64) -> Option<Track> {
+    fn track(&self, elastance: f64) -> Option<Track> {
         let samples = |periods: f64| (periods * self.per_period()).round() as usize;
         let (frame, hop) = (samples(FRAME), samples(HOP).max(1));
         if frame < 8 || self.v_v.len() < 4 * frame {
@@ -170,9 +191,17 @@ impl Stretch {
         }
     }
 
+    /// The carrier, and the phases between its edges; `None` where nothing switches.
+    pub fn edges(&self) -> Option<Edges> {
+        let elastance = self.elastance()?;
+        let track = self.track(elastance)?;
+        let between = self.between_edges(&track, elastance)?;
+        Some((track, between))
+    }
+
     /// Phases between the edges, as parts of a period: from the end of one to the beginning of the next; the second may
     /// exceed 1. `None` where no two edges stand out.
-    pub fn between_edges(&self, track: &Track, elastance: f64) -> Option<[Range<f64>; 2]> {
+    fn between_edges(&self, track: &Track, elastance: f64) -> Option<[Range<f64>; 2]> {
         self.fold(track, elastance, LEAST * track.largest_v())
             .between_edges()
     }

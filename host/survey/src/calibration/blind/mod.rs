@@ -20,6 +20,7 @@ mod fit;
 mod look;
 mod plateau;
 mod remarks;
+mod settle;
 #[cfg(test)]
 mod tests;
 
@@ -29,12 +30,13 @@ use ihd_signal::segment::Segment;
 use ihd_signal::{Capture, Load};
 use serde::Serialize;
 
-use self::choose::{Chosen, TOLD_APART, choose};
+use self::choose::{Chosen, TOLD_APART};
 pub use self::correction::Correction;
 use self::edges::Stretch;
 pub use self::fit::Found;
 use self::fit::Model;
 pub use self::look::{Ask, Looked, Mode, look};
+use self::settle::{Settled, settle};
 use crate::{Finding, Severity, Survey};
 
 /// Why a capture shows nothing of its sensors.
@@ -129,6 +131,8 @@ pub struct SelfCalibration {
     /// How far the current is behind the voltage by the sensors, in seconds, to first order at the switching
     /// frequency: time constant of a slow current, a skew's negative; and the bridge's resistance times C.
     pub lag_s: Found,
+    /// Skew in seconds if it were nothing else: later is positive. Better known than what a choice of models leaves.
+    pub as_skew_s: Found,
     /// What that comes from.
     pub response: Response,
     /// Whether the capture tells that response from a mere skew of the same lag.
@@ -152,6 +156,9 @@ const BRIDGE_R_OHM: f64 = 0.05;
 
 /// Lag in seconds below which there is nothing to correct.
 const LEAST_LAG_S: f64 = 0.5e-9;
+
+/// Lag in seconds that cables and samplers do not make.
+const LONG_S: f64 = 100e-9;
 
 /// Standard deviations from which a lag counts.
 const SIGNIFICANT: f64 = 3.0;
@@ -204,10 +211,11 @@ pub fn estimate(
     let strongest = spans.first();
     let f_sw_hz = strongest.map_or(45e3, |s| s.f_sw_hz);
     let load = strongest.and_then(|s| s.load);
-    judged(&stretches, f_sw_hz, load, known_capacitance_f)
+    judged(&stretches, f_sw_hz, load, known_capacitance_f, None)
 }
 
-/// The same of a segment, as of a device's window.
+/// The same of a segment, as of a device's window. `settling_s`: time constant of a filter that both channels share, in
+/// seconds.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -215,11 +223,12 @@ pub fn of_segment(
     segment: &Segment,
     load: Option<Load>,
     known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
 ) -> Result<SelfCalibration, BlindError> {
     let n = segment.v_v.len().min(segment.i_a.len()).min(LONGEST);
     let (v_v, i_a) = (segment.v_v[..n].to_vec(), segment.i_a[..n].to_vec());
     let one = [stretch(v_v, i_a, segment.dt_s, segment.f_sw_hz)];
-    judged(&one, segment.f_sw_hz, load, known_capacitance_f)
+    judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)
 }
 
 fn stretch(v_v: Vec<f64>, i_a: Vec<f64>, dt_s: f64, f_sw_hz: f64) -> Stretch {
@@ -240,8 +249,10 @@ fn judged(
     f_sw_hz: f64,
     load: Option<Load>,
     known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
 ) -> Result<SelfCalibration, BlindError> {
-    let Settled { chosen, v_tau_s } = settle(stretches)?;
+    let settled = settle(stretches, settling_s)?;
+    let (chosen, v_tau_s) = (&settled.chosen, settled.v_tau_s);
     let e = chosen.fit.elastance;
     let omega = TAU * f_sw_hz;
     if e.value < SIGNIFICANT * e.sigma || e.value <= 0.0 {
@@ -255,11 +266,9 @@ fn judged(
             },
         });
     }
-    let response = response(&chosen, v_tau_s);
-    let mut lag_s = lag(&chosen, omega);
-    if v_tau_s > 0.0 {
-        lag_s.value = -v_tau_s;
-    }
+    let response = response(&settled);
+    let mut lag_s = lag(chosen, omega);
+    lag_s.value -= v_tau_s + settled.skew_s;
     let cost_pct = load.map(|z| {
         let angle = omega * lag_s.value.abs();
         let (r, x) = (z.r_ohm.abs(), omega * z.l_h);
@@ -271,6 +280,10 @@ fn judged(
             sigma: e.sigma / (e.value * e.value),
         },
         lag_s,
+        as_skew_s: Found {
+            value: chosen.skew_s.value + v_tau_s + settled.skew_s,
+            sigma: chosen.skew_s.sigma,
+        },
         response,
         told_apart: v_tau_s > 0.0 || chosen.beyond_skew > TOLD_APART,
         tests: Tests {
@@ -290,24 +303,32 @@ fn judged(
 /// Amplitude of a capacitor's voltage in volt that would have been seen.
 const HIDDEN_V: f64 = 10.0;
 
-fn response(chosen: &Chosen, v_tau_s: f64) -> Response {
+fn response(settled: &Settled) -> Response {
+    let (chosen, v_tau_s, before_s) = (&settled.chosen, settled.v_tau_s, settled.skew_s);
     if v_tau_s > 0.0 {
         return Response::SlowVoltage { tau_s: v_tau_s };
     }
     let (t_s, corner_hz) = (chosen.fit.time_s.value, chosen.fit.droop.value / TAU);
     let droop = |skew_s, tau_s| Response::Droop {
         corner_hz,
-        skew_s,
+        skew_s: before_s + skew_s,
         tau_s,
     };
+    let skew = |skew_s| Response::Skew {
+        skew_s: before_s + skew_s,
+    };
     match chosen.fit.model {
-        Model::Right => Response::Right,
-        Model::Skew => Response::Skew { skew_s: t_s },
-        Model::SlowCurrent if chosen.beyond_skew > TOLD_APART => {
+        Model::Right if before_s == 0.0 => Response::Right,
+        Model::Right => skew(0.0),
+        Model::Skew => skew(t_s),
+        // A lag that long is a probe's rather than a delay, unless the delay explains more.
+        Model::SlowCurrent
+            if before_s == 0.0 && (chosen.beyond_skew > TOLD_APART || t_s > LONG_S) =>
+        {
             Response::SlowCurrent { tau_s: t_s }
         }
         // As good a skew, which needs no filter.
-        Model::SlowCurrent => Response::Skew { skew_s: -t_s },
+        Model::SlowCurrent => skew(-t_s),
         Model::Droop => droop(0.0, 0.0),
         Model::SkewAndDroop => droop(t_s, 0.0),
         Model::SlowCurrentAndDroop => droop(0.0, t_s),
@@ -327,85 +348,6 @@ fn lag(chosen: &Chosen, omega: f64) -> Found {
     Found {
         value,
         sigma: skew.sigma,
-    }
-}
-
-/// What is left when a slow voltage has been matched, and its time constant in seconds, 0 where there is none.
-struct Settled {
-    chosen: Chosen,
-    v_tau_s: f64,
-}
-
-/// Least skew that may be a slow voltage, in seconds: a bandwidth of 2.7 MHz.
-const SLOW_S: f64 = 60e-9;
-
-/// Shares of the skew that a slow voltage's search begins with.
-const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
-
-/// Rounds in which the time constant of a slow voltage is found, and the change in seconds that ends them.
-const ROUNDS: usize = 6;
-const ROUND_S: f64 = 0.2e-9;
-
-/// A current that is sampled late may be a voltage that goes through a slow probe: its edges then have tails. The current
-/// gets the same filter, until nothing is left.
-fn settle(stretches: &[Stretch]) -> Result<Settled, BlindError> {
-    let plain = choose(stretches, None)?;
-    let late = plain.skew_s;
-    if late.value < SLOW_S || late.value < 10.0 * late.sigma {
-        return Ok(Settled {
-            chosen: plain,
-            v_tau_s: 0.0,
-        });
-    }
-    let variance = |c: &Chosen| c.fit.left.0 / c.fit.left.1 as f64;
-    let matched = |v_tau_s: f64| {
-        let alike = Correction {
-            v_tau_s,
-            ..Correction::default()
-        };
-        let filtered: Vec<Stretch> = stretches.iter().map(|s| s.corrected(&alike)).collect();
-        choose(&filtered, Some(v_tau_s)).ok()
-    };
-    // The tails make a slow voltage look slower: what explains most begins.
-    let starts = STARTS.map(|share| share * late.value);
-    let tried = starts
-        .into_iter()
-        .filter_map(|tau_s| Some((tau_s, matched(tau_s)?)));
-    let best = tried.min_by(|a, b| variance(&a.1).total_cmp(&variance(&b.1)));
-    let mut settled = best;
-    for _ in 0..ROUNDS {
-        let Some((tau_s, now)) = &settled else {
-            break;
-        };
-        let step_s = now.skew_s.value;
-        if step_s.abs() < ROUND_S || tau_s + step_s <= 0.0 {
-            break;
-        }
-        let next_s = tau_s + step_s;
-        match matched(next_s) {
-            Some(next) if variance(&next) < variance(now) => settled = Some((next_s, next)),
-            _ => break,
-        }
-    }
-    let better = |m: &Chosen| {
-        // The tail has a number on each side.
-        let gain = (variance(&plain) / variance(m) - 1.0) * plain.fit.left.1 as f64;
-        gain > TOLD_APART + 2.0 * (plain.fit.left.1 as f64).ln()
-    };
-    Ok(match settled.filter(|(_, m)| better(m)) {
-        Some((v_tau_s, chosen)) => Settled { chosen, v_tau_s },
-        None => Settled {
-            chosen: plain,
-            v_tau_s: 0.0,
-        },
-    })
-}
-
-impl Stretch {
-    fn corrected(&self, correction: &Correction) -> Self {
-        let mut out = self.clone();
-        correction.filter(&mut out.v_v, &mut out.i_a, self.dt_s);
-        out
     }
 }
 

@@ -5,7 +5,7 @@ use std::rc::Rc;
 use nalgebra::DVector;
 
 use super::basis::{Bases, Basis, FEWEST};
-use super::edges::{Carrier, LEAST, Stretch};
+use super::edges::{Carrier, Edges, LEAST, Stretch};
 
 /// Time that is left out before and after an edge, in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,17 +59,15 @@ fn without_level(coefficients: &DVector<f64>) -> Vec<f64> {
 /// Most plateaus that are taken of a stretch, evenly: more is not known better than the model is right.
 const MOST: usize = 6_000;
 
-/// The plateaus of a stretch; none where there are no edges.
-pub(super) fn of_stretch(stretch: &Stretch, guards: Guards, bases: &mut Bases) -> Vec<Plateau> {
-    let found = stretch.elastance().and_then(|first| {
-        let track = stretch.track(first)?;
-        let between = stretch.between_edges(&track, first)?;
-        Some((track, between))
-    });
-    let Some((track, between)) = found else {
-        return Vec::new();
-    };
+/// The plateaus of a stretch, between edges that were found.
+pub(super) fn of_stretch(
+    stretch: &Stretch,
+    (track, between): &Edges,
+    guards: Guards,
+    bases: &mut Bases,
+) -> Vec<Plateau> {
     let least_v = LEAST * track.largest_v();
+    let charge_c = stretch.swinging_charge_c();
     let samples = stretch.v_v.len();
     let f_hz = stretch.f_sw_hz;
     let (begin, end) = (
@@ -78,7 +76,7 @@ pub(super) fn of_stretch(stretch: &Stretch, guards: Guards, bases: &mut Bases) -
     );
     let every = ((2.0 * (end - begin)) as usize / MOST).max(1);
     let mut out = Vec::new();
-    for (side, between) in between.into_iter().enumerate() {
+    for (side, between) in between.iter().enumerate() {
         let (from, to) = (
             between.start + guards.after_s * f_hz,
             between.end - guards.before_s * f_hz,
@@ -107,7 +105,7 @@ pub(super) fn of_stretch(stretch: &Stretch, guards: Guards, bases: &mut Bases) -
                 side,
                 carrier,
                 since_edge_s,
-                bases,
+                (charge_c.as_slice(), &mut *bases),
             ));
         }
     }
@@ -120,7 +118,7 @@ fn plateau(
     side: usize,
     carrier: Carrier,
     since_edge_s: f64,
-    bases: &mut Bases,
+    (charge_c, bases): (&[f64], &mut Bases),
 ) -> Plateau {
     let basis = bases.of(to - from);
     let half_s = 0.5 * (to - from - 1) as f64 * stretch.dt_s;
@@ -128,7 +126,9 @@ fn plateau(
     let i = basis.project(|k| stretch.i_a[from + k]);
     let smooth = basis.at_samples(&i);
     let cubes = basis.project(|k| smooth[k].powi(3));
-    let charge = basis.integrated(&i, half_s);
+    let mut charge = basis.integrated(&i, half_s);
+    // Its level matters to its integral.
+    charge[0] = basis.project(|k| charge_c[from + k])[0];
     let slope = basis.derived(&i, half_s);
     Plateau {
         side,

@@ -1,0 +1,78 @@
+//! Standard deviations of the estimators that know noise alone, or their own tuning, held against least squares on
+//! the same segment: what the two differ by, beyond what both admit, is an error of one of them.
+
+use ihd_signal::{Remark, Segment, Severity};
+
+use super::trajectory::Trajectory;
+use super::{Estimate, Settings, least_squares};
+
+/// Points on either side over which squared differences are averaged.
+const REACH: usize = 10;
+
+/// What of the admitted variances a mean squared difference may have by chance.
+const CHANCE: f64 = 1.5;
+
+/// Differences of R and L, relative, from which they are worth a warning: the errors that none may have unsaid.
+const LIMITS: [f64; 2] = [1e-2, 7e-3];
+
+/// Raises σ of `estimate` by what it contradicts least squares in, which takes the fundamental alone and the whole
+/// half-cycle; leaves it as it is where least squares finds nothing, or the estimate gives no σ.
+pub(crate) fn hold_against(estimate: &mut Estimate, segment: &Segment, settings: &Settings) {
+    if estimate.r_sigma_ohm.len() != estimate.t_s.len() {
+        return;
+    }
+    let found = least_squares::identify(&segment.without_offsets(), &settings.least_squares);
+    let Ok(reference) = found else { return };
+    let Some(mut trajectory) = Trajectory::from(&reference, f64::NEG_INFINITY) else {
+        return;
+    };
+    let (mut r, mut l) = (Vec::new(), Vec::new());
+    for t_s in &estimate.t_s {
+        let (value, admitted) = (
+            trajectory.r_l(*t_s),
+            trajectory.sigma(*t_s).unwrap_or_default(),
+        );
+        r.push((value.0, admitted.0));
+        l.push((value.1, admitted.1));
+    }
+    let r_off = raise(&mut estimate.r_sigma_ohm, &estimate.r_ohm, &r);
+    let l_off = raise(&mut estimate.l_sigma_h, &estimate.l_h, &l);
+    if r_off > LIMITS[0] || l_off > LIMITS[1] {
+        let text = format!(
+            "{} and least squares contradict each other: R by {:.1} %, L by {:.1} % (median)",
+            estimate.method,
+            100.0 * r_off,
+            100.0 * l_off
+        );
+        let larger = (r_off / LIMITS[0]).max(l_off / LIMITS[1]);
+        let remark = Remark::new("contradicts_least_squares", Severity::Warning, text);
+        estimate.remarks.push(remark.with(larger, Some(1.0)));
+    }
+}
+
+/// Raises `sigma` of `found` where it differs from the reference (value, σ) by more than chance; returns the median of
+/// the relative differences.
+fn raise(sigma: &mut [f64], found: &[f64], reference: &[(f64, f64)]) -> f64 {
+    let beyond: Vec<[f64; 2]> = (0..found.len())
+        .map(|k| {
+            let (right, admitted) = reference[k];
+            let variance = sigma[k] * sigma[k] + admitted * admitted;
+            [(found[k] - right).powi(2), CHANCE * variance]
+        })
+        .collect();
+    for (k, sigma) in sigma.iter_mut().enumerate() {
+        let near = &beyond[k.saturating_sub(REACH)..(k + REACH + 1).min(beyond.len())];
+        let mean = |x: usize| near.iter().map(|b| b[x]).sum::<f64>() / near.len() as f64;
+        let admitted = reference[k].1;
+        let raised = *sigma * *sigma + admitted * admitted + (mean(0) - mean(1)).max(0.0);
+        // What is not finite is the estimator's own business.
+        if raised.is_finite() {
+            *sigma = raised.sqrt();
+        }
+    }
+    let relative = found
+        .iter()
+        .zip(reference)
+        .map(|(x, (right, _))| (x / right - 1.0).abs());
+    ihd_signal::noise::median(relative.collect()).unwrap_or(0.0)
+}
