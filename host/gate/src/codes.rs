@@ -303,6 +303,20 @@ const ESTIMATORS: &[Code] = &[
         "look for a moving frequency, a step, a neighbouring coil, aliased edges",
     ),
     code(
+        "noise_bias",
+        "error",
+        "noise of the current makes the linear filter's L too small by a predicted share",
+        "see docs/estimators.md",
+        "another method",
+    ),
+    code(
+        "contradicts_least_squares",
+        "warning",
+        "a filter differs from least squares, and its σ holds that",
+        "see docs/estimators.md",
+        "least-squares or pinn",
+    ),
+    code(
         "not_converged",
         "error; info where least squares says the same",
         "the network stopped before it settled",

@@ -63,8 +63,9 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     findings.extend(coverage(segment, estimate));
     let agreement = agreement(evidence);
     // What a filter thinks of itself is its tuning's: where the reference is sure and says the same, it counts.
-    let confirmed = agreement.iter().all(|f| f.severity == Severity::Info)
-        && evidence.witness.reference.is_ok();
+    let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
+    let harmless = |f: &Remark| f.severity == Severity::Info || within(f);
+    let confirmed = agreement.iter().all(harmless) && evidence.witness.reference.is_ok();
     let uncertain = match &evidence.witness.reference {
         Ok(reference) if confirmed => uncertainty(segment, reference),
         _ => uncertainty(segment, estimate),
