@@ -97,8 +97,13 @@ pub fn examine(
             }
             let judgement = judged(&remarks, segment, &witness, method, &result);
             // After the judgement: what all methods share is no noise between them.
-            if let (Some(applied), Ok(estimate)) = (applied, &mut result) {
-                applied.widen(estimate);
+            if let Ok(estimate) = &mut result {
+                if let Some(applied) = applied {
+                    applied.widen(estimate);
+                }
+                if let Some(aliasing) = &survey.aliasing {
+                    widen(estimate, 0.01 * aliasing.r_pct, 0.01 * aliasing.l_pct);
+                }
             }
             outcomes.push(Outcome {
                 method,
@@ -115,6 +120,17 @@ pub fn examine(
         segments,
         outcomes,
     })
+}
+
+/// Adds to the deviations what edges that the sampling folds onto the fundamental may cost, as shares of R and of L.
+fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
+    let add = |sigma: &mut [f64], values: &[f64], share: f64| {
+        for (sigma, value) in sigma.iter_mut().zip(values) {
+            *sigma = sigma.hypot(share * value);
+        }
+    };
+    add(&mut estimate.r_sigma_ohm, &estimate.r_ohm, r_share);
+    add(&mut estimate.l_sigma_h, &estimate.l_h, l_share);
 }
 
 fn judged(

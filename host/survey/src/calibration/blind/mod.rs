@@ -157,6 +157,9 @@ const BRIDGE_R_OHM: f64 = 0.05;
 /// Lag in seconds below which there is nothing to correct.
 const LEAST_LAG_S: f64 = 0.5e-9;
 
+/// Lag beside droop, in seconds, from which a bridge's resistance may be what is seen.
+const LEAST_BESIDE_DROOP_S: f64 = 3e-9;
+
 /// Lag in seconds that cables and samplers do not make.
 const LONG_S: f64 = 100e-9;
 
@@ -370,16 +373,29 @@ impl SelfCalibration {
             && lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_LAG_S)
     }
 
-    /// Whether a resistance of the bridge could be all of it: a current that seems late, as by no more than a bridge's
-    /// resistance makes, in a way that no sensor shows.
+    /// Whether a resistance of the bridge could be all of it, droop aside: a current that seems late, as by no more than a
+    /// bridge's resistance makes, in a way that no sensor shows.
     pub fn may_be_the_bridge(&self) -> bool {
-        matches!(self.response, Response::Skew { .. })
-            && (0.0..BRIDGE_R_OHM * self.capacitance_f.value).contains(&self.lag_s.value)
+        let least_s = match self.response {
+            Response::Skew { .. } => 0.0,
+            // Found together with the corner, it is known less well.
+            Response::Droop { .. } => LEAST_BESIDE_DROOP_S,
+            _ => return false,
+        };
+        (least_s..BRIDGE_R_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
     }
 
-    /// The bridge's resistance that would show as this lag, in ohm.
+    /// The bridge's resistance that would show as this lag, droop aside, in ohm.
     pub fn bridge_r_ohm(&self) -> f64 {
-        self.lag_s.value / self.capacitance_f.value
+        self.beside_droop_s() / self.capacitance_f.value
+    }
+
+    /// How far the current is behind but for droop, in seconds.
+    fn beside_droop_s(&self) -> f64 {
+        match self.response {
+            Response::Droop { skew_s, tau_s, .. } => tau_s - skew_s,
+            _ => self.lag_s.value,
+        }
     }
 
     /// What makes the channels alike; `None` where that is not significant, not sound, or could be the bridge's resistance.
