@@ -178,12 +178,14 @@ impl Carrier {
         let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();
         let (low, high) = (rank(0.02).unwrap_or(mean_hz), rank(0.98).unwrap_or(mean_hz));
         let deviation_hz = 0.5 * (high - low);
-        // Of a sine the slope is 2π·rate times the deviation, both rms.
-        let slopes = self.f_hz.windows(2).zip(&self.weight);
-        let slope = slopes.map(|(f, w)| w * ((f[1] - f[0]) / self.step_s).powi(2));
-        let off = self.f_hz.iter().zip(&self.weight);
-        let off: f64 = off.map(|(f, w)| w * (f - mean_hz).powi(2)).sum();
-        let rate_hz = (slope.sum::<f64>() / off.max(f64::MIN_POSITIVE)).sqrt() / TAU;
+        // Of a sine the slope is 2π·rate times the deviation, both rms. Not weighted: with the mains' power some phases of
+        // the sweep would count more, and through a zero crossing the smoother's straight line is near enough.
+        let centre_hz = self.f_hz.iter().sum::<f64>() / self.f_hz.len() as f64;
+        let off = self.f_hz.iter().map(|f| (f - centre_hz).powi(2));
+        let slope = self.f_hz.windows(2);
+        let slope = slope.map(|f| ((f[1] - f[0]) / self.step_s).powi(2));
+        let off = off.sum::<f64>().max(f64::MIN_POSITIVE);
+        let rate_hz = (slope.sum::<f64>() / off).sqrt() / TAU;
         Sweep {
             mean_hz,
             deviation_hz,

@@ -279,6 +279,14 @@ fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
     if out.iter().any(|(range, _)| range.len() >= HOPS) {
         out.retain(|(range, _)| range.len() >= HOPS);
     }
+    // A step of the load turns the phase once: before and after it the frequency is the same.
+    out.dedup_by(|b, a| {
+        let same = (a.1 - b.1).abs() < 0.5 * STEP_HZ && b.0.start - a.0.end <= 2 * HOPS;
+        if same {
+            *a = (a.0.start..b.0.end, median(a.0.start..b.0.end));
+        }
+        same
+    });
     out
 }
 

@@ -50,7 +50,7 @@ fn a_sweep_is_followed_at_any_rate_and_in_noise() {
                 (seen.deviation_hz / deviation - 1.0).abs() < 0.05,
                 "{seen:?}"
             );
-            assert!((seen.rate_hz / rate - 1.0).abs() < 0.1, "{seen:?}");
+            assert!((seen.rate_hz / rate - 1.0).abs() < 0.15, "{seen:?}");
             let strong: Vec<_> = carrier.values().filter(|v| v.2 > 0.1).collect();
             let square = strong.iter().map(|(t, found, _)| (found - f(*t)).powi(2));
             let rms = (square.sum::<f64>() / strong.len() as f64).sqrt();

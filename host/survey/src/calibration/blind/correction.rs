@@ -152,7 +152,7 @@ fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> C
         let omega = TAU * k as f64 / (length as f64 * dt_s);
         *value *= transfer(omega) * scale;
         // What a real signal has no imaginary part at.
-        if k == 0 || (k == last && length % 2 == 0) {
+        if k == 0 || (k == last && length.is_multiple_of(2)) {
             value.im = 0.0;
         }
     }
