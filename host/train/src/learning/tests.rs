@@ -175,25 +175,30 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     let segment = kitchen.window().0.segment();
     let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
     let before = Instant::now();
-    let right = judge(&segment, &found);
+    let right = judge(&segment, &found, &[]);
     println!("judged in {:.1} ms", before.elapsed().as_secs_f64() * 1e3);
     assert_eq!(right.gate.why, [""; 0]);
     let codes = |changed: &Identified| -> Vec<&str> {
-        let judgement = judge(&segment, changed);
+        let judgement = judge(&segment, changed, &[]);
         assert!(judgement.gate.refuses());
         judgement.doubts().map(|d| d.code).collect()
     };
     let mut off = found.clone();
     off.r_ohm.iter_mut().for_each(|r| *r *= 1.03);
     assert!(codes(&off).contains(&"disagreement"));
+    // A limit of steps that was met at the right place is told; at a wrong one it is one more reason.
     let mut unsettled = found.clone();
     unsettled.stopped_because = StoppedBecause::TimeLimit;
-    assert!(codes(&unsettled).contains(&"not_converged"));
+    let judgement = judge(&segment, &unsettled, &[]);
+    assert_eq!(judgement.gate.why, [""; 0]);
+    assert!(judgement.findings.iter().any(|f| f.code == "not_converged"));
+    off.stopped_because = StoppedBecause::TimeLimit;
+    assert!(codes(&off).contains(&"not_converged"));
     // A reading of the current a tenth of what it is: no cell of a lookup holds ten times L.
     let tenth = segment.i_a.iter().map(|i| 0.1 * i).collect();
     let segment = segment.with_samples(segment.v_v.clone(), tenth);
     let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
-    let judgement = judge(&segment, &found);
+    let judgement = judge(&segment, &found, &[]);
     assert!(judgement.gate.refuses());
     assert!(judgement.doubts().any(|d| d.code == "implausible_load"));
 }
