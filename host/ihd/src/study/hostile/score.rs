@@ -225,7 +225,11 @@ mod tests {
                 t if (10.95e-3..19.05e-3).contains(&t) => 1.03,
                 _ => 9.0,
             };
-            estimate.push(t_s, (2.0 * factor, 20e-6), (0.02, 1e-6));
+            estimate.t_s.push(t_s);
+            estimate.r_ohm.push(2.0 * factor);
+            estimate.l_h.push(20e-6);
+            estimate.r_sigma_ohm.push(0.02);
+            estimate.l_sigma_h.push(1e-6);
         }
         let found = truth.errors(&estimate, &segment()).unwrap();
         assert!((found.r_pct - 3.0).abs() < 1e-9, "{found:?}");
