@@ -10,6 +10,9 @@ use ihd_survey::{Hints, SurveyError};
 /// Share of a lag that its correction may be off by, whatever the samples say: how well first order describes a probe.
 const MODEL: f64 = 0.02;
 
+/// Standard deviation of the bridge's resistance in ohm: switches of hobs have 10 to 20 mohm, which nobody tells.
+const BRIDGE_R_OHM: f64 = 0.01;
+
 /// Sampling rate in hertz from which the plateaus between edges have enough samples of their own.
 const LEAST_RATE_HZ: f64 = 6e6;
 
@@ -31,7 +34,8 @@ pub fn look<'a>(capture: &'a Capture, hints: &Hints, ask: Ask) -> Result<Looked<
     };
     let rate_hz = looked.survey.rate_hz;
     let coarse = rate_hz < LEAST_RATE_HZ;
-    if coarse && found.lag_s.value.abs() * rate_hz < COARSE_SHARE {
+    // What no delay explains is said at any rate.
+    if coarse && found.is_sound() && found.lag_s.value.abs() * rate_hz < COARSE_SHARE {
         let mode = Mode::Off;
         return blind::look(capture, hints, Ask { mode, ..ask });
     }
@@ -43,6 +47,8 @@ pub fn look<'a>(capture: &'a Capture, hints: &Hints, ask: Ask) -> Result<Looked<
 pub struct Applied {
     /// Standard deviation of the delay in seconds.
     lag_sigma_s: f64,
+    /// What the bridge's resistance, which looks like a lag, may have added to it, in seconds.
+    bridge_s: f64,
     /// Lag squared in square seconds where a skew and a slow channel look the same: they differ in gain by half of
     /// (ω·lag)².
     untold_s2: f64,
@@ -54,25 +60,27 @@ impl Applied {
         let lag_s = found.lag_s.value;
         Self {
             lag_sigma_s: found.lag_s.sigma.hypot(MODEL * lag_s),
+            bridge_s: BRIDGE_R_OHM * found.capacitance_f.value,
             untold_s2: if found.told_apart { 0.0 } else { lag_s * lag_s },
         }
     }
 
-    /// Standard deviations of R in ohm and L in henry that it adds at a load and a frequency.
-    fn sigmas(&self, load: Load, f_sw_hz: f64) -> (f64, f64) {
+    /// Standard deviations of R in ohm and L in henry that a lag of `sigma_s` seconds adds at a load and a frequency.
+    fn sigmas(&self, sigma_s: f64, load: Load, f_sw_hz: f64) -> (f64, f64) {
         let omega = TAU * f_sw_hz;
         let gain = 0.5 * omega * omega * self.untold_s2;
-        let r = (omega * omega * load.l_h * self.lag_sigma_s).hypot(gain * load.r_ohm);
-        let l = (load.r_ohm * self.lag_sigma_s).hypot(gain * load.l_h);
+        let r = (omega * omega * load.l_h * sigma_s).hypot(gain * load.r_ohm);
+        let l = (load.r_ohm * sigma_s).hypot(gain * load.l_h);
         (r, l)
     }
 
-    /// Adds it to an estimate's deviations, where it states any.
+    /// Adds it to an estimate's deviations, where it states any; the bridge's resistance included.
     pub fn widen(&self, estimate: &mut Estimate) {
         let f_sw_hz = estimate.f_sw_hz;
+        let sigma_s = self.lag_sigma_s.hypot(self.bridge_s);
         let loads = estimate.r_ohm.iter().zip(&estimate.l_h);
         let added: Vec<_> = loads
-            .map(|(&r_ohm, &l_h)| self.sigmas(Load { r_ohm, l_h }, f_sw_hz))
+            .map(|(&r_ohm, &l_h)| self.sigmas(sigma_s, Load { r_ohm, l_h }, f_sw_hz))
             .collect();
         for (sigma, (r, _)) in estimate.r_sigma_ohm.iter_mut().zip(&added) {
             *sigma = sigma.hypot(*r);
@@ -95,7 +103,7 @@ impl Applied {
             return Some(remark.with(rate_hz, Some(LEAST_RATE_HZ)));
         }
         let load = load?;
-        let (r, _) = self.sigmas(load, segment.f_sw_hz);
+        let (r, _) = self.sigmas(self.lag_sigma_s, load, segment.f_sw_hz);
         let pct = 100.0 * (r / load.r_ohm).abs();
         (pct > DOUBTFUL_PCT).then(|| {
             let text = format!(
@@ -116,7 +124,8 @@ mod tests {
     #[test]
     fn a_delay_that_is_off_turns_the_impedance() {
         let applied = Applied {
-            lag_sigma_s: 5e-9,
+            lag_sigma_s: 3e-9,
+            bridge_s: 4e-9,
             untold_s2: 0.0,
         };
         let mut estimate = Estimate::new(Method::LeastSquares, 45e3);
