@@ -40,6 +40,7 @@ fn ablations() -> [(&'static str, Config); 8] {
             "hybrid-paper-net",
             Config {
                 hidden_layers: vec![16; 4],
+                correction: false,
                 ..hybrid()
             },
         ),
@@ -48,6 +49,7 @@ fn ablations() -> [(&'static str, Config); 8] {
             Config {
                 optimiser: Optimiser::Adam,
                 max_iterations: 10_000,
+                correction: false,
                 ..hybrid()
             },
         ),
@@ -55,6 +57,7 @@ fn ablations() -> [(&'static str, Config); 8] {
             "hybrid-no-prior",
             Config {
                 weight_width: 0.0,
+                correction: false,
                 ..hybrid()
             },
         ),
