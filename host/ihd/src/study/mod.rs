@@ -1,5 +1,6 @@
 //! Studies: many captures with truth, many estimators, one table.
 
+pub mod document;
 pub mod estimators;
 pub mod hostile;
 #[cfg(feature = "pinn")]

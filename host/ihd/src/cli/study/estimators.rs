@@ -1,13 +1,14 @@
 //! `ihd study estimators`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::identify::MethodWord;
 use crate::cli::output;
+use crate::study::document::write_into;
 use crate::study::estimators::{Plan, study, table};
 
 /// Compare every estimator on simulated captures with truth: four switching frequencies, no noise and
@@ -70,7 +71,7 @@ impl EstimatorsArgs {
             std::fs::write(folder.join("estimators.json"), &json).with_context(cannot)?;
         }
         if let Some(path) = &self.docs {
-            write_into(path, &section)?;
+            write_into(path, (table::BEGIN, table::END), &section)?;
         }
         if self.json {
             output::json(&cells)
@@ -78,18 +79,4 @@ impl EstimatorsArgs {
             output::text(&format!("{section}\n"))
         }
     }
-}
-
-fn write_into(path: &Path, section: &str) -> Result<()> {
-    let document =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let Some(new) = table::replaced(&document, section) else {
-        bail!(
-            "{} has no section between {} and {}",
-            path.display(),
-            table::BEGIN,
-            table::END
-        );
-    };
-    std::fs::write(path, new).with_context(|| format!("cannot write {}", path.display()))
 }

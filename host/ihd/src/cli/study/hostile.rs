@@ -1,6 +1,6 @@
 //! `ihd study hostile`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::cli::identify::MethodWord;
 use crate::cli::output;
+use crate::study::document::write_into;
 use crate::study::hostile::table::{self, Sum};
 use crate::study::hostile::{Plan, Run, study};
 
@@ -81,7 +82,7 @@ impl HostileArgs {
         bar.finish_and_clear();
         let section = table::markdown(&runs, plan.seeds);
         if let Some(path) = &self.docs {
-            write_into(path, &section)?;
+            write_into(path, (table::BEGIN, table::END), &section)?;
         }
         let sum = Sum::of(&runs);
         if self.json {
@@ -105,18 +106,4 @@ impl HostileArgs {
             table::FALSE_REFUSALS_PCT
         )
     }
-}
-
-fn write_into(path: &Path, section: &str) -> Result<()> {
-    let document =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let Some(new) = table::replaced(&document, section) else {
-        bail!(
-            "{} has no section between {} and {}",
-            path.display(),
-            table::BEGIN,
-            table::END
-        );
-    };
-    std::fs::write(path, new).with_context(|| format!("cannot write {}", path.display()))
 }

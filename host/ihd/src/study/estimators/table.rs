@@ -214,23 +214,17 @@ fn verdicts(cells: &[Cell]) -> String {
     out
 }
 
-/// A document with the section between its marks replaced; `None` without the marks.
-pub fn replaced(document: &str, section: &str) -> Option<String> {
-    let (before, rest) = document.split_once(BEGIN)?;
-    let (_, after) = rest.split_once(END)?;
-    Some(format!("{before}{BEGIN}\n{section}{END}{after}"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::study::document::replaced;
 
     #[test]
     fn a_section_is_replaced_and_the_rest_kept() {
         let document = format!("a\n{BEGIN}\nold\n{END}\nb\n");
-        let new = replaced(&document, "new\n").unwrap();
+        let new = replaced(&document, (BEGIN, END), "new\n").unwrap();
         assert_eq!(new, format!("a\n{BEGIN}\nnew\n{END}\nb\n"));
-        assert_eq!(replaced("nothing", "new"), None);
+        assert_eq!(replaced("nothing", (BEGIN, END), "new"), None);
     }
 
     #[test]
