@@ -14,6 +14,7 @@ use ihd_firmware::realtime::{Block, RealTime};
 use ihd_firmware::reset::Reason;
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{Client, Event, LinkError, Window};
+use ihd_map::{Curve, MeasuredPoint, PotMap};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -25,8 +26,7 @@ use ihd_shared::wire::messages::{Outcome, State};
 use ihd_survey::{Hints, Survey};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 use ihd_tests::regression_captures;
-use ihd_train::lookup::builder::LookupBuilder;
-use ihd_train::lookup::curve::{LoadCurve, LoadPoint};
+use ihd_train::lookup::Built;
 use ihd_train::replay;
 use ihd_train::{NetworkConfig, Recorded, Settings, Source};
 
@@ -208,6 +208,7 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
         follow: false,
         stop: None,
         reopen: None,
+        map_truth: None,
     };
     let report = ihd_train::run(board.connect(), None, &settings, &mut |_| ()).unwrap();
     for (point, h) in report.points.iter().zip(&half_cycles) {
@@ -257,7 +258,9 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
 }
 
 /// R and L against the amplitude of the current, from a window's own track.
-fn curve(window: &Window) -> LoadCurve {
+fn curve(window: &Window) -> Curve {
+    /// Deviation of the firmware's filter, as a share (docs/accuracy.md).
+    const SIGMA: f64 = 5e-3;
     let block = ADC_LOCK_P;
     let points = window
         .trajectory
@@ -266,13 +269,16 @@ fn curve(window: &Window) -> LoadCurve {
         .filter_map(|(k, entry)| {
             let pairs = window.pairs.get(k * block..(k + 1) * block)?;
             let peak = pairs.iter().map(|p| p.i.unsigned_abs()).max()?;
-            Some(LoadPoint {
+            let (r_ohm, l_h) = (entry.r.ohm(), entry.l.henry());
+            Some(MeasuredPoint {
                 i_a: f64::from(peak) * AMPERE_PER_CODE,
-                r_ohm: entry.r.ohm(),
-                l_h: entry.l.henry(),
+                r_ohm,
+                l_h,
+                r_sigma_ohm: SIGMA * r_ohm,
+                l_sigma_h: SIGMA * l_h,
             })
         });
-    LoadCurve::from_half_cycle(f64::from(window.f_sw_hz), points)
+    Curve::new(f64::from(window.f_sw_hz), 0.0, points)
 }
 
 #[test]
@@ -283,9 +289,10 @@ fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active() {
     let window = window_back(&mut client, &h);
     assert_eq!(window.pairs, h.pairs[..window.pairs.len()]);
     assert!(window.pairs.len() + ADC_LOCK_P > h.pairs.len());
-    let mut builder = LookupBuilder::new(prior());
-    builder.observe(&curve(&window), 1.0);
-    let lookup = builder.build(7).expect("a whole half-cycle").lookup;
+    let mut map = PotMap::default();
+    map.observe(curve(&window));
+    let cells = map.cells(0.0).expect("a whole half-cycle");
+    let lookup = Built::of(cells, 7).unwrap().lookup;
     assert_ne!(lookup.r, prior().r, "the window must have taught something");
     client.push_lookup(&lookup).unwrap();
     let deadline = Instant::now() + Duration::from_secs(30);

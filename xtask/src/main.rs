@@ -6,6 +6,7 @@ mod budget;
 mod call_graph;
 mod cycles;
 mod daemon;
+mod dashboard;
 mod emulator;
 mod fuzz;
 mod guest;
@@ -18,6 +19,7 @@ mod seal;
 mod setup;
 mod steps;
 mod toolchain;
+mod ui_vendor;
 mod workspace;
 
 use std::path::PathBuf;
@@ -168,6 +170,15 @@ enum Chore {
         #[arg(long)]
         short: bool,
     },
+    /// Check what the page brings along (uPlot) against the hashes of npm's package, which stand beside it.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask ui-vendor\n  \
+        cargo xtask ui-vendor --fetch")]
+    UiVendor {
+        /// Against npm's package itself, which is downloaded
+        #[arg(long)]
+        fetch: bool,
+    },
     /// Test the daemon on bad links, with hostile devices, killed at random and for long.
     ///
     /// The short form takes some four minutes; the full one, 200 kills and 24 hours of simulated time, some four hours.
@@ -183,6 +194,26 @@ enum Chore {
         /// The long form
         #[arg(long)]
         full: bool,
+    },
+    /// Test the dashboard in a real browser, against the real daemon with two simulated hobs and against a fake one.
+    ///
+    /// Installs Node, npm and Chromium by apt where they are missing, and npm's packages into target/dashboard. The short
+    /// form takes some three minutes; the full one has a soak of 30 minutes (IHD_SOAK_S sets it by hand).
+    #[command(after_help = "Examples:\n  \
+        cargo xtask dashboard\n  \
+        cargo xtask dashboard --only pot\n  \
+        cargo xtask dashboard --screenshots\n  \
+        cargo xtask dashboard --full")]
+    Dashboard {
+        /// Only browser tests whose name contains this
+        #[arg(long)]
+        only: Option<String>,
+        /// The long form
+        #[arg(long)]
+        full: bool,
+        /// Make the pictures of docs/dashboard.md anew
+        #[arg(long)]
+        screenshots: bool,
     },
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
@@ -234,7 +265,21 @@ fn run(cli: Cli) -> anyhow::Result<()> {
             scenarios::run(&session.workspace, only.as_deref(), quick, check)
         }
         Chore::Hostile { short } => hostile::test(&session.workspace, short),
+        Chore::UiVendor { fetch } => ui_vendor::check(&session.workspace, fetch),
         Chore::Daemon { only, full } => daemon::test(&session.workspace, only.as_deref(), full),
+        Chore::Dashboard {
+            only,
+            full,
+            screenshots,
+        } => {
+            let only = only.as_deref();
+            let extent = dashboard::Extent {
+                only,
+                full,
+                screenshots,
+            };
+            dashboard::test(&session.workspace, &extent)
+        }
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),

@@ -10,7 +10,8 @@ use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
 use crate::{
-    board, budget, cycles, daemon, emulator, fuzz, guest, hostile, licences, on_target, scenarios,
+    board, budget, cycles, daemon, dashboard, emulator, fuzz, guest, hostile, licences, on_target,
+    scenarios, ui_vendor,
 };
 
 const CLIPPY: &str = "--all-targets --features ihd-tests/emulator -- -D warnings";
@@ -28,6 +29,8 @@ pub enum Step {
     Fmt,
     /// The licence of every dependency against deny.toml; all of deny.toml where cargo-deny is installed
     Licences,
+    /// What the page brings along (uPlot) against the hashes of npm's package, and against the package where npm is reachable
+    Vendor,
     /// Clippy, every warning an error
     Clippy,
     /// All tests, by cargo-nextest where it is installed
@@ -38,6 +41,8 @@ pub enum Step {
     Hostile,
     /// The daemon with hostile devices, bad links and kills, in the short form
     Daemon,
+    /// The dashboard in a real browser, in the short form
+    Dashboard,
     /// The examples in the documentation
     Doctests,
     /// The documentation builds, without broken links
@@ -72,6 +77,7 @@ impl Session {
             Step::Setup => self.set_up(),
             Step::Fmt => self.cargo("fmt --all --check"),
             Step::Licences => licences::check(&self.workspace),
+            Step::Vendor => ui_vendor::check(&self.workspace, ui_vendor::can_fetch()),
             Step::Clippy => self.whole("clippy", CLIPPY),
             Step::Tests if setup::has_nextest(&self.workspace) => {
                 self.whole("nextest run", "--no-fail-fast")
@@ -80,6 +86,14 @@ impl Session {
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
             Step::Hostile => hostile::test(&self.workspace, true),
             Step::Daemon => daemon::test(&self.workspace, None, false),
+            Step::Dashboard => {
+                let short = dashboard::Extent {
+                    only: None,
+                    full: false,
+                    screenshots: false,
+                };
+                dashboard::test(&self.workspace, &short)
+            }
             Step::Doctests => self.whole("test", "--doc --no-fail-fast"),
             Step::Rustdoc => {
                 let mut doc = self.workspace.whole("doc", "--no-deps");
@@ -113,7 +127,12 @@ impl Session {
         let firmware = setup::firmware_toolchain(self.wanted)?;
         say(&format!("firmware: {}", firmware.describe()));
         let board = board::tools(&self.workspace);
-        tools.and(qemu.map(drop)).and(guest.map(drop)).and(board)
+        let browser = dashboard::tools().map(drop);
+        tools
+            .and(browser)
+            .and(qemu.map(drop))
+            .and(guest.map(drop))
+            .and(board)
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {

@@ -3,13 +3,17 @@
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
 use hyper::server::conn::http1;
+use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::watch;
@@ -31,6 +35,20 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Largest head of a request, and most that is buffered of a connection, in bytes.
 const MAX_BUFFER: usize = 16_384;
 
+/// What the system may hold of a connection that it has not sent: what lies there is old when it comes, and a display wants what is new.
+const UNSENT: usize = 16_384;
+
+/// Whether somebody who reads a connection has not taken yet what was written; its routes find it among a request's extensions.
+#[derive(Clone, Default)]
+pub(crate) struct Stalled(Arc<AtomicBool>);
+
+impl Stalled {
+    /// Whether it is so now.
+    pub(crate) fn is_stalled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
 /// Serves a connection until it ends, for whatever reason; none of them is worth a log line.
 pub(crate) async fn serve(
     stream: TcpStream,
@@ -40,27 +58,42 @@ pub(crate) async fn serve(
 ) {
     // Events are small and must not wait for the next.
     let _ = stream.set_nodelay(true);
+    hold_little(&stream);
+    let watched = Watched::new(stream);
+    let stalled = watched.stalled.clone();
     match tls {
-        None => speak(Watched::new(stream), router, stopping).await,
+        None => speak(watched, stalled, router, stopping).await,
         Some(tls) => {
-            if let Ok(Ok(stream)) =
-                timeout(HANDSHAKE_TIMEOUT, tls.accept(Watched::new(stream))).await
-            {
-                speak(stream, router, stopping).await;
+            if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(watched)).await {
+                speak(stream, stalled, router, stopping).await;
             }
         }
     }
 }
 
-async fn speak<S>(stream: S, router: Router, mut stopping: watch::Receiver<bool>)
+/// Without it a slow reader gets megabytes of the past first. Where the system does not take it, he does.
+fn hold_little(stream: &TcpStream) {
+    let socket = SockRef::from(stream);
+    #[cfg(any(target_os = "android", target_os = "linux"))]
+    let _ = socket.set_tcp_notsent_lowat(UNSENT as u32);
+    #[cfg(not(any(target_os = "android", target_os = "linux")))]
+    let _ = socket.set_send_buffer_size(4 * UNSENT);
+}
+
+async fn speak<S>(stream: S, stalled: Stalled, router: Router, mut stopping: watch::Receiver<bool>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
+    let routes = TowerToHyperService::new(router);
+    let service = service_fn(move |mut request| {
+        request.extensions_mut().insert(stalled.clone());
+        routes.call(request)
+    });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIMEOUT)
         .max_buf_size(MAX_BUFFER)
-        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
+        .serve_connection(TokioIo::new(stream), service);
     let mut connection = std::pin::pin!(connection);
     tokio::select! {
         _ = connection.as_mut() => return,
@@ -73,14 +106,16 @@ where
 /// A stream that breaks when its reader takes nothing for [`STALL_TIMEOUT`].
 struct Watched<S> {
     stream: S,
-    stalled: Option<Pin<Box<Sleep>>>,
+    patience: Option<Pin<Box<Sleep>>>,
+    stalled: Stalled,
 }
 
 impl<S> Watched<S> {
     fn new(stream: S) -> Self {
         Self {
             stream,
-            stalled: None,
+            patience: None,
+            stalled: Stalled::default(),
         }
     }
 
@@ -90,14 +125,16 @@ impl<S> Watched<S> {
         cx: &mut Context<'_>,
         written: Poll<io::Result<T>>,
     ) -> Poll<io::Result<T>> {
-        if written.is_ready() {
-            self.stalled = None;
+        let waits = written.is_pending();
+        self.stalled.0.store(waits, Ordering::Relaxed);
+        if !waits {
+            self.patience = None;
             return written;
         }
-        let stalled = self
-            .stalled
+        let patience = self
+            .patience
             .get_or_insert_with(|| Box::pin(sleep(STALL_TIMEOUT)));
-        match stalled.as_mut().poll(cx) {
+        match patience.as_mut().poll(cx) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }

@@ -5,13 +5,16 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_daemon::learning::LearnerFigures;
-use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease, Notice};
-use ihd_daemon::{Daemon, DaemonError};
+use ihd_daemon::model::{
+    Command, CommandError, DeviceReport, Done, Fit, History, Hob, JournalEntry, Lease,
+    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, WindowSummary, WindowWanted,
+};
+use ihd_daemon::{Daemon, DaemonError, JournalFilter, LiveTap};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
 use tokio::sync::{Mutex, broadcast};
 use tokio::time::timeout;
 
-use crate::backend::{Alive, Answer, Backend, Figure};
+use crate::backend::{Alive, Answer, Backend, Figure, Tap};
 use crate::model::{StoredLookup, StoredResult};
 
 /// A store that does not answer a question within this is not alive.
@@ -58,13 +61,27 @@ pub async fn store_answers(daemon: &Daemon) -> bool {
 
 /// Messages of the store name files, which are nobody's business but the log's.
 fn failed(error: &DaemonError) -> CommandError {
+    if let DaemonError::NoDevice(name) = error {
+        let name = name.clone();
+        return CommandError::NoDevice { name };
+    }
     tracing::warn!(%error, "a request failed");
     CommandError::Failed {
         why: "the store could not do that; the daemon's log says why".into(),
     }
 }
 
+impl Tap for LiveTap {
+    fn take(&mut self) -> LiveTelemetry {
+        LiveTap::take(self)
+    }
+}
+
 impl Backend for DaemonBackend {
+    fn hob(&self) -> Hob {
+        ihd_daemon::hob()
+    }
+
     fn devices(&self) -> Vec<DeviceReport> {
         self.daemon.devices()
     }
@@ -99,6 +116,10 @@ impl Backend for DaemonBackend {
         self.daemon.watch()
     }
 
+    fn live(&self, every: Duration) -> Box<dyn Tap> {
+        Box::new(self.daemon.live().every(every))
+    }
+
     fn results<'a>(
         &'a self,
         device: &'a str,
@@ -125,6 +146,57 @@ impl Backend for DaemonBackend {
             let rows = rows.map_err(|error| failed(&error))?;
             Ok(rows.into_iter().rev().map(StoredLookup::from).collect())
         })
+    }
+
+    fn recordings(&self) -> Answer<'_, Vec<RecordingFile>> {
+        Box::pin(async move {
+            let all = self.daemon.recordings().await;
+            all.map_err(|error| failed(&error))
+        })
+    }
+
+    fn recordings_folder(&self) -> PathBuf {
+        self.daemon.recordings_folder().to_owned()
+    }
+
+    fn history<'a>(
+        &'a self,
+        device: &'a str,
+        from_ms: i64,
+        to_ms: i64,
+        columns: usize,
+    ) -> Answer<'a, History> {
+        let history = self.daemon.history(device, from_ms, to_ms, columns);
+        Box::pin(async { history.await.map_err(|error| failed(&error)) })
+    }
+
+    fn windows<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<WindowSummary>> {
+        let windows = self.daemon.windows(device, limit);
+        Box::pin(async { windows.await.map_err(|error| failed(&error)) })
+    }
+
+    fn scope<'a>(&'a self, device: &'a str, wanted: WindowWanted) -> Answer<'a, Option<Scope>> {
+        let scope = self.daemon.scope(device, wanted);
+        Box::pin(async { scope.await.map_err(|error| failed(&error)) })
+    }
+
+    fn training<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<Fit>> {
+        let training = self.daemon.training(device, limit);
+        Box::pin(async { training.await.map_err(|error| failed(&error)) })
+    }
+
+    fn pot_curve(&self, device: &str) -> Option<PotCurve> {
+        self.daemon.pot_curve(device)
+    }
+
+    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> Answer<'a, Option<Map>> {
+        let map = self.daemon.map(device, version);
+        Box::pin(async { map.await.map_err(|error| failed(&error)) })
+    }
+
+    fn journal(&self, filter: JournalFilter) -> Answer<'_, Vec<JournalEntry>> {
+        let journal = self.daemon.journal(filter);
+        Box::pin(async { journal.await.map_err(|error| failed(&error)) })
     }
 
     fn backup(&self, to: PathBuf) -> Answer<'_, ()> {
@@ -172,6 +244,11 @@ impl Backend for DaemonBackend {
                 f.store_busy_s,
             ),
         ];
+        all.push(counter(
+            "telemetry_dropped_seconds_total",
+            "Seconds of telemetry that no history has, because the store could not keep up",
+            f.telemetry_dropped as f64,
+        ));
         all.extend(learner_figures(&f.learner));
         if let Some(bytes) = f.rss_bytes {
             let help = "Memory of the daemon that is resident";

@@ -14,6 +14,7 @@ pub mod client;
 mod connection;
 pub mod daemon_backend;
 pub mod model;
+mod percent;
 mod prometheus;
 mod routes;
 pub mod server;

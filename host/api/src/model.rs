@@ -6,6 +6,8 @@ use ihd_daemon::model::CommandError;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::access::Role;
+
 /// Header that names who asks: 1 to 64 printable ASCII characters. It is told to others, and proves nothing.
 pub const HOLDER_HEADER: &str = "ihd-holder";
 
@@ -16,6 +18,23 @@ pub struct LeaseRequest {
     /// Take it from whoever has it.
     #[serde(default)]
     pub force: bool,
+}
+
+/// A token that a browser shows once. It has no `Debug`: it belongs in no message.
+#[derive(Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SessionRequest {
+    /// A token of the token file.
+    pub token: String,
+}
+
+/// What whoever asks may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SessionReport {
+    /// The highest role that he has.
+    pub role: Role,
+    /// Whether the daemon wants tokens at all.
+    pub token_needed: bool,
 }
 
 /// Where a backup goes.

@@ -194,6 +194,7 @@ impl Server {
         let app = Arc::new(App {
             backend,
             access: self.access,
+            tls: self.tls.is_some(),
             backups: self.backups,
             stopping: stopping.clone(),
             watchers: Arc::new(Semaphore::new(MAX_WATCHERS)),

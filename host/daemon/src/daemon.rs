@@ -1,11 +1,12 @@
 //! The daemon as its users see it: devices, commands, leases, what happens.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store};
-use tokio::sync::{broadcast, mpsc, oneshot, watch};
+use tokio::sync::{Semaphore, broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use crate::OpenDevice;
@@ -14,10 +15,18 @@ use crate::config::Config;
 use crate::device::{Context, Order};
 use crate::face::Face;
 use crate::figures::{Figures, rss_bytes};
+use crate::history::{self, Seconds};
+use crate::journalist;
 use crate::learning::{Learner, LearnerError, LearnerSettings};
 use crate::lease::Taken;
-use crate::model::{Command, CommandError, DeviceReport, Done, Lease, Notice, What};
+use crate::live::LiveTap;
+use crate::looks::{Ages, READERS};
+use crate::model::{
+    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, RecordingFile, Trigger,
+    What,
+};
 use crate::printable::printable;
+use crate::recording::{list, name_of};
 use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreTrouble};
 use crate::supervisor::{Devices, Handle, follow_usb};
@@ -58,18 +67,34 @@ pub enum DaemonError {
     /// No such device.
     #[error("there is no device {0:?}")]
     NoDevice(String),
+    /// The folder of recordings.
+    #[error("the recordings in {}: {source}", folder.display())]
+    Recordings {
+        /// The folder.
+        folder: PathBuf,
+        /// What the operating system reports.
+        source: std::io::Error,
+    },
 }
 
 /// The daemon; cheap to clone.
 #[derive(Clone)]
 pub struct Daemon {
-    inner: Arc<Inner>,
+    pub(crate) inner: Arc<Inner>,
 }
 
-struct Inner {
+pub(crate) struct Inner {
     board: Board,
     store: StoreThread,
-    devices: Arc<Devices>,
+    recordings: PathBuf,
+    /// Of the store, for those who read it.
+    pub(crate) folder: PathBuf,
+    pub(crate) readers: Semaphore,
+    pub(crate) devices: Arc<Devices>,
+    /// What devices did and the store does not know yet.
+    pub(crate) seconds: Arc<Seconds>,
+    /// Of the cells of each device's lookup.
+    pub(crate) ages: Mutex<BTreeMap<String, Ages>>,
     learner: Mutex<Option<Arc<Learner>>>,
     routing: Mutex<Option<JoinHandle<()>>>,
     stop: watch::Sender<bool>,
@@ -110,14 +135,20 @@ impl Daemon {
             network,
         };
         let learner = Arc::new(Learner::start(settings, outcomes)?);
+        let seconds = Arc::new(Seconds::default());
+        let recordings = config.store.join("recordings");
         let context = Context {
             store: store.clone(),
+            seconds: Arc::clone(&seconds),
             learner: Arc::clone(&learner),
             open,
-            recordings: config.store.join("recordings"),
+            recordings: recordings.clone(),
             stop: stopped,
         };
         let devices = Arc::new(Devices::default());
+        // Before the first notice.
+        devices.beside(journalist::take_down(context.clone(), board.watch()));
+        devices.beside(history::keep(context.clone()));
         for device in &config.devices {
             let (name, address) = (device.name.clone(), device.address.clone());
             devices.start(name, address, &context, &board);
@@ -137,7 +168,12 @@ impl Daemon {
             inner: Arc::new(Inner {
                 board,
                 store,
+                recordings,
+                folder: config.store,
+                readers: Semaphore::new(READERS),
                 devices,
+                seconds,
+                ages: Mutex::default(),
                 learner: Mutex::new(Some(learner)),
                 routing: Mutex::new(Some(routing)),
                 stop,
@@ -158,6 +194,11 @@ impl Daemon {
         Some(self.inner.devices.get(name)?.face.report())
     }
 
+    /// How warm the pot on the device of this name is, over the last hour.
+    pub fn pot_curve(&self, name: &str) -> Option<PotCurve> {
+        Some(self.inner.devices.get(name)?.face.pot_curve().clone())
+    }
+
     fn handle(&self, name: &str) -> Result<Handle, CommandError> {
         let found = self.inner.devices.get(name);
         found.ok_or_else(|| CommandError::NoDevice {
@@ -165,7 +206,7 @@ impl Daemon {
         })
     }
 
-    /// Carries out a command. All but [`Command::Off`] need the lease: one that is free is taken by the command,
+    /// Carries out a command. All but [`Command::Off`] and recordings need the lease: one that is free is taken by the command,
     /// for as long as it takes, and for [`crate::lease::LEASE_S`] where it heats.
     ///
     /// # Errors
@@ -215,7 +256,8 @@ impl Daemon {
             _ => false,
         };
         let borrowed = match command {
-            Command::Off => false,
+            // Who records looks, whoever commands.
+            Command::Off | Command::RecordStart(_) | Command::RecordStop => false,
             _ => matches!(self.lease(face, holder, false)?, Taken::New),
         };
         let (answer, answered) = oneshot::channel();
@@ -359,6 +401,11 @@ impl Daemon {
         self.inner.board.watch()
     }
 
+    /// What the devices do, from now on, at the pace of one watcher.
+    pub fn live(&self) -> LiveTap {
+        LiveTap::new(Arc::clone(&self.inner.devices))
+    }
+
     /// The daemon in numbers.
     pub fn figures(&self) -> Figures {
         let learner = lock(&self.inner.learner).clone();
@@ -367,6 +414,7 @@ impl Daemon {
             devices: self.inner.devices.all().len(),
             up_s: self.inner.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
+            telemetry_dropped: self.inner.seconds.dropped(),
             ..Figures::of_store(&self.inner.store)
         }
     }
@@ -400,6 +448,29 @@ impl Daemon {
         Ok(lookups.await?)
     }
 
+    /// The folder that devices are recorded into.
+    pub fn recordings_folder(&self) -> &Path {
+        &self.inner.recordings
+    }
+
+    /// The recordings that there are, newest first.
+    ///
+    /// # Errors
+    /// [`DaemonError::Recordings`] where their folder cannot be read.
+    pub async fn recordings(&self) -> Result<Vec<RecordingFile>, DaemonError> {
+        let handles = self.inner.devices.all();
+        let devices: Vec<String> = handles.iter().map(|h| h.face.name.clone()).collect();
+        let writing = handles.iter().flat_map(|h| h.face.recorder.incomplete());
+        let writing: Vec<String> = writing.map(|path| name_of(&path)).collect();
+        let folder = self.inner.recordings.clone();
+        let failed = |source| DaemonError::Recordings {
+            folder: self.inner.recordings.clone(),
+            source,
+        };
+        let listed = tokio::task::spawn_blocking(move || list(&folder, &devices, &writing)).await;
+        listed.map_err(|e| failed(e.into()))?.map_err(failed)
+    }
+
     /// Copies the store while it is used.
     ///
     /// # Errors
@@ -413,6 +484,7 @@ impl Daemon {
     pub async fn stop(self) {
         self.inner.stop.send_replace(true);
         self.inner.devices.ended().await;
+        history::write(&self.inner.seconds, &self.inner.store, true).await;
         // Behind the windows under way, which hold the learner.
         let _ = self.inner.store.run(|_| Ok(())).await;
         drop(lock(&self.inner.learner).take());
@@ -425,7 +497,7 @@ impl Daemon {
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // Every change is complete in itself.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -458,13 +530,19 @@ fn words(command: &Command) -> String {
         Command::Off => "off".to_owned(),
         Command::ClearFault => "clear-fault".to_owned(),
         Command::LookupPush { blob } => format!("lookup push ({} bytes)", blob.len()),
-        Command::LookupRollback => "lookup rollback".to_owned(),
+        Command::LookupRollback { version: None } => "lookup rollback".to_owned(),
+        Command::LookupRollback {
+            version: Some(version),
+        } => format!("lookup rollback to version {version}"),
         Command::LookupReset => "lookup reset".to_owned(),
         Command::Sweep { powers_w } => {
             let powers: Vec<_> = powers_w.iter().take(64).map(u16::to_string).collect();
             format!("sweep {} W", powers.join(", "))
         }
-        Command::RecordStart => "record start".to_owned(),
+        Command::RecordStart(settings) => match settings.trigger {
+            Trigger::Now => "record start".to_owned(),
+            trigger => format!("record start at {trigger}"),
+        },
         Command::RecordStop => "record stop".to_owned(),
     }
 }

@@ -7,10 +7,15 @@ use ihd_link::AsyncClient;
 use ihd_shared::wire::messages::{Hello, Telemetry};
 
 use crate::board::Board;
+use crate::firmware::usb_serial;
 use crate::lease::LeaseBook;
 use crate::ledger::Ledger;
-use crate::model::{DeviceReport, DeviceState, Identity, LookupReport, What};
+use crate::live::LiveRing;
+use crate::looks::Fits;
+use crate::model::{DeviceReport, DeviceState, Identity, LookupReport, PotCurve, What};
+use crate::pot_watch::PotWatch;
 use crate::printable::printable;
+use crate::recording::Recorder;
 use crate::states::live;
 
 /// What is known of a device, shared by its task, the commands and the threads of store and learner.
@@ -21,7 +26,13 @@ pub struct Face {
     pub address: String,
     /// Where notices go.
     pub board: Board,
+    /// Records what comes from it.
+    pub recorder: Recorder,
     inner: Mutex<Inner>,
+    ring: Mutex<LiveRing>,
+    fits: Mutex<Fits>,
+    pot_watch: Mutex<PotWatch>,
+    pot_curve: Mutex<PotCurve>,
 }
 
 /// What changes.
@@ -31,6 +42,8 @@ pub struct Inner {
     detail: String,
     /// Who it is.
     pub identity: Option<Identity>,
+    /// What to update where its firmware does not fit; empty where it does.
+    pub updates_needed: String,
     /// Its last half-cycle.
     pub last: Option<Telemetry>,
     /// Its lookup.
@@ -43,8 +56,6 @@ pub struct Inner {
     pub lease: LeaseBook,
     /// Powers of a sweep that are still to come.
     pub sweep_left_w: Vec<u16>,
-    /// File that is recorded into.
-    pub recording: Option<String>,
     /// Connections so far.
     pub connections: u32,
     /// What the store holds of its learning was given to the learner.
@@ -55,23 +66,28 @@ pub struct Inner {
 
 impl Face {
     /// A device that nobody has looked for yet.
-    pub fn new(name: String, address: String, board: Board) -> Self {
+    pub fn new(name: String, address: String, board: Board, recorder: Recorder) -> Self {
         Self {
             name,
             address: printable(&address),
             board,
+            recorder,
+            ring: Mutex::default(),
+            fits: Mutex::default(),
+            pot_watch: Mutex::default(),
+            pot_curve: Mutex::default(),
             inner: Mutex::new(Inner {
                 state: DeviceState::Searching,
                 since: Instant::now(),
                 detail: String::new(),
                 identity: None,
+                updates_needed: String::new(),
                 last: None,
                 lookup: LookupReport::default(),
                 ledger: Ledger::default(),
                 asked_w: 0,
                 lease: LeaseBook::default(),
                 sweep_left_w: Vec::new(),
-                recording: None,
                 connections: 0,
                 is_resumed: false,
                 client: None,
@@ -83,6 +99,35 @@ impl Face {
     pub fn lock(&self) -> MutexGuard<'_, Inner> {
         // Every change is complete in itself.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Its last minute, for those who watch; held for a moment, too.
+    pub fn ring(&self) -> MutexGuard<'_, LiveRing> {
+        self.ring.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Its last fits; held for a moment, too.
+    pub fn fits(&self) -> MutexGuard<'_, Fits> {
+        self.fits.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Who follows its pot; held for as long as a fit takes, by one thread at a time.
+    pub fn pot_watch(&self) -> MutexGuard<'_, PotWatch> {
+        self.pot_watch
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The same, where nobody holds it.
+    pub fn try_pot_watch(&self) -> Option<MutexGuard<'_, PotWatch>> {
+        self.pot_watch.try_lock().ok()
+    }
+
+    /// What is known of its pot; held for a moment.
+    pub fn pot_curve(&self) -> MutexGuard<'_, PotCurve> {
+        self.pot_curve
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Enters a state; told and logged where it is another, and silently where only the words are.
@@ -130,10 +175,14 @@ impl Face {
 
     /// The device as it is shown.
     pub fn report(&self) -> DeviceReport {
+        let pot_temperature = self.pot_curve().now;
         let inner = self.lock();
         DeviceReport {
+            pot_temperature,
             name: self.name.clone(),
             address: self.address.clone(),
+            serial: usb_serial(&self.address).unwrap_or(&self.name).to_owned(),
+            updates_needed: inner.updates_needed.clone(),
             state: inner.state,
             since_s: inner.since.elapsed().as_secs(),
             detail: inner.detail.clone(),
@@ -144,7 +193,8 @@ impl Face {
             asked_by_daemon_w: inner.asked_w,
             lease: inner.lease.current(Instant::now()),
             sweep_left_w: inner.sweep_left_w.clone(),
-            recording: inner.recording.clone(),
+            recording: self.recorder.path().map(|path| path.display().to_string()),
+            recording_now: self.recorder.now(),
             connections: inner.connections,
         }
     }

@@ -26,6 +26,8 @@ pub struct Figures {
     pub store_longest_s: f64,
     /// Learning.
     pub learner: LearnerFigures,
+    /// Seconds of telemetry that were dropped because the store could not keep up.
+    pub telemetry_dropped: u64,
     /// Memory in use, in bytes; none where the system does not say.
     pub rss_bytes: Option<u64>,
 }

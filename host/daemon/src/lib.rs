@@ -18,24 +18,59 @@ pub mod daemon;
 mod device;
 mod face;
 mod figures;
+pub mod firmware;
+mod history;
+mod hob;
+mod journalist;
 pub mod learning;
 pub mod lease;
 mod ledger;
+pub mod live;
+mod looks;
 pub mod model;
+mod pot_watch;
 mod printable;
+pub mod recording;
 mod routing;
 mod states;
 mod store_thread;
 mod supervisor;
+mod tank;
+
+use std::sync::Arc;
 
 use ihd_link::{LinkError, Transport};
+use ihd_signal::truth::Truth;
 
 pub use config::Config;
 pub use daemon::{Daemon, DaemonError};
 pub use figures::Figures;
+pub use hob::hob;
+pub use ihd_store::JournalFilter;
+pub use live::LiveTap;
 pub use store_thread::StoreTrouble;
 
-/// Opens the transport to an address: whoever brings it may know a simulator. It may block; it runs on a
-/// thread of the link.
-pub type OpenDevice =
-    dyn Fn(&config::Address) -> Result<Box<dyn Transport>, LinkError> + Send + Sync;
+/// The truth of a half-cycle that is over and not too long ago, counted as the device counts them. It may wait for
+/// the simulation, a moment.
+pub type TruthOf = dyn Fn(u32) -> Option<Truth> + Send + Sync;
+
+/// A device that was opened.
+pub struct Opened {
+    /// The way to it.
+    pub transport: Box<dyn Transport>,
+    /// What R and L truly are, where whoever opened it simulates it.
+    pub truth: Option<Arc<TruthOf>>,
+}
+
+impl Opened {
+    /// A device whose truth nobody knows.
+    pub fn real(transport: Box<dyn Transport>) -> Self {
+        Self {
+            transport,
+            truth: None,
+        }
+    }
+}
+
+/// Opens an address: whoever brings it may know a simulator. It may block; it runs on a thread of the link.
+pub type OpenDevice = dyn Fn(&config::Address) -> Result<Opened, LinkError> + Send + Sync;

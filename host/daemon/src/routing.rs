@@ -1,13 +1,15 @@
 //! From what was learned to the store, and to the device.
 
 use std::sync::{Arc, Weak};
+use std::time::Duration;
 
-use ihd_shared::lookup::RlLookup;
+use ihd_store::{Confidence, CurveOf, NewResult};
 use tokio::sync::mpsc;
 
+use crate::board::now_ms;
 use crate::device::Order;
-use crate::learning::{Learned, Learner};
-use crate::model::What;
+use crate::learning::{Course, Learned, Learner, Lookup};
+use crate::model::{Fit, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::supervisor::Devices;
@@ -24,7 +26,11 @@ pub async fn route(
         settle(learned, &devices, &store).await;
         let Some(built) = news else { continue };
         let version = built.lookup.version;
-        if !push(&devices, &device, built.lookup)
+        let lookup = Lookup {
+            confidence: Some(Confidence::of(&built.confidence())),
+            lookup: built.lookup,
+        };
+        if !push(&devices, &device, lookup)
             && let Some(learner) = learner.upgrade()
         {
             // It is built again from what comes next.
@@ -53,6 +59,8 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
         pass: result.pass,
         why: printable(&result.why),
     };
+    let fit = fit(learned.boot, &result, &learned.course, learned.busy);
+    let curve = learned.course.curve;
     let (state, device_id) = (learned.state, learned.device_id);
     let no_lookup = learned.no_lookup.map(|why| printable(&why));
     if let Some(why) = &no_lookup {
@@ -60,6 +68,10 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
     }
     let stored = store.run(move |store| {
         store.record_result(&result, state.as_deref())?;
+        if let Some(curve) = curve {
+            // Where the samples are not kept there is nothing to look at it with.
+            store.keep_curve(result.session, result.seq, CurveOf::Network, &curve)?;
+        }
         match no_lookup {
             Some(why) => store.event(Some(device_id), "no lookup", &why),
             None => Ok(()),
@@ -69,12 +81,37 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
     if stored.await.is_ok()
         && let Some(handle) = handle
     {
+        handle.face.fits().push(fit);
         handle.face.tell(what);
     }
 }
 
+/// A result with how the network came to it.
+fn fit(boot: u32, result: &NewResult, course: &Course, busy: Duration) -> Fit {
+    let finite = |x: f64| x.is_finite().then_some(x);
+    Fit {
+        boot,
+        seq: result.seq,
+        at_ms: now_ms(),
+        f_sw_hz: result.f_sw_hz,
+        r_ohm: finite(result.r_ohm),
+        l_h: finite(result.l_h),
+        sigma_r_pct: finite(result.sigma_r_pct),
+        sigma_l_pct: finite(result.sigma_l_pct),
+        pass: result.pass,
+        why: printable(&result.why),
+        remarks: course.remarks.clone(),
+        changed_lookup: result.changed_lookup,
+        iterations: result.iterations,
+        seconds: Some(busy.as_secs_f64()),
+        steps: course.steps.clone(),
+        r_error_pct: course.r_error_pct,
+        l_error_pct: course.l_error_pct,
+    }
+}
+
 /// Gives a lookup to the device's task; false where it is not there, or has too much to do.
-fn push(devices: &Devices, device: &str, lookup: RlLookup) -> bool {
+fn push(devices: &Devices, device: &str, lookup: Lookup) -> bool {
     let order = Order::News(Box::new(lookup));
     let handle = devices.get(device);
     handle.is_some_and(|handle| handle.orders.try_send(order).is_ok())

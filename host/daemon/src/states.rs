@@ -44,6 +44,17 @@ fn pot_text(pot: Pot) -> &'static str {
     }
 }
 
+/// What happened to the pot, by what stands on the coil now.
+pub fn pot_change(pot: Pot) -> &'static str {
+    match pot {
+        Pot::Absent => "lifted",
+        Pot::Ferromagnetic => "put on",
+        Pot::Small => "put on: too small, or far off the centre",
+        Pot::Unsuitable => "put on: it cannot be heated by induction",
+        Pot::Unknown => "not looked at yet",
+    }
+}
+
 fn limit_text(t: &Telemetry) -> String {
     match t.limit {
         Limit::None => String::new(),

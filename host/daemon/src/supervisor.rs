@@ -9,12 +9,13 @@ use ihd_link::{DeviceSpec, usb};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use crate::board::Board;
+use crate::board::{Board, now_ms};
 use crate::config::Address;
 use crate::device::{Context, DeviceTask, Order};
 use crate::face::Face;
-use crate::model::DeviceState;
+use crate::model::{DeviceState, RecordingPhase, What};
 use crate::printable::printable;
+use crate::recording::{Recorder, Told, file_name, name_of};
 
 /// Orders that may wait for a device's task.
 const ORDERS: usize = 16;
@@ -63,7 +64,9 @@ impl Devices {
     /// Starts the task of a device.
     pub fn start(&self, name: String, address: Address, context: &Context, board: &Board) {
         let (orders, taken) = mpsc::channel(ORDERS);
-        let face = Arc::new(Face::new(name.clone(), address.to_string(), board.clone()));
+        let recorder = recorder(&name, context, board);
+        let face = Face::new(name.clone(), address.to_string(), board.clone(), recorder);
+        let face = Arc::new(face);
         let handle = Handle {
             face: Arc::clone(&face),
             orders,
@@ -105,6 +108,21 @@ impl Devices {
     }
 }
 
+/// The recorder of a device: into the store's folder, told to whoever watches and the log.
+fn recorder(device: &str, context: &Context, board: &Board) -> Recorder {
+    let (folder, name) = (context.recordings.clone(), device.to_owned());
+    let named = move |_| folder.join(file_name(&name, now_ms()));
+    let (device, board) = (device.to_owned(), board.clone());
+    Recorder::new(named, move |Told { phase, text, file }| {
+        let (text, file) = (printable(&text), file.as_deref().map(name_of));
+        match phase {
+            RecordingPhase::Failed => tracing::warn!(device, file, text, "recording"),
+            _ => tracing::info!(device, file, text, "recording"),
+        }
+        board.tell(&device, What::Recording { phase, text, file });
+    })
+}
+
 /// Runs a device's task, and once more after a panic: the hob off first.
 async fn keep_running<F>(face: Arc<Face>, run: impl Fn() -> F)
 where
@@ -122,6 +140,7 @@ where
 /// The task of a device is gone: the hob is switched off where we had asked for power.
 async fn after_panic(face: &Face, why: &str) {
     let why = printable(why);
+    face.recorder.disconnected();
     tracing::error!(
         device = face.name,
         why,
@@ -130,7 +149,6 @@ async fn after_panic(face: &Face, why: &str) {
     let (client, asked_w) = {
         let mut inner = face.lock();
         inner.sweep_left_w.clear();
-        inner.recording = None;
         (inner.client.take(), inner.asked_w)
     };
     if let Some(client) = client
@@ -243,7 +261,9 @@ mod tests {
         let client = AsyncClient::connect(move || Ok(Box::new(plug)), events).await;
         let client = Arc::new(client.unwrap());
         client.with(|c| c.set_power(900)).await.unwrap().unwrap();
-        let face = Arc::new(Face::new("a".into(), "sim".into(), Board::default()));
+        let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
+        let face = Face::new("a".into(), "sim".into(), Board::default(), recorder);
+        let face = Arc::new(face);
         face.lock().asked_w = 900;
         face.lock().client = Some(client);
         let runs = Arc::new(AtomicU32::new(0));

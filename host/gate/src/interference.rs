@@ -119,7 +119,7 @@ pub fn remark(
 
 /// The segment without these tones.
 pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
-    let mut v_v = segment.v_v.clone();
+    let mut v_v = segment.v_v.to_vec();
     for tone in tones {
         let periods = (segment.f_sw_hz + tone.offset_hz) * segment.dt_s;
         for (k, v) in v_v.iter_mut().enumerate() {
@@ -130,7 +130,10 @@ pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
             *v -= shape * (tone.v.re * cos - tone.v.im * sin);
         }
     }
-    segment.with_samples(v_v, segment.i_a.clone())
+    Segment {
+        v_v: v_v.into(),
+        ..segment.clone()
+    }
 }
 
 /// Tones in what R and L, as functions of the current, leave of the voltage's fundamental.
@@ -397,8 +400,8 @@ mod tests {
             zero_crossing_s: 0.0,
             t0_s: 0.0,
             dt_s,
-            v_v,
-            i_a,
+            v_v: v_v.into(),
+            i_a: i_a.into(),
         }
     }
 

@@ -22,6 +22,6 @@ pub mod verdict;
 pub mod witness;
 
 pub use judge::{Evidence, judge};
-pub use path::{Examined, Outcome, Request, examine};
+pub use path::{Examined, Outcome, Reconstruct, Request, examine};
 pub use verdict::{Gate, Judgement, Verdict};
 pub use witness::Witness;

@@ -28,8 +28,19 @@ pub struct Request<'a> {
     pub sensors: Ask,
     /// Settings of the methods.
     pub settings: &'a Settings,
-    /// Whether to reconstruct the waveforms of methods that do not do so themselves.
-    pub reconstruct: bool,
+    /// What to make of R(t) and L(t) of methods that do not reconstruct the waveforms themselves.
+    pub reconstruct: Reconstruct,
+}
+
+/// What is made of the waveforms that R(t) and L(t) imply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reconstruct {
+    /// Nothing.
+    No,
+    /// Their errors.
+    Errors,
+    /// Their errors, and they are kept: as many numbers as the stretch has samples.
+    Waveforms,
 }
 
 /// What a method made of a stretch.
@@ -95,9 +106,16 @@ pub fn examine(
                 truth: truth.as_ref(),
                 report: &mut |text| progress(&format!("{method}: {text}"), done, total),
             };
-            let mut result = run_watched(method, segment, request.settings, &mut watch);
-            if let (true, Ok(estimate)) = (request.reconstruct, &mut result) {
-                reconstruction::complete(segment, estimate);
+            let mut result = match witness.result_of(method, request.settings) {
+                Some(known) => known,
+                None => run_watched(method, segment, request.settings, &mut watch),
+            };
+            if let Ok(estimate) = &mut result {
+                match request.reconstruct {
+                    Reconstruct::No => {}
+                    Reconstruct::Errors => reconstruction::errors(segment, estimate),
+                    Reconstruct::Waveforms => reconstruction::complete(segment, estimate),
+                }
             }
             let judgement = judged(&remarks, segment, &witness, method, &result);
             // After the judgement: what all methods share is no noise between them.

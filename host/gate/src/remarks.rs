@@ -71,6 +71,9 @@ fn is_measured(finding: &Finding, segment: &Segment) -> bool {
 /// Share of a level that counts as being at it: the survey's bins are wider than a code.
 const AT_LEVEL: f64 = 0.99;
 
+/// Samples that are looked at together.
+const STRETCH: usize = 1 << 15;
+
 /// Clipping is a matter of the stretch where it happens, and so is what happens at a time; the rest concerns all.
 fn concerns(finding: &Finding, segment: &Segment) -> bool {
     let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));
@@ -80,7 +83,12 @@ fn concerns(finding: &Finding, segment: &Segment) -> bool {
                 Channel::Voltage => &segment.v_v,
                 Channel::Current => &segment.i_a,
             };
-            x.iter().any(|x| x.abs() >= AT_LEVEL * level)
+            let mut buffer = Vec::new();
+            let mut stretches = (0..x.len()).step_by(STRETCH);
+            stretches.any(|from| {
+                let x = x.block(from..(from + STRETCH).min(x.len()), &mut buffer);
+                x.iter().any(|x| x.abs() >= AT_LEVEL * level)
+            })
         }
         Finding::CarrierAbsent {
             from_s: a, to_s: b, ..

@@ -1,7 +1,7 @@
 //! What a segment says by itself, whoever identifies it: least squares as the reference, the lock-in as the
 //! reference's own check, and tones that belong to somebody else.
 
-use ihd_identify::{Estimate, IdentifyError, Method, Settings, run};
+use ihd_identify::{Estimate, IdentifyError, LookedAt, Method, Settings, run, run_again};
 use ihd_signal::{Remark, Segment};
 
 use crate::interference;
@@ -21,17 +21,37 @@ pub struct Witness {
 }
 
 impl Witness {
+    /// What a method with these settings would find, where that is known already.
+    pub fn result_of(
+        &self,
+        method: Method,
+        settings: &Settings,
+    ) -> Option<Result<Estimate, IdentifyError>> {
+        let default = Settings::default();
+        match method {
+            Method::LeastSquares if settings.least_squares == default.least_squares => {
+                Some(self.reference.clone())
+            }
+            _ => None,
+        }
+    }
+
     /// Of a segment.
     pub fn of(segment: &Segment) -> Self {
         let settings = Settings::default();
-        let reference = run(Method::LeastSquares, segment, &settings);
+        let looked_at = LookedAt::of(segment);
+        let by = |method: Method| match &looked_at {
+            Ok(looked_at) => run_again(method, segment, looked_at, &settings),
+            Err(e) => Err(e.clone().into()),
+        };
+        let reference = by(Method::LeastSquares);
         let tones = match &reference {
             Ok(reference) => interference::find(segment, reference),
             Err(_) => Vec::new(),
         };
         if tones.is_empty() {
             return Self {
-                lockin: run(Method::Lockin, segment, &settings),
+                lockin: by(Method::Lockin),
                 reference,
                 cleaned: None,
                 remarks: Vec::new(),

@@ -1,6 +1,6 @@
 //! The gate on simulated captures: what is right passes without a word, what is wrong is refused or warned of.
 
-use ihd_gate::{Examined, Outcome, Request, Verdict, examine};
+use ihd_gate::{Examined, Outcome, Reconstruct, Request, Verdict, examine};
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{Method, Settings as Methods};
 use ihd_signal::{Capture, Severity};
@@ -40,7 +40,7 @@ fn examined(capture: &Capture, methods: &[Method]) -> Examined {
         methods,
         sensors: Ask::default(),
         settings: &Methods::default(),
-        reconstruct: false,
+        reconstruct: Reconstruct::No,
     };
     examine(capture, &request, &mut |_, _, _| ()).expect("a carrier")
 }

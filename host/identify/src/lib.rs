@@ -24,6 +24,7 @@ pub mod trajectory;
 
 use std::time::Duration;
 
+use ihd_signal::carrier::Carrier;
 use ihd_signal::truth::Truth;
 use ihd_signal::{Remark, Segment, SegmentError};
 use serde::{Deserialize, Serialize};
@@ -177,13 +178,68 @@ pub fn run_watched(
     settings: &Settings,
     watch: &mut Watch<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    segment.check()?;
+    run_looked_at(method, segment, None, settings, watch)
+}
+
+/// What of a segment every method asks for first: whether it can be used, its carrier and the load's steps. It takes as
+/// long as least squares, so who runs several methods on a segment looks once.
+#[derive(Clone, Debug)]
+pub struct LookedAt {
+    /// Where the carrier moves.
+    carrier: Option<Carrier>,
+    steps: steps::Steps,
+}
+
+impl LookedAt {
+    /// Looks at a segment.
+    ///
+    /// # Errors
+    /// [`SegmentError`] as [`Segment::check`].
+    pub fn of(segment: &Segment) -> Result<Self, SegmentError> {
+        segment.check()?;
+        Ok(Self {
+            carrier: sweep::moving(segment),
+            steps: steps::Steps::of(segment),
+        })
+    }
+}
+
+/// As [`run`] on a segment that `looked_at` is of.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_again(
+    method: Method,
+    segment: &Segment,
+    looked_at: &LookedAt,
+    settings: &Settings,
+) -> Result<Estimate, IdentifyError> {
+    let (truth, report) = (None, &mut |_| {});
+    let mut watch = Watch { truth, report };
+    run_looked_at(method, segment, Some(looked_at), settings, &mut watch)
+}
+
+fn run_looked_at(
+    method: Method,
+    segment: &Segment,
+    looked_at: Option<&LookedAt>,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Estimate, IdentifyError> {
+    if looked_at.is_none() {
+        segment.check()?;
+    }
     let centred = wants_no_mean(method).then(|| segment.without_offsets());
     let segment = centred.as_ref().unwrap_or(segment);
-    let Some(carrier) = sweep::of(method, segment) else {
+    let carrier = match looked_at {
+        Some(looked_at) if sweep::takes_constant(method) => looked_at.carrier.clone(),
+        _ => sweep::of(method, segment),
+    };
+    let Some(carrier) = carrier else {
         return steps::identify(
             method,
             segment,
+            looked_at.map(|looked_at| &looked_at.steps),
             settings,
             &|t_s| t_s,
             |segment, settings| at_constant_load(method, segment, settings, watch),
@@ -198,7 +254,7 @@ pub fn run_watched(
             // Its truth would be that of another clock.
             let (truth, report) = (None, &mut *watch.report);
             let mut watch = Watch { truth, report };
-            steps::identify(method, warped, settings, clock, |warped, settings| {
+            steps::identify(method, warped, None, settings, clock, |warped, settings| {
                 at_constant_load(method, warped, settings, &mut watch)
             })
         },

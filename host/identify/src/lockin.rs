@@ -161,15 +161,41 @@ pub fn r_l(v: Complex<f64>, i: Complex<f64>, d: Complex<f64>) -> (f64, f64) {
     )
 }
 
+/// Blocks that samples are made doubles of at once.
+const BLOCKS_AT_ONCE: usize = 512;
+
+/// Calls `each` with stretches of `length` samples, the last shorter: index of the first, voltage, current.
+pub(crate) fn for_chunks(
+    segment: &Segment,
+    length: usize,
+    mut each: impl FnMut(usize, &[f64], &[f64]),
+) {
+    let (mut v_buffer, mut i_buffer) = (Vec::new(), Vec::new());
+    for first in (0..segment.len()).step_by(length.max(1)) {
+        let range = first..(first + length).min(segment.len());
+        let v_v = segment.v_v.block(range.clone(), &mut v_buffer);
+        each(first, v_v, segment.i_a.block(range, &mut i_buffer));
+    }
+}
+
 /// Phasors of a whole segment, about one a switching period.
 pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<Phasors> {
     let stride = (segment.samples_per_period() / boxcar.block as f64).round() as usize;
     let mut lockin = Lockin::new(segment, boxcar);
-    let v_blocks = segment.v_v.chunks_exact(boxcar.block);
-    let outputs = v_blocks
-        .zip(segment.i_a.chunks_exact(boxcar.block))
-        .filter_map(|(v, i)| lockin.push(v, i));
-    outputs.step_by(stride.max(1)).collect()
+    let mut found = Vec::new();
+    let (mut outputs, stride) = (0, stride.max(1));
+    for_chunks(segment, boxcar.block * BLOCKS_AT_ONCE, |_, v_v, i_a| {
+        let v_blocks = v_v.chunks_exact(boxcar.block);
+        for (v, i) in v_blocks.zip(i_a.chunks_exact(boxcar.block)) {
+            if let Some(phasors) = lockin.push(v, i) {
+                if outputs % stride == 0 {
+                    found.push(phasors);
+                }
+                outputs += 1;
+            }
+        }
+    });
+    found
 }
 
 /// Identifies by lock-in.

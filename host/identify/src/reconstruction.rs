@@ -6,17 +6,21 @@
 //! is differentiated sample by sample.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
-use ihd_signal::Segment;
 use ihd_signal::correlation::Correlator;
+use ihd_signal::{Samples, Segment};
 use nalgebra::Complex;
 
 use super::Estimate;
-use super::lockin::Boxcar;
+use super::lockin::{Boxcar, for_chunks};
 use super::trajectory::Trajectory;
 
 /// Odd harmonics 1 to 31: the paper's NMSE of the voltage needs about that many.
 const ORDERS: usize = 16;
+
+/// Samples that are made doubles of at once.
+const AT_ONCE: usize = 1 << 15;
 
 /// Fills in the waveforms that the estimator has not reconstructed itself, and the errors of all.
 /// An estimate without points is left as it is.
@@ -25,24 +29,51 @@ pub fn complete(segment: &Segment, estimate: &mut Estimate) {
         return;
     };
     let lacks = |x: &[f32]| x.len() != segment.len();
-    let current = lacks(&estimate.i_hat_a).then(|| driven_current(segment, trajectory));
-    let voltage = lacks(&estimate.v_hat_v).then(|| harmonic_voltage(segment, trajectory));
-    if let Some(i_hat_a) = current {
-        estimate.i_hat_a = i_hat_a;
+    let (mut current, mut voltage) = (None, None);
+    if lacks(&estimate.i_hat_a) {
+        let all = current.insert(Vec::with_capacity(segment.len()));
+        driven_current(segment, trajectory, |_, found, _| {
+            all.extend_from_slice(found)
+        });
     }
-    if let Some(v_hat_v) = voltage {
-        estimate.v_hat_v = v_hat_v;
+    if lacks(&estimate.v_hat_v) {
+        let all = voltage.insert(Vec::with_capacity(segment.len()));
+        harmonic_voltage(segment, trajectory, |_, found, _| {
+            all.extend_from_slice(found)
+        });
     }
+    estimate.i_hat_a = current.unwrap_or_else(|| std::mem::take(&mut estimate.i_hat_a));
+    estimate.v_hat_v = voltage.unwrap_or_else(|| std::mem::take(&mut estimate.v_hat_v));
+    errors(segment, estimate);
+}
+
+/// The errors of the waveforms that R(t) and L(t) imply, which are not kept where the estimator has none of its own:
+/// of a second at 50 MS/s they are 400 MB.
+pub fn errors(segment: &Segment, estimate: &mut Estimate) {
+    let Some(trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
+        return;
+    };
     let range = covered(segment, estimate);
-    estimate.nmse_v_pct = nmse_pct(
-        &estimate.v_hat_v[range.clone()],
-        &segment.v_v[range.clone()],
-    );
-    estimate.nmse_i_pct = nmse_pct(&estimate.i_hat_a[range.clone()], &segment.i_a[range]);
+    let (mut v, mut i) = (Nmse::over(range.clone()), Nmse::over(range));
+    if estimate.i_hat_a.len() == segment.len() {
+        i.add_all(&estimate.i_hat_a, &segment.i_a);
+    } else {
+        driven_current(segment, trajectory, |first, found, right| {
+            i.add(first, found, right)
+        });
+    }
+    if estimate.v_hat_v.len() == segment.len() {
+        v.add_all(&estimate.v_hat_v, &segment.v_v);
+    } else {
+        harmonic_voltage(segment, trajectory, |first, found, right| {
+            v.add(first, found, right)
+        });
+    }
+    (estimate.nmse_v_pct, estimate.nmse_i_pct) = (v.pct(), i.pct());
 }
 
 /// The samples for which there is an estimate.
-fn covered(segment: &Segment, estimate: &Estimate) -> std::ops::Range<usize> {
+fn covered(segment: &Segment, estimate: &Estimate) -> Range<usize> {
     let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
     let first = estimate.t_s.first().map_or(0, |t| index(*t));
     let last = estimate.t_s.last().map_or(0, |t| index(*t) + 1);
@@ -50,57 +81,111 @@ fn covered(segment: &Segment, estimate: &Estimate) -> std::ops::Range<usize> {
     first.min(last)..last
 }
 
-/// Σ(x̂ − x)²/Σx² in percent; `None` where there is nothing or no finite number.
-fn nmse_pct(found: &[f32], right: &[f64]) -> Option<f64> {
-    let error: f64 = found
-        .iter()
-        .zip(right)
-        .map(|(a, b)| (f64::from(*a) - b).powi(2))
-        .sum();
-    let nmse = 100.0 * error / right.iter().map(|x| x * x).sum::<f64>();
-    nmse.is_finite().then_some(nmse)
+/// Σ(x̂ − x)²/Σx² over a range of samples.
+struct Nmse {
+    range: Range<usize>,
+    error: f64,
+    square: f64,
 }
 
-/// The current through R(t) and L(t) at the measured voltage, by the trapezoidal rule.
-fn driven_current(segment: &Segment, mut trajectory: Trajectory<'_>) -> Vec<f32> {
-    let mut i = segment.i_a[0];
-    let mut found = Vec::with_capacity(segment.len());
-    found.push(i as f32);
-    for k in 1..segment.len() {
-        let (r, l) = trajectory.r_l(segment.t_s(k) - 0.5 * segment.dt_s);
-        let (inertia, half) = (l / segment.dt_s, 0.5 * r);
-        let v = 0.5 * (segment.v_v[k - 1] + segment.v_v[k]);
-        i = (i * (inertia - half) + v) / (inertia + half);
-        found.push(i as f32);
+impl Nmse {
+    fn over(range: Range<usize>) -> Self {
+        Self {
+            range,
+            error: 0.0,
+            square: 0.0,
+        }
     }
-    found
+
+    /// Adds samples from index `first` on.
+    fn add(&mut self, first: usize, found: &[f32], right: &[f64]) {
+        let within = |k: usize| k.clamp(first, first + found.len()) - first;
+        let range = within(self.range.start)..within(self.range.end);
+        for (found, right) in found[range.clone()].iter().zip(&right[range]) {
+            self.error += (f64::from(*found) - right).powi(2);
+            self.square += right * right;
+        }
+    }
+
+    fn add_all(&mut self, found: &[f32], right: &Samples) {
+        let mut buffer = Vec::new();
+        for first in (0..found.len()).step_by(AT_ONCE) {
+            let range = first..(first + AT_ONCE).min(found.len());
+            self.add(
+                first,
+                &found[range.clone()],
+                right.block(range, &mut buffer),
+            );
+        }
+    }
+
+    /// In percent; `None` where there is nothing or no finite number.
+    fn pct(&self) -> Option<f64> {
+        let nmse = 100.0 * self.error / self.square;
+        nmse.is_finite().then_some(nmse)
+    }
 }
 
-/// R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods.
-fn harmonic_voltage(segment: &Segment, mut trajectory: Trajectory<'_>) -> Vec<f32> {
+/// The current through R(t) and L(t) at the measured voltage, by the trapezoidal rule; stretch by stretch with the index
+/// of its first sample and the measured current.
+fn driven_current(
+    segment: &Segment,
+    mut trajectory: Trajectory<'_>,
+    mut sink: impl FnMut(usize, &[f32], &[f64]),
+) {
+    let rate_hz = 1.0 / segment.dt_s;
+    let (mut i, mut before) = (None, 0.0);
+    let mut found = Vec::with_capacity(AT_ONCE);
+    for_chunks(segment, AT_ONCE, |first, v_v, i_a| {
+        found.clear();
+        for (k, v) in v_v.iter().enumerate() {
+            let at = match i {
+                None => i_a[k],
+                Some(at) => {
+                    let t_s = segment.t_s(first + k) - 0.5 * segment.dt_s;
+                    let (r, l) = trajectory.r_l(t_s);
+                    let (inertia, half) = (l * rate_hz, 0.5 * r);
+                    // Two factors beside each other: divided last, each sample would wait for the one before.
+                    let share = 1.0 / (inertia + half);
+                    let driven: f64 = 0.5 * (before + v) * share;
+                    at * ((inertia - half) * share) + driven
+                }
+            };
+            (i, before) = (Some(at), *v);
+            found.push(at as f32);
+        }
+        sink(first, &found, i_a);
+    });
+}
+
+/// R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods; stretch by stretch
+/// with the index of its first sample and the measured voltage.
+fn harmonic_voltage(
+    segment: &Segment,
+    mut trajectory: Trajectory<'_>,
+    mut sink: impl FnMut(usize, &[f32], &[f64]),
+) {
     let per_period = segment.samples_per_period();
     let length = Boxcar::fitting(per_period, segment.f_sw_hz, 1.0 / segment.f_sw_hz).samples();
     let orders: [f64; ORDERS] = std::array::from_fn(|k| (2 * k + 1) as f64);
     let correlator = Correlator::new(segment, length, orders);
     let omega = TAU * segment.f_sw_hz;
-    let mut found = vec![0.0; segment.len()];
-    let windows = segment.v_v.chunks(length).zip(segment.i_a.chunks(length));
+    let mut found = vec![0.0; length];
     let mut phasors = [Complex::new(0.0, 0.0); ORDERS];
-    for (k, (v, i)) in windows.enumerate() {
-        let first = k * length;
+    for_chunks(segment, length, |first, v, i| {
         if i.len() == length {
-            let sums = correlator.block(first, v, i);
+            let sums = correlator.channel(first, i);
             let middle_s = segment.t_s(first) + 0.5 * length as f64 * segment.dt_s;
             let (r, l) = trajectory.r_l(middle_s);
             for (h, phasor) in phasors.iter_mut().enumerate() {
                 let seen = 2.0 * orders[h] < per_period;
                 let share = if seen { 2.0 / length as f64 } else { 0.0 };
-                *phasor = sums.i[h] * share * Complex::new(r, orders[h] * omega * l);
+                *phasor = sums[h] * share * Complex::new(r, orders[h] * omega * l);
             }
         }
-        correlator.synthesise(first, &phasors, &mut found[first..first + i.len()]);
-    }
-    found
+        correlator.synthesise(first, &phasors, &mut found[..i.len()]);
+        sink(first, &found[..i.len()], v);
+    });
 }
 
 #[cfg(test)]
@@ -129,8 +214,8 @@ mod tests {
             zero_crossing_s: 0.0,
             t0_s: 0.0,
             dt_s,
-            v_v: wave(&|h| Complex::new(r, TAU * f * h * l)),
-            i_a: wave(&|_| Complex::new(1.0, 0.0)),
+            v_v: wave(&|h| Complex::new(r, TAU * f * h * l)).into(),
+            i_a: wave(&|_| Complex::new(1.0, 0.0)).into(),
         }
     }
 

@@ -12,9 +12,17 @@ use super::{Estimate, IdentifyError, Method, Settings, reconstruction};
 
 /// The carrier of a segment, where it moves and the method takes it as constant.
 pub(super) fn of(method: Method, segment: &Segment) -> Option<Carrier> {
-    let constant = matches!(method, Method::LeastSquares | Method::Lockin | Method::Pinn);
-    let carrier = constant.then(|| Carrier::of(segment)).flatten()?;
-    carrier.moves().then_some(carrier)
+    takes_constant(method).then(|| moving(segment)).flatten()
+}
+
+/// Whether the method takes the carrier as constant.
+pub(super) fn takes_constant(method: Method) -> bool {
+    matches!(method, Method::LeastSquares | Method::Lockin | Method::Pinn)
+}
+
+/// The carrier of a segment, where it moves.
+pub(super) fn moving(segment: &Segment) -> Option<Carrier> {
+    Carrier::of(segment).filter(Carrier::moves)
 }
 
 /// Parts that are warped for themselves: those that the method takes for themselves, so that mains zero crossings stay

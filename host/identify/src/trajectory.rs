@@ -8,13 +8,19 @@ use super::Estimate;
 pub struct Trajectory<'a> {
     estimate: &'a Estimate,
     at: usize,
+    /// One over the time from the point at `at` to the next, in 1/s, once it was asked for; 0 where there is none.
+    per_s: Option<f64>,
 }
 
 impl<'a> Trajectory<'a> {
     /// The points from `from_s` on; `None` where there are none.
     pub fn from(estimate: &'a Estimate, from_s: f64) -> Option<Self> {
         let at = estimate.t_s.partition_point(|t| *t < from_s);
-        (at < estimate.t_s.len()).then_some(Self { estimate, at })
+        (at < estimate.t_s.len()).then_some(Self {
+            estimate,
+            at,
+            per_s: None,
+        })
     }
 
     /// R in ohm and L in henry at a time no earlier than the last one that was asked for.
@@ -44,14 +50,13 @@ impl<'a> Trajectory<'a> {
         let times = &self.estimate.t_s;
         while self.at + 1 < times.len() && times[self.at + 1] <= t_s {
             self.at += 1;
+            self.per_s = None;
         }
         let (a, b) = (self.at, (self.at + 1).min(times.len() - 1));
         let span = times[b] - times[a];
-        let w = if span > 0.0 {
-            ((t_s - times[a]) / span).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
+        let inverse = || if span > 0.0 { 1.0 / span } else { 0.0 };
+        let per_s = *self.per_s.get_or_insert_with(inverse);
+        let w = ((t_s - times[a]) * per_s).clamp(0.0, 1.0);
         Place { a, b, w }
     }
 }

@@ -52,8 +52,8 @@ impl Window {
             zero_crossing_s: 0.0,
             t0_s: f64::from(self.first_pair_ns) * 1e-9,
             dt_s: self.dt_s(),
-            v_v: self.v_volt(),
-            i_a: self.i_ampere(),
+            v_v: self.v_volt().into(),
+            i_a: self.i_ampere().into(),
         }
     }
 

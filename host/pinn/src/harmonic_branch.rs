@@ -15,7 +15,7 @@ use crate::networks::Signals;
 use crate::waveform::Normalised;
 
 /// The functions of the VI branch: spline times (cos, sin) of each harmonic.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct HarmonicBasis {
     pub spline: CubicSpline,
     pub harmonics: Vec<u32>,
@@ -46,6 +46,7 @@ impl HarmonicBasis {
     }
 
     /// The same as the points show it, which are means over blocks of samples.
+    #[cfg(test)]
     pub fn seen(&self, tau_s: f64, trig: &mut Vec<f64>) {
         self.trigonometry(tau_s, trig);
         for (pair, gain) in trig.chunks_exact_mut(2).zip(&self.gains) {
@@ -64,7 +65,7 @@ pub(crate) struct Phasors {
 }
 
 /// A fitted VI branch.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct HarmonicBranch {
     pub basis: HarmonicBasis,
     /// Coefficients, spline function by spline function, then (cos, sin) per harmonic.
@@ -85,11 +86,11 @@ impl HarmonicBranch {
         }
     }
 
-    /// v_hat and i_hat at the sample in the middle of every point.
-    pub fn signals(&self, samples: &Normalised) -> Signals {
+    /// v_hat and i_hat at the sample in the middle of each of `points` points; of `samples` only the times count.
+    pub fn signals(&self, samples: &Normalised, points: usize) -> Signals {
         let mut trig = Vec::with_capacity(self.basis.width());
         let mut signals = Signals::default();
-        for n in 0..samples.len() {
+        for n in 0..points {
             let (sample, tau_s) = samples.sample_of(n);
             self.basis.trigonometry(tau_s, &mut trig);
             let local = self.basis.spline.at(tau_s);
@@ -100,7 +101,8 @@ impl HarmonicBranch {
         signals
     }
 
-    /// Mean squared errors of v_hat and i_hat over the points: L_i1 and L_i2, eqs. (5) and (6).
+    /// Mean squared errors of v_hat and i_hat over the points, point by point: L_i1 and L_i2, eqs. (5) and (6).
+    #[cfg(test)]
     pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
         let mut trig = Vec::with_capacity(self.basis.width());
         let mut squares = (0.0, 0.0);

@@ -5,14 +5,15 @@
 //! residuals in one batch: `d e / d W = a^T x delta` per row.
 
 use burn::tensor::Tensor;
+use nalgebra::DMatrix;
 
 use crate::PinnError;
 use crate::loss::SlowTensors;
 use crate::rl_mlp::{RlMlp, read};
 
 /// de/dtheta, residuals as in [`SlowTensors::residuals`], parameters as in `Parameters::flat`.
-/// Returned row by row.
-pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<Vec<f64>, PinnError> {
+/// A row a residual.
+pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<DMatrix<f64>, PinnError> {
     let (inputs, outputs) = network.activations(physics.features.clone());
     let mut delta = output_delta(physics, outputs);
     let mut blocks = Vec::with_capacity(2 * network.layers.len());
@@ -31,7 +32,10 @@ pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<Vec<f64
         }
     }
     blocks.reverse();
-    read(Tensor::cat(blocks, 1), physics.backend)
+    let all = Tensor::cat(blocks, 1);
+    let [rows, columns] = all.dims();
+    let values = read(all, physics.backend)?;
+    Ok(DMatrix::from_row_slice(rows, columns, &values))
 }
 
 /// de/d(outputs before the softplus): `-C * diag(sigmoid)`, R rows above L rows.
@@ -70,13 +74,8 @@ mod tests {
             let module = RlMlp::from_parameters(&network, &plain.device);
             let rows = jacobian(&plain, &module).expect("readable");
             let e = plain.evaluate(&network).expect("readable").residuals;
-            let count = rows.len() / e.len();
-            let by_hand: Vec<f64> = (0..count)
-                .map(|p| {
-                    2.0 * (0..e.len())
-                        .map(|k| rows[k * count + p] * e[k])
-                        .sum::<f64>()
-                })
+            let by_hand: Vec<f64> = (0..rows.ncols())
+                .map(|p| 2.0 * (0..e.len()).map(|k| rows[(k, p)] * e[k]).sum::<f64>())
                 .collect();
 
             let device = device.autodiff();

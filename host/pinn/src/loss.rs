@@ -156,18 +156,13 @@ impl SlowPhysics {
         on_r.chain(on_l).collect()
     }
 
-    /// Rows de/dtheta in the order of [`Self::residuals`], from those of the outputs.
-    pub fn residual_rows(&self, outputs: &[[Vec<f64>; OUTPUTS]]) -> Vec<f64> {
-        let width = outputs.first().map_or(0, |[r, _]| r.len());
-        let mut rows = Vec::with_capacity(2 * outputs.len() * width);
-        for (k, [r, l]) in outputs.iter().enumerate() {
-            let (c_rr, c_rl) = (self.c_rr[k], self.c_rl[k]);
-            rows.extend(r.iter().zip(l).map(|(r, l)| -c_rr * r - c_rl * l));
-        }
-        for (k, [_, l]) in outputs.iter().enumerate() {
-            rows.extend(l.iter().map(|l| -self.c_ll[k] * l));
-        }
-        rows
+    /// Derivatives of the residuals by R / r_scale and L / l_scale at each slow time: of the R rows, then of the L rows.
+    pub fn factors(&self) -> [[Vec<f64>; OUTPUTS]; OUTPUTS] {
+        let less = |c: &[f64]| c.iter().map(|c| -c).collect();
+        [
+            [less(&self.c_rr), less(&self.c_rl)],
+            [vec![0.0; self.tau_s.len()], less(&self.c_ll)],
+        ]
     }
 
     /// The same on a burn device, with the RL-MLP's features beside it.

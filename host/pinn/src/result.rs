@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
+use crate::harmonic_branch::HarmonicBranch;
 use crate::networks::Signals;
 use crate::progress::Log;
 use crate::waveform::Normalised;
@@ -25,13 +26,58 @@ pub struct Losses {
 
 /// v and i of the VI branch.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Reconstruction {
+pub struct Waveforms {
     /// Indices of the window's samples that they belong to, ascending.
     pub sample: Vec<usize>,
     /// Voltage, V.
     pub v_volt: Vec<f64>,
     /// Current, A.
     pub i_ampere: Vec<f64>,
+}
+
+/// What [`Waveforms`] are made of: few ask for them, and the harmonic branch's take as long as its fit.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Reconstruction(Source);
+
+#[derive(Debug, Clone, PartialEq)]
+enum Source {
+    Known(Waveforms),
+    Branch {
+        branch: Box<HarmonicBranch>,
+        /// Without the points, of which there were so many.
+        samples: Box<Normalised>,
+        points: usize,
+    },
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        Self::Known(Waveforms::default())
+    }
+}
+
+impl Reconstruction {
+    /// Of the harmonic branch.
+    pub(crate) fn of_branch(samples: &Normalised, branch: &HarmonicBranch) -> Self {
+        Self(Source::Branch {
+            branch: Box::new(branch.clone()),
+            samples: Box::new(samples.outline()),
+            points: samples.len(),
+        })
+    }
+
+    /// v and i; empty where the result was read from a file.
+    #[must_use]
+    pub fn waveforms(&self) -> Waveforms {
+        match &self.0 {
+            Source::Known(waveforms) => waveforms.clone(),
+            Source::Branch {
+                branch,
+                samples,
+                points,
+            } => waveforms(samples, branch.signals(samples, *points)),
+        }
+    }
 }
 
 /// R(t) and L(t) of one window, and how they came about.
@@ -75,7 +121,7 @@ pub struct Identified {
     pub nmse_v_pct: f64,
     /// The same of the current, %.
     pub nmse_i_pct: f64,
-    /// v and i of the VI branch; not serialised, as long as the window.
+    /// v and i of the VI branch; not serialised.
     #[serde(skip)]
     pub reconstruction: Reconstruction,
     /// The trained RL-MLP: put it into [`crate::Config::start`] for a warm start.
@@ -128,9 +174,9 @@ fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
 }
 
 /// The signals in volt and ampere.
-pub(crate) fn reconstruction(samples: &Normalised, signals: Signals) -> Reconstruction {
+fn waveforms(samples: &Normalised, signals: Signals) -> Waveforms {
     let scaled = |x: &[f64], unit: f64| x.iter().map(|x| x * unit).collect();
-    Reconstruction {
+    Waveforms {
         v_volt: scaled(&signals.v, samples.v_max_volt),
         i_ampere: scaled(&signals.i, samples.i_max_ampere),
         sample: signals.sample,
@@ -180,7 +226,7 @@ pub(crate) fn assemble_networks(
         impedance_order: 0.0,
         nmse_v_pct: nmse_pct(losses.l_i1, &at_points(&samples.v)),
         nmse_i_pct: nmse_pct(losses.l_i2, &at_points(&samples.i)),
-        reconstruction: reconstruction(samples, signals),
+        reconstruction: Reconstruction(Source::Known(waveforms(samples, signals))),
         t_s: tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
         r_ohm,
         l_h,

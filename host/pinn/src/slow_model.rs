@@ -1,11 +1,14 @@
 //! The physics residuals e of eq. (4), condensed ([`SlowPhysics`]), as a function of the RL-MLP: e, ∂e/∂θ and
 //! d|e|²/dθ, by own code or in burn tensors.
 
+use nalgebra::DMatrix;
+
 use crate::jacobian::jacobian;
 use crate::levenberg_marquardt::Evaluation;
 use crate::loss::{SlowPhysics, SlowTensors};
-use crate::output_jacobian::output_rows;
-use crate::parameters::Parameters;
+use crate::normal_matrix::transposed_times;
+use crate::own_network::OwnNetwork;
+use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, read};
 use crate::waveform::Normalised;
 use crate::{Config, Optimiser, PinnError};
@@ -15,8 +18,10 @@ pub(crate) enum SlowModel {
     /// Plain double precision.
     Own {
         physics: SlowPhysics,
-        /// The RL-MLP's inputs at each slow time.
-        features: Vec<Vec<f64>>,
+        /// The RL-MLP at each slow time.
+        network: OwnNetwork,
+        /// Derivatives of the residuals by the network's outputs.
+        factors: Box<[[Vec<f64>; OUTPUTS]; OUTPUTS]>,
     },
     /// On a burn device; with autodiff where gradients are asked for.
     Burn(Box<SlowTensors>),
@@ -53,9 +58,10 @@ impl SlowModel {
 
     /// Own code for these slow times.
     pub fn own(physics: &SlowPhysics, samples: &Normalised, parameters: &Parameters) -> Self {
-        let at = |tau: &f64| parameters.features(samples.t0_s + tau);
+        let t_s = physics.tau_s.iter().map(|tau| samples.t0_s + tau);
         Self::Own {
-            features: physics.tau_s.iter().map(at).collect(),
+            network: OwnNetwork::at(parameters, t_s),
+            factors: Box::new(physics.factors()),
             physics: physics.clone(),
         }
     }
@@ -63,8 +69,10 @@ impl SlowModel {
     /// The residuals: R rows of all slow times, then L rows; the outputs: R / r_scale, L / l_scale alternating.
     pub fn evaluate(&self, parameters: &Parameters) -> Result<Evaluation, PinnError> {
         match self {
-            Self::Own { physics, features } => {
-                let y: Vec<_> = features.iter().map(|f| parameters.outputs(f)).collect();
+            Self::Own {
+                physics, network, ..
+            } => {
+                let y = network.forward(parameters).outputs();
                 Ok(Evaluation {
                     residuals: physics.residuals(&y),
                     outputs: y.concat(),
@@ -74,13 +82,14 @@ impl SlowModel {
         }
     }
 
-    /// de/dtheta row by row, parameters as in `Parameters::flat`.
-    pub fn jacobian(&self, parameters: &Parameters) -> Result<Vec<f64>, PinnError> {
+    /// de/dtheta, a row a residual, parameters as in `Parameters::flat`.
+    pub fn jacobian(&self, parameters: &Parameters) -> Result<DMatrix<f64>, PinnError> {
         match self {
-            Self::Own { physics, features } => {
-                let rows = features.iter().map(|f| output_rows(parameters, f));
-                Ok(physics.residual_rows(&rows.collect::<Vec<_>>()))
-            }
+            Self::Own {
+                network, factors, ..
+            } => Ok(network
+                .forward(parameters)
+                .derivatives(parameters, factors.as_slice())),
             Self::Burn(tensors) => jacobian(
                 tensors,
                 &RlMlp::from_parameters(parameters, &tensors.device),
@@ -94,13 +103,9 @@ impl SlowModel {
         match self {
             Self::Own { .. } => {
                 let at = self.evaluate(parameters)?;
-                let rows = self.jacobian(parameters)?;
-                let mut values = vec![0.0; parameters.flat_len()];
-                for (row, e) in rows.chunks_exact(values.len()).zip(&at.residuals) {
-                    for (g, d) in values.iter_mut().zip(row) {
-                        *g += 2.0 * d * e;
-                    }
-                }
+                let jacobian = self.jacobian(parameters)?;
+                let values = 2.0 * transposed_times(&jacobian, &at.residuals);
+                let values = values.as_slice().to_vec();
                 Ok(Gradient {
                     squares: at.squares(),
                     outputs: at.outputs,
@@ -171,7 +176,9 @@ mod tests {
             close(&at.residuals, &at_burn.residuals);
             close(&at.outputs, &at_burn.outputs);
             let rows = own.jacobian(&network).expect("own");
-            close(&rows, &burn.jacobian(&network).expect("readable"));
+            let of_burn = burn.jacobian(&network).expect("readable");
+            assert_eq!(rows.shape(), of_burn.shape());
+            close(rows.as_slice(), of_burn.as_slice());
             let (a, b) = (own.gradient(&network), burn.gradient(&network));
             let (a, b) = (a.expect("own"), b.expect("readable"));
             close(&a.values, &b.values);

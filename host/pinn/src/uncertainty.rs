@@ -4,10 +4,9 @@
 //! around the minimum with covariance `s^2 (J^T J + strength I)^-1`; R and L are linear in them to
 //! first order.
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::PinnError;
-use crate::output_jacobian::output_rows;
+use crate::normal_matrix::{Factor, gram};
+use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::slow_model::SlowModel;
 
@@ -30,32 +29,24 @@ pub(crate) fn laplace(
     strength: f64,
     times_s: &[f64],
 ) -> Result<Option<Sigmas>, PinnError> {
-    let count = parameters.flat_len();
-    let rows = model.jacobian(parameters)?;
-    let transposed = DMatrix::from_column_slice(count, rows.len() / count, &rows);
-    let mut normal = &transposed * transposed.transpose();
+    let normal = gram(&model.jacobian(parameters)?);
     let ridge = strength + RIDGE * normal.diagonal().max();
-    for k in 0..count {
-        normal[(k, k)] += ridge;
-    }
-    let Some(factor) = normal.cholesky() else {
+    let Some(factor) = Factor::new(&normal, ridge) else {
         return Ok(None);
     };
-    let deviation = |row: &Vec<f64>| {
-        let row = DVector::from_column_slice(row);
-        (noise * row.dot(&factor.solve(&row))).max(0.0).sqrt()
-    };
-    let mut sigmas = Sigmas {
-        r_ohm: Vec::with_capacity(times_s.len()),
-        l_h: Vec::with_capacity(times_s.len()),
-    };
-    for &t_s in times_s {
-        let features = parameters.features(t_s);
-        let [r, l] = output_rows(parameters, &features);
-        sigmas.r_ohm.push(parameters.r_scale_ohm * deviation(&r));
-        sigmas.l_h.push(parameters.l_scale_h * deviation(&l));
-    }
-    Ok(Some(sigmas))
+    let times = times_s.len();
+    let (all, none) = (vec![1.0; times], vec![0.0; times]);
+    let outputs = [[all.clone(), none.clone()], [none, all]];
+    let network = OwnNetwork::at(parameters, times_s.iter().copied());
+    let rows = network
+        .forward(parameters)
+        .derivatives(parameters, &outputs);
+    let mut r_ohm: Vec<f64> = factor.inverse_forms(&rows);
+    r_ohm.iter_mut().for_each(|x| *x = (noise * *x).sqrt());
+    let mut l_h = r_ohm.split_off(times);
+    r_ohm.iter_mut().for_each(|x| *x *= parameters.r_scale_ohm);
+    l_h.iter_mut().for_each(|x| *x *= parameters.l_scale_h);
+    Ok(Some(Sigmas { r_ohm, l_h }))
 }
 
 /// Spread of an ensemble's members: the sample standard deviation at each time.

@@ -26,7 +26,7 @@ pub struct Waveform<'a> {
 const OVERHANG: f64 = 0.02;
 
 /// The window divided by its maxima (the paper's normalisation), with the time scales at hand.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Normalised {
     pub v: Vec<f64>,
     pub i: Vec<f64>,
@@ -137,6 +137,15 @@ impl Normalised {
         let off_centre = within as f64 - 0.5 * (self.block - 1) as f64;
         let time_s = (n as f64 + off_centre / self.block as f64) * self.dt_s;
         (n * self.block + within, time_s)
+    }
+
+    /// The times and maxima without the points.
+    pub fn outline(&self) -> Self {
+        Self {
+            v: Vec::new(),
+            i: Vec::new(),
+            ..*self
+        }
     }
 
     /// Number of points.

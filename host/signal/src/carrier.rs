@@ -14,7 +14,8 @@ use std::f64::consts::TAU;
 use nalgebra::Complex;
 
 pub use self::warp::Warp;
-use crate::Segment;
+use crate::correlation::weighted_sums;
+use crate::{Raw, Segment};
 
 /// Cut-off of what is followed, in hertz: a sweep of 1 kHz is followed to 2 %, and what is left is slow.
 const CUT_OFF_HZ: f64 = 2.7e3;
@@ -69,7 +70,13 @@ impl Carrier {
     /// Follows the carrier through a segment.
     pub fn of(segment: &Segment) -> Option<Self> {
         let Segment { t0_s, dt_s, .. } = *segment;
-        Self::follow(&segment.v_v, &segment.i_a, t0_s, dt_s, segment.f_sw_hz)
+        // The frames do not see an offset.
+        match (segment.v_v.raw(), segment.i_a.raw()) {
+            (Raw::Singles(v, _), Raw::Singles(i, _)) => {
+                Self::follow(v, i, t0_s, dt_s, segment.f_sw_hz)
+            }
+            _ => Self::follow(&segment.v_v, &segment.i_a, t0_s, dt_s, segment.f_sw_hz),
+        }
     }
 
     /// Follows the carrier through evenly spaced samples of voltage and current, the first at `t0_s` seconds; `f_hz` is
@@ -242,12 +249,7 @@ impl Frames {
         let frames = x.windows(self.cos.len()).step_by(self.hop);
         frames
             .map(|x| {
-                let (mut re, mut im) = (0.0, 0.0);
-                for (x, (c, s)) in x.iter().zip(self.cos.iter().zip(&self.minus_sin)) {
-                    let x: f64 = (*x).into();
-                    re += x * c;
-                    im += x * s;
-                }
+                let [re, im] = weighted_sums(x, [&self.cos, &self.minus_sin]);
                 Complex::new(re, im)
             })
             .collect()

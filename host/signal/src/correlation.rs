@@ -9,6 +9,7 @@ use std::f64::consts::TAU;
 use nalgebra::Complex;
 
 use super::Segment;
+use super::vectorised::vectorised;
 
 /// Sums of one block, Σ x·e^(−jhωt), one an order.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,16 +77,11 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         v_v: &[f64],
         i_a: &[f64],
     ) -> BlockSums<ORDERS> {
-        let mut sums = [[0.0; ORDERS]; 4];
-        let samples = v_v.iter().zip(i_a);
-        for ((v, i), (cos, sin)) in samples.zip(self.cos.iter().zip(&self.minus_sin)) {
-            for h in 0..ORDERS {
-                sums[0][h] += v * cos[h];
-                sums[1][h] += v * sin[h];
-                sums[2][h] += i * cos[h];
-                sums[3][h] += i * sin[h];
-            }
-        }
+        let [v_sums, i_sums] = vectorised(
+            #[inline(always)]
+            || [self.sums(v_v), self.sums(i_a)],
+        );
+        let sums = [v_sums[0], v_sums[1], i_sums[0], i_sums[1]];
         let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
             std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
         };
@@ -97,17 +93,70 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
 }
 
 impl<const ORDERS: usize> Correlator<ORDERS> {
+    /// The sums of one channel over a block that begins with sample `first` of the segment, in its unit.
+    pub fn channel(&self, first: usize, x: &[f64]) -> [Complex<f64>; ORDERS] {
+        let [re, im] = vectorised(
+            #[inline(always)]
+            || self.sums(x),
+        );
+        let turn = self.turn(first);
+        std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
+    }
+
+    /// Σ x·cos and −Σ x·sin of each order, the angle counted from the first sample: four samples at a time.
+    #[inline(always)]
+    fn sums(&self, x: &[f64]) -> [[f64; ORDERS]; 2] {
+        let mut sums = [[[0.0; ORDERS]; 4]; 2];
+        let tables = self.cos.chunks(4).zip(self.minus_sin.chunks(4));
+        for (x, (cos, sin)) in x.chunks(4).zip(tables) {
+            let samples = x.iter().zip(cos.iter().zip(sin));
+            for (lane, (x, (cos, sin))) in samples.enumerate() {
+                for h in 0..ORDERS {
+                    sums[0][lane][h] += x * cos[h];
+                    sums[1][lane][h] += x * sin[h];
+                }
+            }
+        }
+        sums.map(|[a, b, c, d]| std::array::from_fn(|h| (a[h] + b[h]) + (c[h] + d[h])))
+    }
+
     /// Writes Σ Re{X_h·e^(jhωt)}, in the phasors' unit, to samples from `first` of the segment on, at most a block.
     pub fn synthesise(&self, first: usize, phasors: &[Complex<f64>; ORDERS], out: &mut [f32]) {
         let turn = self.turn(first);
         let at: [Complex<f64>; ORDERS] = std::array::from_fn(|h| phasors[h] * turn[h].conj());
-        for (out, (cos, sin)) in out.iter_mut().zip(self.cos.iter().zip(&self.minus_sin)) {
-            let sum: f64 = (0..ORDERS)
-                .map(|h| at[h].re * cos[h] + at[h].im * sin[h])
-                .sum();
-            *out = sum as f32;
-        }
+        vectorised(
+            #[inline(always)]
+            || {
+                for (out, (cos, sin)) in out.iter_mut().zip(self.cos.iter().zip(&self.minus_sin)) {
+                    // In four sums, so that they can go side by side.
+                    let mut sums = [0.0; 4];
+                    for h in 0..ORDERS {
+                        sums[h % 4] += at[h].re * cos[h] + at[h].im * sin[h];
+                    }
+                    *out = ((sums[0] + sums[1]) + (sums[2] + sums[3])) as f32;
+                }
+            },
+        );
     }
+}
+
+/// Σ x·w of each of two weights, in eight sums each.
+pub fn weighted_sums<T: Copy + Into<f64>>(x: &[T], weights: [&[f64]; 2]) -> [f64; 2] {
+    vectorised(
+        #[inline(always)]
+        || {
+            let mut sums = [[0.0; 8]; 2];
+            let blocks = weights[0].chunks(8).zip(weights[1].chunks(8));
+            for (x, (a, b)) in x.chunks(8).zip(blocks) {
+                for (k, (x, (a, b))) in x.iter().zip(a.iter().zip(b)).enumerate() {
+                    let x: f64 = (*x).into();
+                    sums[0][k] += x * a;
+                    sums[1][k] += x * b;
+                }
+            }
+            sums.map(|lanes| lanes.iter().sum())
+        },
+    )
 }
 
 /// Mean impedance of the segment's fundamental in ohm, from which every estimator starts:

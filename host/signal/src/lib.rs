@@ -16,11 +16,14 @@ pub mod printable;
 pub mod quantise;
 pub mod remark;
 pub mod resample;
+pub mod samples;
 pub mod segment;
 pub mod truth;
+pub mod vectorised;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use load::Load;
 pub use printable::printable;
 pub use remark::{Remark, Severity};
+pub use samples::{Raw, Samples};
 pub use segment::{Segment, SegmentError};

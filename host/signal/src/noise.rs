@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use nalgebra::Complex;
 use realfft::RealFftPlanner;
 
-use super::Segment;
+use super::{Raw, Samples, Segment};
 
 /// Switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
 const MOST_PERIODS: f64 = 96.0;
@@ -52,7 +52,12 @@ pub struct WhiteNoise {
 impl WhiteNoise {
     /// Of a segment; zero when it is shorter than 12 switching periods.
     pub fn measure(segment: &Segment) -> Self {
-        let of = |x: &[f64]| deviation(x, segment.samples_per_period()).unwrap_or(0.0);
+        let per_period = segment.samples_per_period();
+        // An offset is no part of it.
+        let of = |x: &Samples| match x.raw() {
+            Raw::Doubles(x) => deviation(x, per_period).unwrap_or(0.0),
+            Raw::Singles(x, _) => deviation(x, per_period).unwrap_or(0.0),
+        };
         Self {
             v_v: of(&segment.v_v),
             i_a: of(&segment.i_a),

@@ -2,6 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use crate::vectorised::vectorised;
+use crate::{Raw, Samples};
+
 /// Fewest switching periods that an estimator can work on.
 pub const MIN_PERIODS: f64 = 10.0;
 
@@ -25,9 +28,9 @@ pub struct Segment {
     /// Time from one sample to the next in seconds.
     pub dt_s: f64,
     /// Coil voltage in volt.
-    pub v_v: Vec<f64>,
+    pub v_v: Samples,
     /// Coil current in ampere, at the same instants.
-    pub i_a: Vec<f64>,
+    pub i_a: Samples,
 }
 
 impl Segment {
@@ -149,21 +152,16 @@ impl Segment {
     /// The segment without its channels' means: the coil's voltage has none, nor has its current, so a mean is the
     /// measuring chain's offset. Weighted so that the carrier does not count, however many of its periods there are.
     pub fn without_offsets(&self) -> Self {
-        let n = self.len().max(1) as f64;
-        let weight = |k: usize| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / n);
-        let less_mean = |x: &[f64]| {
-            let (sum, weights) = x.iter().enumerate().fold((0.0, 0.0), |(sum, all), (k, x)| {
-                let w = weight(k);
-                (sum + w * x, all + w)
-            });
-            let mean = if weights > 0.0 { sum / weights } else { 0.0 };
-            x.iter().map(|x| x - mean).collect()
-        };
-        self.with_samples(less_mean(&self.v_v), less_mean(&self.i_a))
+        let less_mean = |x: &Samples| x.less(weighted_mean(x));
+        self.with_channels(less_mean(&self.v_v), less_mean(&self.i_a))
     }
 
     /// The same segment with other samples.
     pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
+        self.with_channels(v_v.into(), i_a.into())
+    }
+
+    fn with_channels(&self, v_v: Samples, i_a: Samples) -> Self {
         Self {
             f_sw_hz: self.f_sw_hz,
             mains_hz: self.mains_hz,
@@ -181,7 +179,7 @@ impl Segment {
         let from = from.min(to);
         Self {
             t0_s: self.t_s(from),
-            ..self.with_samples(self.v_v[from..to].to_vec(), self.i_a[from..to].to_vec())
+            ..self.with_channels(self.v_v.part(from..to), self.i_a.part(from..to))
         }
     }
 }
@@ -256,18 +254,88 @@ pub enum SegmentError {
 /// Largest magnitude of a sample, in volt or ampere, whose powers are still finite numbers.
 const LARGEST: f64 = 1e30;
 
-fn check_channel(channel: &'static str, x: &[f64]) -> Result<(), SegmentError> {
-    if let Some(index) = x.iter().position(|x| x.is_nan() || x.abs() > LARGEST) {
-        return Err(SegmentError::NotFinite {
-            channel,
-            index,
-            value: x[index],
-        });
+fn check_channel(channel: &'static str, x: &Samples) -> Result<(), SegmentError> {
+    match x.raw() {
+        Raw::Doubles(x) => check_values(channel, x, 0.0),
+        Raw::Singles(x, offset) => check_values(channel, x, offset),
     }
-    if x.iter().all(|x| x.abs() < 1.0 / LARGEST) {
-        return Err(SegmentError::Silent { channel });
+}
+
+fn check_values<T: Copy + Into<f64>>(
+    channel: &'static str,
+    x: &[T],
+    offset: f64,
+) -> Result<(), SegmentError> {
+    let value = |x: T| x.into() - offset;
+    let mut loud = false;
+    for (block, x) in x.chunks(BLOCK).enumerate() {
+        // Of a NaN the comparison is false.
+        let sound = x
+            .iter()
+            .fold(true, |sound, x| sound & (value(*x).abs() <= LARGEST));
+        if !sound {
+            let bad = |x: &T| value(*x).is_nan() || value(*x).abs() > LARGEST;
+            let index = x.iter().position(bad).unwrap_or(0);
+            return Err(SegmentError::NotFinite {
+                channel,
+                index: block * BLOCK + index,
+                value: value(x[index]),
+            });
+        }
+        loud = loud || x.iter().any(|x| value(*x).abs() >= 1.0 / LARGEST);
     }
-    Ok(())
+    if loud {
+        Ok(())
+    } else {
+        Err(SegmentError::Silent { channel })
+    }
+}
+
+/// Samples that are looked at together.
+const BLOCK: usize = 4096;
+
+/// Mean under a Hann window over all samples.
+fn weighted_mean(x: &Samples) -> f64 {
+    match x.raw() {
+        Raw::Doubles(x) => hann_mean(x, 0.0),
+        Raw::Singles(x, offset) => hann_mean(x, offset),
+    }
+}
+
+fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
+    const LANES: usize = 8;
+    let turns = |k: f64| TAU * (k + 0.5) / x.len().max(1) as f64;
+    // The angles of a block's samples are those of its first one and of a table.
+    let table = |of: fn(f64) -> f64| -> Vec<f64> {
+        (0..BLOCK)
+            .map(|k| of(turns(k as f64) - turns(0.0)))
+            .collect()
+    };
+    let (cos, sin) = (table(libm::cos), table(libm::sin));
+    let (mut sum, mut all) = (0.0, 0.0);
+    for (block, x) in x.chunks(BLOCK).enumerate() {
+        let (s, c) = libm::sincos(turns((block * BLOCK) as f64));
+        let [weighted, weights] = vectorised(
+            #[inline(always)]
+            || {
+                let mut sums = [[0.0; LANES]; 2];
+                let blocks = x
+                    .chunks(LANES)
+                    .zip(cos.chunks(LANES).zip(sin.chunks(LANES)));
+                for (x, (cos, sin)) in blocks {
+                    for (k, x) in x.iter().enumerate() {
+                        let weight = 1.0 - (c * cos[k] - s * sin[k]);
+                        sums[0][k] += weight * ((*x).into() - offset);
+                        sums[1][k] += weight;
+                    }
+                }
+                sums.map(|lanes| lanes.iter().sum::<f64>())
+            },
+        );
+        sum += weighted;
+        all += weights;
+    }
+    if all > 0.0 { sum / all } else { 0.0 }
 }
 
 #[cfg(test)]

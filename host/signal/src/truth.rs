@@ -1,5 +1,9 @@
 //! What a simulation knows of its load and no estimator is given.
 
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
+
+use crate::Load;
+
 /// Harmonic orders of the switching frequency that are measured; a half-bridge has no even ones.
 pub const ORDERS: [usize; 4] = [1, 3, 5, 7];
 
@@ -53,6 +57,25 @@ impl Truth {
         let w = (t_s - t0) / (t1 - t0);
         let between = |x: &[f64]| x[above - 1] + w * (x[above] - x[above - 1]);
         Some((between(&self.r_ohm), between(&self.l_h)))
+    }
+}
+
+/// What a simulation knows of the cells of a lookup.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapTruth {
+    /// R and L at the lookup's knots `[frequency][current]`; `None` where the hob never comes with this load.
+    pub cells: [[Option<Load>; CURRENTS]; FREQUENCIES],
+}
+
+impl MapTruth {
+    /// Of a load that the hob does not heat: no cell is reached.
+    pub const UNREACHED: Self = Self {
+        cells: [[None; CURRENTS]; FREQUENCIES],
+    };
+
+    /// Number of cells that the hob reaches.
+    pub fn reached(&self) -> usize {
+        self.cells.iter().flatten().flatten().count()
     }
 }
 

@@ -7,11 +7,11 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use ihd_field::model::Settings as FieldSettings;
+use ihd_field::{FieldModel, harmonic};
 use ihd_firmware::realtime::Drive;
 use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::field::model::Settings as FieldSettings;
-use ihd_sim::field::{FieldModel, harmonic};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;

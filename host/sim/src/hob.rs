@@ -24,10 +24,11 @@ use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::Program;
-use ihd_signal::truth::Truth;
+use ihd_signal::truth::{MapTruth, Truth};
 
 use super::adc::{Adc, Noise};
 use super::behavioural::PotKind;
+use super::contents::Contents;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::mains::Mains;
@@ -37,6 +38,7 @@ use super::pot::Pot;
 use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
 use super::temperatures::{AMBIENT_C, Heat, Temperatures};
+use super::thermal_model::ThermalModel;
 
 /// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
 const TRUTHS_KEPT: usize = 256;
@@ -88,6 +90,8 @@ pub struct HobConfig {
     pub load: LoadKind,
     /// Whether the pot warms up, so that R and L drift over minutes.
     pub warming: bool,
+    /// What is in the pot, where it warms up.
+    pub contents: Contents,
     /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
     /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
     /// 0.6 % of R (measured on tests/fixtures/half_cycle, which have none).
@@ -116,6 +120,7 @@ impl Default for HobConfig {
             pot: PotKind::Ferromagnetic.into(),
             load: LoadKind::Behavioural,
             warming: false,
+            contents: Contents::default(),
             anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
             noise: Noise {
@@ -234,7 +239,7 @@ impl SimHob {
             plant.set_bench_supply(supply_v);
         }
         if config.warming {
-            plant.enable_warming();
+            plant.enable_warming(config.contents);
         }
         Ok(Self {
             plant,
@@ -473,6 +478,11 @@ impl SimHob {
         self.plant.pot()
     }
 
+    /// Pot and contents as they are now, if they warm up.
+    pub fn thermal(&self) -> Option<&ThermalModel> {
+        self.plant.thermal()
+    }
+
     /// Makes a pot ready, so that putting it on later takes no time.
     ///
     /// # Errors
@@ -524,6 +534,15 @@ impl SimHob {
     /// The truth of a half-cycle that is over and not too long ago.
     pub fn truth(&self, half_cycle: u32) -> Option<&Truth> {
         self.truths.iter().find(|t| t.half_cycle == half_cycle)
+    }
+
+    /// The truth of a lookup for what stands on the coil now; `progress` hears the finished share. The field model
+    /// takes some seconds.
+    ///
+    /// # Errors
+    /// When there is no model of it.
+    pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
+        self.plant.map_truth(progress)
     }
 
     /// The firmware's lower half, for tests that look inside.

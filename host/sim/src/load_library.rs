@@ -2,7 +2,7 @@
 
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
-use super::inverter::load::LoadState;
+use super::inverter::load::{Law, LoadState};
 use super::pot::{Metal, Pot};
 use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
@@ -26,7 +26,12 @@ impl LoadLibrary {
         }
     }
 
-    /// Prepares a pot, if it is not yet: some 10 ms for the field, 100 ms for the table, four times that
+    /// The load model.
+    pub(super) fn kind(&self) -> LoadKind {
+        self.kind
+    }
+
+    /// Prepares a pot, if it is not yet: some 10 ms for the field, 200 ms for the table, four times that
     /// off centre.
     ///
     /// # Errors
@@ -55,6 +60,12 @@ impl LoadLibrary {
         before: Option<&LoadState>,
     ) -> Result<LoadState, InverterError> {
         self.prepare(pot)?.start(f_sw_hz, steps, before)
+    }
+
+    /// The law of a pot at a frequency in hertz, if it is ready and has one.
+    pub(super) fn law(&self, pot: &Pot, f_hz: f64) -> Option<Law> {
+        let (_, prepared) = self.ready.iter().find(|(ready, _)| ready == pot)?;
+        prepared.law(f_hz)
     }
 
     /// Winding resistance in ohm within the loads' R; the formulas know none.

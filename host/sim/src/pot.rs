@@ -6,10 +6,12 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::field::FieldError;
-use super::field::geometry::Geometry;
-use super::field::material::Material;
-use super::field::model::Settings;
+use ihd_field::FieldError;
+use ihd_field::geometry::Geometry;
+use ihd_field::material::Material;
+use ihd_field::model::Settings;
+
+use crate::perturbation::Perturbation;
 
 /// Angles at which the rim of an off-centre pot is looked at, over half a turn.
 const SECTORS: usize = 4;
@@ -26,6 +28,12 @@ const ALLOWED_OFFSET: f64 = 0.4;
 
 /// A pot of 12 cm or more may be off centre by 60 mm: the coil's axis is then at its rim.
 const WIDE_OFFSET_M: f64 = 60e-3;
+
+/// Curie point of the ferromagnetic metals less 20 °C, in kelvin: ferritic stainless steel loses its magnetism at 680 °C.
+const CURIE_RISE_K: f64 = 660.0;
+
+/// What is left of saturation at least: a law that saturates at nothing has no skin.
+const LEAST_SATURATION: f64 = 0.02;
 
 /// Metals of pots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,6 +62,9 @@ pub struct Pot {
     pub offset_m: f64,
     /// Temperature of its base in degrees Celsius.
     pub temperature_c: f64,
+    /// What of its field model is not the standard one's; formulas know none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub perturbation: Option<Perturbation>,
 }
 
 /// A pot's name that means nothing.
@@ -110,6 +121,7 @@ impl Pot {
         lift_m: 0.0,
         offset_m: 0.0,
         temperature_c: 20.0,
+        perturbation: None,
     };
 
     /// A centred pot at room temperature.
@@ -161,13 +173,24 @@ impl Pot {
                 winding_r_ohm,
                 ..Settings::paper()
             };
+            let settings = match self.perturbation {
+                Some(perturbation) => perturbation.of(settings),
+                None => settings,
+            };
             (weight, settings)
         };
         Ok(radii.into_iter().map(of_radius).collect())
     }
 
+    /// The metal at a temperature in °C, as this pot has it; `None` without a pot.
+    pub fn material_at(&self, temperature_c: f64) -> Option<Material> {
+        let standard = self.metal?.at(temperature_c);
+        let perturbed = self.perturbation.map(|p| p.material(standard));
+        Some(perturbed.unwrap_or(standard))
+    }
+
     fn check(&self) -> Result<(), FieldError> {
-        use super::field::error::in_range;
+        use ihd_field::error::in_range;
         in_range("pot diameter_m", self.diameter_m, 0.05, 0.4, "5 to 40 cm")?;
         in_range("pot lift_m", self.lift_m, 0.0, 0.1, "0 to 100 mm")?;
         let wide = if self.diameter_m < 2.0 * WIDE_OFFSET_M - 1e-9 {
@@ -226,7 +249,37 @@ impl Metal {
         1.0 + per_kelvin * (temperature_c - 20.0)
     }
 
-    /// Material at a temperature in °C. Resistivity grows linearly; the ferritic steel's saturation
+    /// Saturation of a ferromagnetic metal at a temperature in °C over that at 20 °C: 1 − (ΔT/660 K)².
+    fn saturation_factor(self, temperature_c: f64) -> f64 {
+        match self {
+            Self::Stainless | Self::Aluminium => 1.0,
+            Self::Ferritic | Self::CastIron => {
+                let x = (temperature_c - 20.0).max(0.0) / CURIE_RISE_K;
+                (1.0 - x * x).max(LEAST_SATURATION)
+            }
+        }
+    }
+
+    /// Resistivity times saturation at a temperature in °C over that at 20 °C, which is all that heat does to a
+    /// thick load: with it a hot load at f is the cold one at f over this factor, its R and X this factor
+    /// times as large. The skin of a metal B = B_s H/(α + |H|) has µ δ ∝ √(ρ B_s/α ω) at every H/α; of a linear
+    /// one, thick or not, only ω/ρ counts.
+    pub fn heat_factor(self, temperature_c: f64) -> f64 {
+        self.resistivity_factor(temperature_c) * self.saturation_factor(temperature_c)
+    }
+
+    /// Density in kg/m³, specific heat in J/kgK and thermal conductivity in W/mK near 100 °C (ASM Metals Handbook; EN 1561 for cast
+    /// iron).
+    pub fn thermal(self) -> (f64, f64, f64) {
+        match self {
+            Self::Ferritic => (7700.0, 460.0, 26.0),
+            Self::CastIron => (7200.0, 500.0, 48.0),
+            Self::Stainless => (8000.0, 500.0, 16.0),
+            Self::Aluminium => (2700.0, 900.0, 230.0),
+        }
+    }
+
+    /// Material at a temperature in °C. Resistivity grows linearly; a ferromagnetic metal's saturation
     /// falls as 1 − (ΔT/ΔT_Curie)² with a Curie point of 680 °C.
     pub fn at(self, temperature_c: f64) -> Material {
         let material = match self {
@@ -241,26 +294,25 @@ impl Metal {
                 alpha_a_per_m,
                 b_per_t,
                 ..
-            } => {
-                let x = (temperature_c - 20.0).max(0.0) / 660.0;
-                Material::Froehlich {
-                    alpha_a_per_m,
-                    b_per_t: b_per_t / (1.0 - x * x),
-                    sigma_s_per_m: hot_sigma,
-                }
-            }
+            } => Material::Froehlich {
+                alpha_a_per_m,
+                b_per_t: b_per_t / self.saturation_factor(temperature_c),
+                sigma_s_per_m: hot_sigma,
+            },
             Material::Linear { mu_r, .. } => Material::Linear {
                 mu_r,
                 sigma_s_per_m: hot_sigma,
             },
+            // No metal of the table has it.
+            other @ Material::Saturating { .. } => other,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::field::{FieldModel, harmonic};
     use super::*;
+    use ihd_field::{FieldModel, harmonic};
 
     fn z(pot: Pot) -> (f64, f64) {
         pot.field_settings(0.0)
@@ -356,6 +408,33 @@ mod tests {
             "{nearly:?} {centred:?}"
         );
         assert!(far.0 < centred.0);
+    }
+
+    #[test]
+    fn a_hot_pot_is_the_cold_one_at_a_lower_frequency() {
+        let at = |pot: Pot, f_hz, i_a| {
+            let settings = pot.field_settings(0.0).unwrap().remove(0).1;
+            harmonic::impedance(&FieldModel::new(&settings).unwrap(), f_hz, i_a).unwrap()
+        };
+        for metal in Metal::ALL {
+            for (temperature_c, i_a) in [(90.0, 3.0), (150.0, 30.0), (400.0, 60.0)] {
+                let cold = Pot::new(metal, 0.18);
+                let hot = at(
+                    Pot {
+                        temperature_c,
+                        ..cold
+                    },
+                    45e3,
+                    i_a,
+                );
+                let factor = metal.heat_factor(temperature_c);
+                let like = at(cold, 45e3 / factor, i_a);
+                let (r, l) = (factor * like.r_ohm / hot.r_ohm, like.l_h / hot.l_h);
+                println!("{metal:?} {temperature_c} °C {i_a} A: {factor} {r} {l}");
+                // The grid into the depth is made for each material.
+                assert!((r - 1.0).abs() < 1e-3 && (l - 1.0).abs() < 1e-3);
+            }
+        }
     }
 
     #[test]

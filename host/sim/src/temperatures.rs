@@ -23,10 +23,10 @@ const SINK_J_PER_K: f64 = 250.0;
 const SINK_W_PER_K: (f64, f64) = (1.7, 0.4);
 
 /// Glass ceramic of 4 mm under a pot of 21 cm: 0.35 kg, in J/K.
-const GLASS_J_PER_K: f64 = 280.0;
+pub(super) const GLASS_J_PER_K: f64 = 280.0;
 
 /// From the pot's base to the glass, from the glass to the air, and from the glass to the coil, in W/K.
-const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
+pub(super) const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
 
 /// Litz wire and its carrier, in J/K.
 const COIL_J_PER_K: f64 = 200.0;

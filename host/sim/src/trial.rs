@@ -72,6 +72,11 @@ impl Trial {
         };
         let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
         let noise = Noise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
+        self.with_noise(noise, seed)
+    }
+
+    /// The capture with white noise of these deviations.
+    pub fn with_noise(&self, noise: Noise, seed: u64) -> Segment {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut add = |x: &[f64], sigma: f64| {
             let noisy = |x: &f64| {

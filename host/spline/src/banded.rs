@@ -1,5 +1,7 @@
 //! Symmetric positive definite band matrices: the normal equations of a spline fit.
 
+use ihd_signal::vectorised::vectorised;
+
 /// The matrix is not positive definite to working precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -48,6 +50,16 @@ impl Banded {
         self.entries[at] += value;
     }
 
+    /// xᵀAx.
+    pub fn quadratic_form(&self, x: &[f64]) -> f64 {
+        let row = |r: usize| {
+            let lowest = r.saturating_sub(self.half_bandwidth);
+            let beside: f64 = (lowest..r).map(|c| self.get(r, c) * x[c]).sum();
+            x[r] * (2.0 * beside + self.get(r, r) * x[r])
+        };
+        (0..self.size.min(x.len())).map(row).sum()
+    }
+
     /// Multiplies every entry by `factor`.
     pub fn scale(&mut self, factor: f64) {
         self.entries.iter_mut().for_each(|entry| *entry *= factor);
@@ -66,17 +78,21 @@ impl Banded {
     }
 
     fn factorise(&mut self) -> Result<(), Singular> {
+        vectorised(
+            #[inline(always)]
+            || self.factorise_rows(),
+        )
+    }
+
+    #[inline(always)]
+    fn factorise_rows(&mut self) -> Result<(), Singular> {
         for row in 0..self.size {
             let lowest = row.saturating_sub(self.half_bandwidth);
             let diagonal = self.entries[self.at(row, row)];
             for column in lowest..=row {
                 let from = lowest.max(column.saturating_sub(self.half_bandwidth));
                 let (a, b, run) = (self.at(row, from), self.at(column, from), column - from);
-                let dot: f64 = self.entries[a..a + run]
-                    .iter()
-                    .zip(&self.entries[b..b + run])
-                    .map(|(x, y)| x * y)
-                    .sum();
+                let dot = dot(&self.entries[a..a + run], &self.entries[b..b + run]);
                 let rest = self.entries[a + run] - dot;
                 if column < row {
                     self.entries[a + run] = rest / self.entries[b + run];
@@ -102,6 +118,26 @@ impl Banded {
             x[row] = (x[row] - dot) / self.get(row, row);
         }
     }
+}
+
+/// Σ x·y, in eight sums that can go side by side.
+#[inline(always)]
+fn dot(x: &[f64], y: &[f64]) -> f64 {
+    let (x, last_x) = x.as_chunks::<8>();
+    let (y, last_y) = y.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for (x, y) in x.iter().zip(y) {
+        for k in 0..8 {
+            sums[k] = x[k].mul_add(y[k], sums[k]);
+        }
+    }
+    let whole =
+        ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7]));
+    let mut rest = 0.0;
+    for (x, y) in last_x.iter().zip(last_y) {
+        rest = x.mul_add(*y, rest);
+    }
+    whole + rest
 }
 
 #[cfg(test)]
@@ -134,6 +170,19 @@ mod tests {
             matrix.clone().solve(&mut x).expect("positive definite");
             assert!(x[0].iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-12));
         }
+    }
+
+    #[test]
+    fn the_quadratic_form_is_that_of_both_triangles() {
+        let matrix = example(9, 3);
+        let x: Vec<f64> = (0..9).map(|n| (n as f64).sin() + 0.2).collect();
+        let mut right = 0.0;
+        for r in 0..9 {
+            for c in 0..9 {
+                right += x[r] * matrix.get(r.max(c), r.min(c)) * x[c];
+            }
+        }
+        assert!((matrix.quadratic_form(&x) - right).abs() < 1e-12);
     }
 
     #[test]

@@ -26,12 +26,14 @@ pub fn quiet_interval_s(noise: f64, dt_s: f64, half_cycle_s: f64) -> f64 {
 }
 
 /// Basis of cubic B-splines on `[0, duration]`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline {
     intervals: usize,
     duration_s: f64,
     /// k of the knots' density k/(atanh k · (1 − k²x²)), x from −1 to 1 over the duration; 0: uniform.
     grading: f64,
+    /// atanh of it.
+    whole: f64,
 }
 
 /// Gradings to choose from: at the ends knots are as dense as 3.2, 2.0, 1.5, 1.2 times the mean.
@@ -55,6 +57,7 @@ impl CubicSpline {
             intervals: intervals.max(1),
             duration_s,
             grading: 0.0,
+            whole: 0.0,
         }
     }
 
@@ -64,6 +67,7 @@ impl CubicSpline {
         let uniform = Self::new(intervals, duration_s);
         let all = GRADINGS.map(|grading| Self {
             grading,
+            whole: libm::atanh(grading),
             ..uniform.clone()
         });
         let fits = |s: &Self| duration_s >= least_s * s.intervals as f64 * s.place(0.0).1;
@@ -77,10 +81,9 @@ impl CubicSpline {
             return (share, 1.0);
         }
         let x = k * (2.0 * share - 1.0);
-        let whole = libm::atanh(k);
         (
-            0.5 + 0.5 * libm::atanh(x) / whole,
-            k / (whole * (1.0 - x * x)),
+            0.5 + 0.5 * libm::atanh(x) / self.whole,
+            k / (self.whole * (1.0 - x * x)),
         )
     }
 
@@ -92,6 +95,27 @@ impl CubicSpline {
     /// Knot `index` in units of intervals; the first and last four coincide (clamped ends).
     fn knot(&self, index: usize) -> f64 {
         index.saturating_sub(DEGREE).min(self.intervals) as f64
+    }
+
+    /// Index of the first basis function that is not zero at `tau_s`, and the values of the four: [`Self::at`] without
+    /// the slopes.
+    pub fn values_at(&self, tau_s: f64) -> (usize, [f64; 4]) {
+        let (place, _) = self.place((tau_s / self.duration_s).clamp(0.0, 1.0));
+        let u = (place * self.intervals as f64).clamp(0.0, self.intervals as f64);
+        let first = (u as usize).min(self.intervals - 1);
+        if first < 2 || first + 3 > self.intervals {
+            return (first, self.basis::<3>(first, u));
+        }
+        // Among knots that are all apart by one.
+        let x = u - first as f64;
+        let (y, x2) = (1.0 - x, x * x);
+        let values = [
+            y * y * y / 6.0,
+            (0.5 * x - 1.0) * x2 + 2.0 / 3.0,
+            (0.5 * y - 1.0) * y * y + 2.0 / 3.0,
+            x2 * x / 6.0,
+        ];
+        (first, values)
     }
 
     /// The non-zero basis functions at `tau_s`, which is moved into the basis' range if outside.
@@ -154,6 +178,19 @@ mod tests {
                 assert!((local.values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
                 assert!(local.slopes_per_s.iter().sum::<f64>().abs() < 1e-8);
                 assert!(local.first + 4 <= spline.functions());
+            }
+        }
+    }
+
+    #[test]
+    fn values_alone_are_the_same() {
+        for intervals in [1, 3, 5, 9] {
+            let spline = CubicSpline::graded(intervals, 0.01, 0.0);
+            for tau in times() {
+                let (local, (first, values)) = (spline.at(tau), spline.values_at(tau));
+                assert_eq!(local.first, first);
+                let differ = |m: usize| (local.values[m] - values[m]).abs();
+                assert!((0..4).map(differ).sum::<f64>() < 1e-15);
             }
         }
     }

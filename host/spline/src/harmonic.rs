@@ -12,6 +12,7 @@ use std::f64::consts::TAU;
 use ihd_signal::correlation::Correlator;
 use nalgebra::Complex;
 
+use crate::single_samples::{Samples, Sums};
 use crate::{Banded, CubicSpline, Local, Singular};
 
 type Phasor = Complex<f64>;
@@ -86,6 +87,9 @@ impl HarmonicFit<'_> {
     /// Sums the normal equations over all blocks of the samples of voltage and current.
     pub fn normal_equations(&self, v: &[f64], i: &[f64]) -> NormalEquations {
         let turns = Turns::new(self);
+        if self.block == 1 {
+            return self.of_single_samples(&turns, v, i);
+        }
         let correlators: Vec<Correlator<AT_ONCE>> = self
             .orders
             .chunks(AT_ONCE)
@@ -95,11 +99,7 @@ impl HarmonicFit<'_> {
                 Correlator::with_rate(self.periods_per_sample, self.block, all)
             })
             .collect();
-        let mut equations = NormalEquations {
-            gram: Banded::zeros(self.unknowns(), 8 * self.orders.len() - 1),
-            v: vec![0.0; self.unknowns()],
-            i: vec![0.0; self.unknowns()],
-        };
+        let mut equations = self.no_equations();
         let mut interval = Interval::new(self.orders.len(), turns.count());
         let mut powers = Vec::new();
         let blocks = v.chunks_exact(self.block).zip(i.chunks_exact(self.block));
@@ -126,6 +126,39 @@ impl HarmonicFit<'_> {
             interval.add_products(&local, &turns, &powers);
         }
         self.add(&interval, &turns, &mut equations);
+        equations
+    }
+
+    fn no_equations(&self) -> NormalEquations {
+        NormalEquations {
+            gram: Banded::zeros(self.unknowns(), 8 * self.orders.len() - 1),
+            v: vec![0.0; self.unknowns()],
+            i: vec![0.0; self.unknowns()],
+        }
+    }
+
+    fn of_single_samples(&self, turns: &Turns, v: &[f64], i: &[f64]) -> NormalEquations {
+        let samples = Samples {
+            spline: self.spline,
+            periods_per_sample: self.periods_per_sample,
+            dt_s: self.dt_s,
+            centre: self.centre,
+            v: &v[..v.len().min(i.len())],
+            i,
+        };
+        let multiples = (0..turns.count() as u32).map(|k| k * turns.stride);
+        let mut sums = Sums::new(multiples.collect(), self.orders, self.periods_per_sample);
+        let mut equations = self.no_equations();
+        let mut interval = Interval::new(self.orders.len(), turns.count());
+        let mut from = 0;
+        while from < samples.v.len() {
+            sums.clear(samples.splines_at(from).0);
+            from = sums.add(&samples, from);
+            interval.first = sums.first;
+            interval.products = sums.products();
+            (interval.v, interval.i) = (sums.v(), sums.i());
+            self.add(&interval, turns, &mut equations);
+        }
         equations
     }
 

@@ -8,6 +8,7 @@ mod banded;
 mod basis;
 pub mod harmonic;
 pub mod residual;
+mod single_samples;
 
 pub use banded::{Banded, Singular};
 pub use basis::{CubicSpline, Local, quiet_interval_s};

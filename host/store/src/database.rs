@@ -59,7 +59,7 @@ pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreErr
     if version == 0 {
         return Err(damaged(path, "it has no tables".to_owned()));
     }
-    tables(&connection, path, schema)?;
+    tables(&connection, path, schema, version)?;
     Ok(connection)
 }
 
@@ -86,7 +86,7 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
         .pragma_update_and_check(None, "journal_size_limit", 8 << 20, |_| Ok(()))
         .map_err(opening())?;
     migrate(connection, path, schema, version)?;
-    tables(connection, path, schema)
+    tables(connection, path, schema, schema.steps.len() as i64)
 }
 
 /// The version of its tables; 0 for a file without.
@@ -136,8 +136,15 @@ fn migrate(
     Ok(())
 }
 
-fn tables(connection: &Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
-    for table in schema.tables {
+/// Whether the tables of a version are there.
+fn tables(
+    connection: &Connection,
+    path: &Path,
+    schema: &Schema,
+    version: i64,
+) -> Result<(), StoreError> {
+    let made = usize::try_from(version).unwrap_or(0);
+    for table in schema.tables.iter().take(made).copied().flatten() {
         let found: i64 = connection
             .query_row(
                 "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1",

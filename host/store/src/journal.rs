@@ -1,6 +1,6 @@
 //! Events and commands: what happened, and who asked for what.
 
-use rusqlite::{Connection, params};
+use rusqlite::{Connection, OptionalExtension, params};
 use serde::Serialize;
 
 use super::text::printable;
@@ -34,7 +34,79 @@ pub struct AuditRow {
     pub outcome: String,
 }
 
+/// An event or a command.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct JournalRow {
+    /// When, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// The device's name; none where the daemon itself speaks.
+    pub device: Option<String>,
+    /// A word for its kind; `command` for a command.
+    pub kind: String,
+    /// Who asked; empty for an event.
+    pub holder: String,
+    /// What; what was asked, for a command.
+    pub text: String,
+    /// What became of it; empty for an event.
+    pub outcome: String,
+}
+
+/// Which of the journal.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct JournalFilter {
+    /// Of this device alone, by its name; the daemon's own where empty.
+    pub device: Option<String>,
+    /// Of this kind alone.
+    pub kind: Option<String>,
+    /// At this time or later, in milliseconds since 1970, UTC.
+    pub since_ms: Option<i64>,
+    /// Before this time, in milliseconds since 1970, UTC.
+    pub before_ms: Option<i64>,
+    /// At most so many; 200 where it is not said.
+    pub limit: Option<u32>,
+}
+
+/// Rows that a filter without a limit gives.
+const DEFAULT_LIMIT: u32 = 200;
+
+/// Something that happened, to be stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewEvent {
+    /// When, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// The device's name; empty where the daemon itself speaks.
+    pub device: String,
+    /// A word for its kind.
+    pub kind: &'static str,
+    /// What.
+    pub text: String,
+}
+
 impl Store {
+    /// Stores that some things happened, in one transaction; a device that the store does not know is named in the text.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn keep_events(&mut self, events: &[NewEvent]) -> Result<(), StoreError> {
+        self.change("storing events", |change| {
+            let mut id_of = change.prepare("SELECT id FROM devices WHERE name = ?1")?;
+            let sql = "INSERT INTO events (at_ms, device, kind, text) VALUES (?1, ?2, ?3, ?4)";
+            let mut statement = change.prepare(sql)?;
+            for event in events {
+                let name = printable(&event.device);
+                let device: Option<DeviceId> =
+                    id_of.query_row([&name], |row| row.get(0)).optional()?;
+                let text = match device {
+                    // Not shaken hands with yet.
+                    None if !name.is_empty() => printable(&format!("{name}: {}", event.text)),
+                    _ => printable(&event.text),
+                };
+                statement.execute(params![event.at_ms, device, event.kind, text])?;
+            }
+            Ok(())
+        })
+    }
+
     /// Stores that something happened.
     ///
     /// # Errors
@@ -98,6 +170,54 @@ pub(crate) fn audit(connection: &Connection, limit: u32) -> rusqlite::Result<Vec
             holder: row.get(2)?,
             command: row.get(3)?,
             outcome: row.get(4)?,
+        })
+    })?;
+    rows.collect()
+}
+
+/// What a filter takes, newest first.
+pub(crate) fn rows(
+    connection: &Connection,
+    filter: &JournalFilter,
+) -> rusqlite::Result<Vec<JournalRow>> {
+    let limit = filter.limit.unwrap_or(DEFAULT_LIMIT);
+    // Each has an index of its own over time, so that neither is read further than the limit.
+    let part = |columns: &str, table: &str, kind: &str| {
+        format!(
+            "SELECT * FROM (SELECT {table}.at_ms AS at_ms, {table}.id AS id, devices.name, {columns}
+             FROM {table} LEFT JOIN devices ON devices.id = {table}.device
+             WHERE {table}.at_ms >= ?1 AND {table}.at_ms < ?2 AND {kind}
+                 AND (?4 IS NULL OR coalesce(devices.name, '') = ?4)
+             ORDER BY {table}.at_ms DESC, {table}.id DESC LIMIT ?5)"
+        )
+    };
+    let events = part(
+        "kind, '' AS holder, text, '' AS outcome",
+        "events",
+        "(?3 IS NULL OR kind = ?3)",
+    );
+    let commands = part(
+        "'command' AS kind, holder, command AS text, outcome",
+        "audit",
+        "(?3 IS NULL OR ?3 = 'command')",
+    );
+    let sql = format!("{events} UNION ALL {commands} ORDER BY at_ms DESC, id DESC LIMIT ?5");
+    let mut statement = connection.prepare(&sql)?;
+    let of = params![
+        filter.since_ms.unwrap_or(i64::MIN),
+        filter.before_ms.unwrap_or(i64::MAX),
+        filter.kind,
+        filter.device,
+        limit
+    ];
+    let rows = statement.query_map(of, |row| {
+        Ok(JournalRow {
+            at_ms: row.get(0)?,
+            device: row.get(2)?,
+            kind: row.get(3)?,
+            holder: row.get(4)?,
+            text: row.get(5)?,
+            outcome: row.get(6)?,
         })
     })?;
     rows.collect()

@@ -14,6 +14,7 @@
 mod backup;
 pub mod check;
 pub mod clock;
+mod curves;
 mod database;
 mod error;
 pub mod export;
@@ -28,21 +29,24 @@ pub mod schema;
 mod settings;
 mod start;
 mod store;
+mod telemetry;
 mod text;
 mod windows;
 
 pub use backup::backup;
+pub use curves::{Curve, CurveOf, Curves, MAX_POINTS};
 pub use error::StoreError;
 pub use folder::Damage;
 pub use ihd_signal::atomic;
-pub use journal::{AuditRow, EventRow};
-pub use lookups::{LookupRow, LookupState};
+pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};
+pub use lookups::{Confidence, LookupRow, LookupState};
 pub use reader::{DeviceRow, Reader, SessionRow};
-pub use results::{NewResult, ResultFilter, ResultRow};
+pub use results::{NewResult, ResultFilter, ResultRow, Taught};
 pub use retention::Collected;
 pub use settings::{Keep, Retention, Settings, UnknownKeep};
 pub use start::Opened;
 pub use store::{Figures, Store};
+pub use telemetry::{Spread, TelemetryRead, TelemetrySecond, TelemetrySpan};
 pub use windows::{Kept, WindowFilter, WindowRow};
 
 /// A device in the store.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::grid::{CELLS, CURRENTS, FREQUENCIES};
 use rusqlite::types::{FromSql, FromSqlError, FromSqlResult, ValueRef};
 use rusqlite::{Connection, OptionalExtension, Transaction, params};
 use serde::Serialize;
@@ -67,6 +68,44 @@ pub struct LookupRow {
     pub blob: Vec<u8>,
 }
 
+/// How well each cell of a lookup is founded, `[frequency][current]`, 0 to 1 in 255 steps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Confidence(Vec<u8>);
+
+impl Confidence {
+    /// Of a table.
+    pub fn of(cells: &[[f64; CURRENTS]; FREQUENCIES]) -> Self {
+        let byte = |x: &f64| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
+        Self(cells.iter().flatten().map(byte).collect())
+    }
+
+    /// The table, 0 to 1.
+    pub fn cells(&self) -> Vec<Vec<f64>> {
+        let rows = self.0.chunks(CURRENTS);
+        let cell = |byte: &u8| f64::from(*byte) / 255.0;
+        rows.map(|row| row.iter().map(cell).collect()).collect()
+    }
+}
+
+/// The confidence of a version, the latest of that number; none where nobody told.
+pub(crate) fn confidence(
+    connection: &Connection,
+    device: &str,
+    version: u32,
+) -> rusqlite::Result<Option<Confidence>> {
+    let bytes: Option<Option<Vec<u8>>> = connection
+        .query_row(
+            "SELECT confidence FROM lookups WHERE version = ?2
+             AND device = (SELECT id FROM devices WHERE name = ?1)
+             ORDER BY state = 'pending' DESC, id DESC LIMIT 1",
+            params![device, version],
+            |row| row.get(0),
+        )
+        .optional()?;
+    let whole = bytes.flatten().filter(|bytes| bytes.len() == CELLS);
+    Ok(whole.map(Confidence))
+}
+
 const ROWS: &str = "
 SELECT devices.name, version, state, origin, at_ms, why, blob
 FROM lookups JOIN devices ON devices.id = lookups.device
@@ -94,7 +133,7 @@ pub(crate) fn rows(
 }
 
 impl Store {
-    /// Stores a lookup that is about to be pushed. Another one that was pending is superseded; the same
+    /// Stores a lookup that is about to be pushed, with how well its cells are founded where that is known. Another one that was pending is superseded; the same
     /// one, pushed once more, is no second.
     ///
     /// # Errors
@@ -104,6 +143,7 @@ impl Store {
         device: DeviceId,
         lookup: &RlLookup,
         why: &str,
+        confidence: Option<&Confidence>,
     ) -> Result<(), StoreError> {
         let (at_ms, blob, why) = (self.now(), lookup.to_bytes(), printable(why));
         self.change("storing a lookup", |change| {
@@ -119,6 +159,12 @@ impl Store {
             )?;
             if same == 0 {
                 insert(change, device, lookup, ("pending", "host"), at_ms, &why)?;
+            }
+            if let Some(confidence) = confidence {
+                change.execute(
+                    "UPDATE lookups SET confidence = ?2 WHERE device = ?1 AND state = 'pending'",
+                    params![device, confidence.0],
+                )?;
             }
             Ok(())
         })
@@ -203,6 +249,15 @@ impl Store {
             };
             make_active(change, device, id, at_ms)
         })
+    }
+
+    /// How well the cells of a device's lookup of this version are founded; none where nobody told.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
+        confidence(self.records(), device, version)
+            .map_err(self.failed("reading a lookup's confidence"))
     }
 
     /// Every lookup of a device, oldest first.

@@ -6,11 +6,12 @@ use ihd_link::Window;
 use rusqlite::{Connection, OptionalExtension, Row};
 use serde::Serialize;
 
+use super::curves::Curves;
 use super::folder::{self, RECORDS};
 use super::windows::{Day, WindowFilter, WindowRow};
 use super::{
-    AuditRow, EventRow, LookupRow, ResultFilter, ResultId, ResultRow, SessionId, StoreError,
-    database, journal, lookups, results, schema,
+    AuditRow, Confidence, EventRow, JournalFilter, JournalRow, LookupRow, ResultFilter, ResultId,
+    ResultRow, SessionId, StoreError, Taught, database, journal, lookups, results, schema,
 };
 
 /// A store being read. It holds nothing up, and takes no right to write.
@@ -174,6 +175,87 @@ impl Reader {
         found.map_err(self.failed("reading a session"))
     }
 
+    /// How well the cells of a device's lookup of this version are founded; none where nobody told.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
+        // A store that nobody has written to since it was made has no such column.
+        let sql =
+            "SELECT EXISTS (SELECT 1 FROM pragma_table_info('lookups') WHERE name = 'confidence')";
+        let there = self.records.query_row(sql, [], |row| row.get(0));
+        let failed = || self.failed("reading a lookup's confidence");
+        match there.map_err(failed())? {
+            true => lookups::confidence(&self.records, device, version).map_err(failed()),
+            false => Ok(None),
+        }
+    }
+
+    /// Events and commands that a filter takes, newest first.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn journal(&self, filter: &JournalFilter) -> Result<Vec<JournalRow>, StoreError> {
+        journal::rows(&self.records, filter).map_err(self.failed("reading the journal"))
+    }
+
+    /// Results of a device in a stretch of time, oldest first, and how many there are: where they are more than
+    /// `limit`, the first one of each of `limit` equal parts of the time.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn results_between(
+        &self,
+        device: &str,
+        (from_ms, to_ms): (i64, i64),
+        limit: usize,
+    ) -> Result<(u64, Vec<ResultRow>), StoreError> {
+        results::between(&self.records, device, (from_ms, to_ms), limit)
+            .map_err(self.failed("listing results"))
+    }
+
+    /// When each of these windows of a device (boot and number) was stored, in milliseconds since 1970, UTC; none where its day
+    /// is not between these days, or was deleted.
+    ///
+    /// # Errors
+    /// What the databases report.
+    pub fn times_of_windows(
+        &self,
+        device: &str,
+        windows: &[(u32, u32)],
+        (from_ms, to_ms): (i64, i64),
+    ) -> Result<Vec<Option<i64>>, StoreError> {
+        let mut times = vec![None; windows.len()];
+        for day in self.days_between(from_ms, to_ms)? {
+            for (time, found) in times.iter_mut().zip(day.times(device, windows)?) {
+                *time = time.or(found);
+            }
+        }
+        Ok(times)
+    }
+
+    /// The result of a window.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn result_of(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<ResultRow>, StoreError> {
+        results::of_window(&self.records, device, boot, seq)
+            .map_err(self.failed("reading a result"))
+    }
+
+    /// When results that passed came last, by what they were of: frequency and current, for those behind `after`.
+    ///
+    /// # Errors
+    /// What the database reports.
+    pub fn taught(&self, device: &str, after: ResultId) -> Result<Vec<Taught>, StoreError> {
+        results::taught(&self.records, device, after).map_err(self.failed("reading results"))
+    }
+
     /// The last events, newest first.
     ///
     /// # Errors
@@ -202,6 +284,49 @@ impl Reader {
         Ok(rows)
     }
 
+    /// The last windows of a device, newest first, at most so many; those with samples alone where `whole`.
+    ///
+    /// # Errors
+    /// What the databases report.
+    pub fn last_windows(
+        &self,
+        device: &str,
+        limit: usize,
+        whole: bool,
+    ) -> Result<Vec<WindowRow>, StoreError> {
+        let mut rows = Vec::new();
+        for file in folder::days(&self.folder)?.into_iter().rev() {
+            let left = limit.saturating_sub(rows.len());
+            if left == 0 {
+                break;
+            }
+            rows.extend(Day::open_to_read(file)?.last_rows(device, left, whole)?);
+        }
+        Ok(rows)
+    }
+
+    /// The row of a window, with its samples and curves; none where there is none, or its samples were not kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Window`] where it cannot be unpacked, else what the databases report.
+    pub fn whole_window(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<(WindowRow, Window, Curves)>, StoreError> {
+        for file in folder::days(&self.folder)?.into_iter().rev() {
+            let day = Day::open_to_read(file)?;
+            let Some(window) = day.window(device, boot, seq)? else {
+                continue;
+            };
+            if let Some(row) = day.row(device, boot, seq)? {
+                return Ok(Some((row, window, day.curves(device, boot, seq)?)));
+            }
+        }
+        Ok(None)
+    }
+
     /// A window with its samples; none where there is none, or its samples were not kept.
     ///
     /// # Errors
@@ -213,6 +338,14 @@ impl Reader {
             }
         }
         Ok(None)
+    }
+
+    /// The days of a stretch of time, oldest first.
+    pub(crate) fn days_between(&self, from_ms: i64, to_ms: i64) -> Result<Vec<Day>, StoreError> {
+        let [first, last] = [from_ms, to_ms].map(|at_ms| super::clock::day(at_ms.max(0)));
+        let days = folder::days(&self.folder)?.into_iter();
+        let wanted = days.filter(|file| file.day >= first && file.day <= last);
+        wanted.map(Day::open_to_read).collect()
     }
 
     /// The days that hold windows of that time or later, oldest first.

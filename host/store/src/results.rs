@@ -163,6 +163,96 @@ fn row(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
     })
 }
 
+/// When results of some frequency and current that passed came last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taught {
+    /// The last one of them.
+    pub last: ResultId,
+    /// When it was stored, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// Its switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// The largest amplitude of the current's fundamental among them, in ampere.
+    pub i_crest_a: f64,
+}
+
+/// Results that passed with a number above `after`, those of one frequency and ampere as one.
+pub(crate) fn taught(
+    connection: &Connection,
+    device: &str,
+    after: ResultId,
+) -> rusqlite::Result<Vec<Taught>> {
+    // The plus: what is new is found by its number, not by going through all of the device's.
+    let mut statement = connection.prepare(
+        "SELECT max(id), max(at_ms), f_sw_hz, max(i_crest_a) FROM results
+         WHERE id > ?2 AND pass = 1 AND i_crest_a IS NOT NULL
+             AND +device = (SELECT id FROM devices WHERE name = ?1)
+         GROUP BY f_sw_hz, CAST(i_crest_a AS INTEGER)",
+    )?;
+    let rows = statement.query_map(params![device, after], |row| {
+        Ok(Taught {
+            last: row.get(0)?,
+            at_ms: row.get(1)?,
+            f_sw_hz: row.get(2)?,
+            i_crest_a: row.get(3)?,
+        })
+    })?;
+    rows.collect()
+}
+
+/// The result of a window.
+pub(crate) fn of_window(
+    connection: &Connection,
+    device: &str,
+    boot: u32,
+    seq: u32,
+) -> rusqlite::Result<Option<ResultRow>> {
+    let sql = format!("{COLUMNS} WHERE devices.name = ?1 AND boot = ?2 AND seq = ?3");
+    let of = params![device, boot, seq];
+    connection.query_row(&sql, of, row).optional()
+}
+
+/// Results of a stretch of time, thinned to one for each of `limit` parts of it where they are more.
+pub(crate) fn between(
+    connection: &Connection,
+    device: &str,
+    (from_ms, to_ms): (i64, i64),
+    limit: usize,
+) -> rusqlite::Result<(u64, Vec<ResultRow>)> {
+    let sql = "SELECT id FROM devices WHERE name = ?1";
+    let id: Option<DeviceId> = connection
+        .query_row(sql, [device], |row| row.get(0))
+        .optional()?;
+    let Some(id) = id else {
+        return Ok((0, Vec::new()));
+    };
+    let of: i64 = connection.query_row(
+        "SELECT count(*) FROM results WHERE device = ?1 AND at_ms >= ?2 AND at_ms < ?3",
+        params![id, from_ms, to_ms],
+        |row| row.get(0),
+    )?;
+    let of = u64::try_from(of).unwrap_or(0);
+    let sql = format!(
+        "{COLUMNS} WHERE results.device = ?1 AND at_ms >= ?2 AND at_ms < ?3
+         ORDER BY at_ms, results.id LIMIT ?4"
+    );
+    let mut statement = connection.prepare(&sql)?;
+    let mut some = |from_ms: i64, to_ms: i64, limit: usize| -> rusqlite::Result<Vec<ResultRow>> {
+        let of = params![id, from_ms, to_ms, limit as i64];
+        statement.query_map(of, row)?.collect()
+    };
+    if of <= limit as u64 {
+        return Ok((of, some(from_ms, to_ms, limit)?));
+    }
+    let mut rows = Vec::with_capacity(limit);
+    let span_ms = to_ms.saturating_sub(from_ms) as f64;
+    let edge = |k: usize| from_ms.saturating_add((span_ms * k as f64 / limit as f64) as i64);
+    for k in 0..limit {
+        rows.extend(some(edge(k), edge(k + 1), 1)?);
+    }
+    Ok((of, rows))
+}
+
 impl Store {
     /// Stores what was learned of a window, and, in the same transaction, what the device's learner goes on
     /// from. A window that is learned again takes the place of what was learned before.

@@ -7,8 +7,8 @@ pub struct Schema {
     pub application_id: i32,
     /// What version `n` of the tables does to version `n - 1`, from 1.
     pub steps: &'static [&'static str],
-    /// Tables that must be there.
-    pub tables: &'static [&'static str],
+    /// Tables that each step makes: they must be there from its version on.
+    pub tables: &'static [&'static [&'static str]],
     /// SQLite's `synchronous`: FULL lasts when the power fails, NORMAL when the process does.
     pub synchronous: &'static str,
 }
@@ -20,9 +20,12 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 /// `ihd.db`.
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
-    steps: &[RECORDS_1],
+    steps: &[RECORDS_1, RECORDS_2],
     tables: &[
-        "devices", "sessions", "results", "lookups", "learned", "events", "audit",
+        &[
+            "devices", "sessions", "results", "lookups", "learned", "events", "audit",
+        ],
+        &[],
     ],
     synchronous: "FULL",
 };
@@ -30,8 +33,8 @@ pub static RECORDS: Schema = Schema {
 /// `windows-YYYY-MM-DD.db`.
 pub static WINDOWS: Schema = Schema {
     application_id: WINDOWS_ID,
-    steps: &[WINDOWS_1],
-    tables: &["windows"],
+    steps: &[WINDOWS_1, WINDOWS_2],
+    tables: &[&["windows"], &["telemetry", "trajectories"]],
     synchronous: "NORMAL",
 };
 
@@ -159,4 +162,58 @@ CREATE TABLE windows (
     CHECK ((pairs_zst IS NULL) = (trajectory_zst IS NULL))
 ) STRICT;
 CREATE INDEX windows_in_time ON windows (device, at_ms);
+";
+
+const RECORDS_2: &str = "
+-- How well each cell is founded, [frequency][current], a byte a cell: 255 is 1. NULL where nobody told.
+ALTER TABLE lookups ADD COLUMN confidence BLOB;
+CREATE INDEX events_in_time ON events (at_ms);
+CREATE INDEX audit_in_time ON audit (at_ms);
+";
+
+const WINDOWS_2: &str = "
+-- What a device did: a row for each second, and one for each minute, in which it spoke. R, L and the switching
+-- frequency are of those half-cycles in which it heated, NULL without one.
+CREATE TABLE telemetry (
+    device           TEXT NOT NULL,
+    span_s           INTEGER NOT NULL CHECK (span_s IN (1, 60)),
+    at_s             INTEGER NOT NULL,     -- where it begins, seconds since 1970, UTC
+    half_cycles      INTEGER NOT NULL,
+    heating          INTEGER NOT NULL,     -- half-cycles in which it heated
+    asked_w          INTEGER NOT NULL,     -- at the end, as the two below
+    state            INTEGER NOT NULL,     -- number of the protocol's State (docs/protocol.md)
+    pot              INTEGER NOT NULL,     -- number of the protocol's Pot
+    fault            INTEGER NOT NULL,     -- the last one in it, 0 for none
+    power_min_mw     INTEGER NOT NULL,
+    power_mean_mw    INTEGER NOT NULL,
+    power_max_mw     INTEGER NOT NULL,
+    i_crest_min_ma   INTEGER NOT NULL,     -- amplitude of the current's fundamental at the crest
+    i_crest_mean_ma  INTEGER NOT NULL,
+    i_crest_max_ma   INTEGER NOT NULL,
+    r_min_uohm       INTEGER,              -- the device's own R and L at the crest
+    r_mean_uohm      INTEGER,
+    r_max_uohm       INTEGER,
+    l_min_ph         INTEGER,
+    l_mean_ph        INTEGER,
+    l_max_ph         INTEGER,
+    f_sw_min_hz      INTEGER,
+    f_sw_mean_hz     INTEGER,
+    f_sw_max_hz      INTEGER,
+    PRIMARY KEY (device, span_s, at_s)
+) STRICT, WITHOUT ROWID;
+
+-- R and L over the half-cycle of windows whose samples are here, thinned. Columns of float32, one after the other,
+-- little-endian, in zstd: seconds after the mains zero crossing, ohm, henry, ampere (amplitude of the fundamental);
+-- of the network also the standard deviations of R and L, where it told them.
+CREATE TABLE trajectories (
+    id             INTEGER PRIMARY KEY,
+    device         TEXT NOT NULL,
+    boot           INTEGER NOT NULL,
+    seq            INTEGER NOT NULL,
+    network_points INTEGER,                -- of each column
+    network_zst    BLOB,
+    truth_points   INTEGER,
+    truth_zst      BLOB,                   -- where the device was simulated in the daemon
+    UNIQUE (device, boot, seq)
+) STRICT;
 ";

@@ -318,7 +318,7 @@ impl Store {
     }
 
     /// Opens the day's file; yesterday's stays open for what still comes for it.
-    fn turn_to(&mut self, day: &str) -> Result<(), StoreError> {
+    pub(crate) fn turn_to(&mut self, day: &str) -> Result<(), StoreError> {
         if self.days.today.as_ref().is_some_and(|t| t.file.day == day) {
             return Ok(());
         }
@@ -345,7 +345,7 @@ impl Store {
     }
 
     /// A day's file broke while it was written: the store goes on with a new one.
-    fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
+    pub(crate) fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
         for day in [self.days.today.take(), self.days.before.take()] {
             let Some(day) = day else { continue };
             let path = day.path().to_owned();

@@ -98,6 +98,17 @@ WHERE (?1 IS NULL OR device = ?1) AND (?2 IS NULL OR at_ms >= ?2) AND (?3 IS NUL
     AND (?4 IS NULL OR seq = ?4)
 ORDER BY device, boot, seq";
 
+const LAST: &str = "
+SELECT device, boot, seq, at_ms, half_cycle, f_sw_hz, pairs, not_kept,
+    coalesce(length(pairs_zst) + length(trajectory_zst), 0)
+FROM windows WHERE device = ?1 AND (?3 = 0 OR not_kept IS NULL)
+ORDER BY at_ms DESC, id DESC LIMIT ?2";
+
+const ROW: &str = "
+SELECT device, boot, seq, at_ms, half_cycle, f_sw_hz, pairs, not_kept,
+    coalesce(length(pairs_zst) + length(trajectory_zst), 0)
+FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
+
 const WHOLE: &str = "
 SELECT half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns, first_trajectory_ns, saturated, lookup_version,
     v_full_scale_mv, i_full_scale_ma, pairs, trajectory, pairs_zst, trajectory_zst
@@ -173,6 +184,28 @@ impl Day {
         found.map_err(self.failed("looking for a window"))
     }
 
+    /// When each of these windows of a device (boot and number) was stored; none where it is not in here.
+    pub(crate) fn times(
+        &self,
+        device: &str,
+        windows: &[(u32, u32)],
+    ) -> Result<Vec<Option<i64>>, StoreError> {
+        let read = || {
+            let mut statement = self.connection.prepare(
+                "SELECT at_ms FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3",
+            )?;
+            let mut time = |(boot, seq): &(u32, u32)| {
+                let found = statement.query_row(params![device, boot, seq], |row| row.get(0));
+                found.optional()
+            };
+            windows
+                .iter()
+                .map(&mut time)
+                .collect::<rusqlite::Result<_>>()
+        };
+        read().map_err(self.failed("looking for windows"))
+    }
+
     /// Drops a window's samples; false where it has none here.
     pub(crate) fn drop_samples(
         &self,
@@ -181,12 +214,23 @@ impl Day {
         seq: u32,
         why: NotKept,
     ) -> Result<bool, StoreError> {
-        let rows = self.connection.execute(
-            "UPDATE windows SET not_kept = ?4, pairs_zst = NULL, trajectory_zst = NULL
-             WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND pairs_zst IS NOT NULL",
-            params![device, boot, seq, why.word()],
-        );
-        Ok(rows.map_err(self.failed("dropping a window's samples"))? > 0)
+        let drop = || {
+            let change = self.connection.unchecked_transaction()?;
+            let rows = change.execute(
+                "UPDATE windows SET not_kept = ?4, pairs_zst = NULL, trajectory_zst = NULL
+                 WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND pairs_zst IS NOT NULL",
+                params![device, boot, seq, why.word()],
+            )?;
+            if rows > 0 {
+                change.execute(
+                    "DELETE FROM trajectories WHERE device = ?1 AND boot = ?2 AND seq = ?3",
+                    params![device, boot, seq],
+                )?;
+            }
+            change.commit()?;
+            Ok(rows > 0)
+        };
+        drop().map_err(self.failed("dropping a window's samples"))
     }
 
     /// Bytes in use; what was freed is used again before the file grows.
@@ -207,6 +251,33 @@ impl Day {
         let read = || -> rusqlite::Result<Vec<WindowRow>> {
             let mut statement = self.connection.prepare(ROWS)?;
             let of = params![filter.device, filter.since_ms, filter.boot, filter.seq];
+            statement.query_map(of, window_row)?.collect()
+        };
+        read().map_err(self.failed("listing windows"))
+    }
+
+    /// The row of a window.
+    pub(crate) fn row(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<WindowRow>, StoreError> {
+        let of = params![device, boot, seq];
+        let row = self.connection.query_row(ROW, of, window_row).optional();
+        row.map_err(self.failed("reading a window"))
+    }
+
+    /// The last windows of a device, newest first; those with samples alone where `whole`.
+    pub(crate) fn last_rows(
+        &self,
+        device: &str,
+        limit: usize,
+        whole: bool,
+    ) -> Result<Vec<WindowRow>, StoreError> {
+        let read = || -> rusqlite::Result<Vec<WindowRow>> {
+            let mut statement = self.connection.prepare(LAST)?;
+            let of = params![device, limit as i64, whole];
             statement.query_map(of, window_row)?.collect()
         };
         read().map_err(self.failed("listing windows"))

@@ -1,5 +1,7 @@
 //! Samples that rest at an end of the channel's range.
 
+use ihd_signal::vectorised::vectorised;
+
 /// Bins over the range of the samples in which they are counted.
 const BINS: f64 = 128.0;
 
@@ -29,18 +31,20 @@ pub struct Clipped {
 /// Counts samples at the ends: at `full_scale`, in the channel's unit, where it is known, else at
 /// levels where they pile up.
 pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
-    let (low, high) = x
-        .iter()
-        .fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), &x| {
-            (a.min(x), b.max(x))
-        });
-    let (low, high) = (f64::from(low), f64::from(high));
+    let (low, high) = extent(x);
     if low >= high || !(high - low).is_finite() {
         return Clipped::default();
     }
     if let Some(full_scale) = full_scale.filter(|f| f.is_finite() && *f > 0.0) {
         let rail = full_scale * FULL_SCALE;
-        let samples = x.iter().filter(|x| f64::from(x.abs()) >= rail).count();
+        // Far from the rail where the largest magnitude is.
+        let reached = high.max(-low) >= rail;
+        let at_rail = |x: &&f32| f64::from(x.abs()) >= rail;
+        let samples = if reached {
+            x.iter().filter(at_rail).count()
+        } else {
+            0
+        };
         if samples > 0 {
             return Clipped {
                 samples,
@@ -50,7 +54,12 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
     }
     let width = bin_width(x, high - low);
     let mut counts = [[0usize; 2]; 2];
+    // Two bins and a half at either end, and the rounding of a sample; what lies between is in none of them.
+    let far = (high - 2.5 * width) as f32..=(low + 2.5 * width) as f32;
     for x in x {
+        if *x < *far.start() && *x > *far.end() {
+            continue;
+        }
         let x = f64::from(*x);
         for (counts, distance) in counts.iter_mut().zip([high - x, x - low]) {
             // Half a bin of slack, so that a level lies within its bin.
@@ -69,6 +78,28 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
         }
     }
     out
+}
+
+/// The smallest and the largest of the samples that are numbers; infinite, the wrong way round, where there is none.
+fn extent(x: &[f32]) -> (f64, f64) {
+    const LANES: usize = 16;
+    let (low, high) = vectorised(
+        #[inline(always)]
+        || {
+            let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+            for x in x.chunks(LANES) {
+                for (k, x) in x.iter().enumerate() {
+                    // Of a NaN both comparisons are false.
+                    low[k] = if *x < low[k] { *x } else { low[k] };
+                    high[k] = if *x > high[k] { *x } else { high[k] };
+                }
+            }
+            (low, high)
+        },
+    );
+    let low = low.into_iter().fold(f32::INFINITY, f32::min);
+    let high = high.into_iter().fold(f32::NEG_INFINITY, f32::max);
+    (f64::from(low), f64::from(high))
 }
 
 /// A bin no narrower than the steps of the samples' levels, and a whole number of them.

@@ -22,7 +22,7 @@ pub mod time;
 pub mod track;
 
 use ihd_signal::segment::Segment;
-use ihd_signal::{Capture, Load, TimeBase};
+use ihd_signal::{Capture, Load, Samples, TimeBase};
 use serde::Serialize;
 
 use self::aliasing::Aliasing;
@@ -226,10 +226,7 @@ impl Survey {
     /// One span, copied out of the capture surveyed.
     pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
         let range = span.first..span.first + span.samples;
-        let copied = |x: &[f32]| {
-            let part = x.get(range.clone()).unwrap_or(&[]);
-            part.iter().map(|x| f64::from(*x)).collect()
-        };
+        let copied = |x: &[f32]| Samples::singles(x.get(range.clone()).unwrap_or(&[]).to_vec());
         Segment {
             f_sw_hz: span.f_sw_hz,
             mains_hz: self.mains.hz,

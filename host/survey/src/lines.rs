@@ -125,10 +125,19 @@ impl Lines {
 }
 
 fn averaged(x: &[f32], every: usize) -> Vec<f64> {
+    const LANES: usize = 8;
     let scale = 1.0 / every as f64;
-    x.chunks_exact(every)
-        .map(|c| scale * c.iter().map(|x| f64::from(*x)).sum::<f64>())
-        .collect()
+    let sum = |x: &[f32]| {
+        let (whole, rest) = x.as_chunks::<LANES>();
+        let mut sums = [0.0; LANES];
+        for x in whole {
+            for k in 0..LANES {
+                sums[k] += f64::from(x[k]);
+            }
+        }
+        sums.iter().sum::<f64>() + rest.iter().map(|x| f64::from(*x)).sum::<f64>()
+    };
+    x.chunks_exact(every).map(|x| scale * sum(x)).collect()
 }
 
 /// Spectrum of Hann-windowed frames, voltage and current together, each by its own power.

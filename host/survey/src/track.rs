@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::Capture;
+use ihd_signal::vectorised::vectorised;
 use nalgebra::{Complex, Matrix4, Vector4};
 
 use super::time::Run;
@@ -112,37 +113,82 @@ fn channel(
         .collect();
     let mut t_s = Vec::new();
     let mut out = vec![Vec::new(); orders.len()];
-    let mut buffer = vec![0.0; frame];
-    let mut start = 0;
-    while start + frame <= x.len() {
-        for (y, x) in buffer.iter_mut().zip(&x[start..start + frame]) {
-            *y = f64::from(*x);
+    let mut buffers = vec![vec![0.0; frame]; TOGETHER];
+    let mut sums = vec![[[0.0; 2]; ORDERS.len()]; TOGETHER];
+    let frames = (x.len() + 1).saturating_sub(frame).div_ceil(hop.max(1));
+    for first in (0..frames).step_by(TOGETHER) {
+        let starts = (first..frames.min(first + TOGETHER)).map(|k| k * hop.max(1));
+        let starts: Vec<usize> = starts.collect();
+        vectorised(
+            #[inline(always)]
+            || {
+                for (buffer, start) in buffers.iter_mut().zip(&starts) {
+                    less_mean(buffer, &x[*start..start + frame]);
+                }
+                sums.fill([[0.0; 2]; ORDERS.len()]);
+                // A stretch of the tables stays in the cache for all these frames.
+                let mut from = 0;
+                while from < frame {
+                    let to = frame.min(from + STRETCH);
+                    for (buffer, sums) in buffers.iter().zip(&mut sums).take(starts.len()) {
+                        for ((re, im), sum) in tables.iter().zip(sums) {
+                            let of = [&re[from..to], &im[from..to]];
+                            let [re, im] = weighed(&buffer[from..to], of);
+                            *sum = [sum[0] + re, sum[1] + im];
+                        }
+                    }
+                    from = to;
+                }
+            },
+        );
+        for (start, sums) in starts.iter().zip(&sums) {
+            t_s.push(run.t0_s + (*start as f64 + middle) * run.dt_s);
+            for ((order, [re, im]), out) in orders.iter().zip(sums).zip(&mut out) {
+                let turned = f64::from(*order) * (step * *start as f64 % TAU);
+                out.push(Complex::new(*re, *im) * Complex::from_polar(1.0, -turned));
+            }
         }
-        let mean = buffer.iter().sum::<f64>() / frame as f64;
-        buffer.iter_mut().for_each(|y| *y -= mean);
-        t_s.push(run.t0_s + (start as f64 + middle) * run.dt_s);
-        for ((order, (re, im)), out) in orders.iter().zip(&tables).zip(&mut out) {
-            let phasor = Complex::new(dot(&buffer, re), dot(&buffer, im));
-            let turned = f64::from(*order) * (step * start as f64 % TAU);
-            out.push(phasor * Complex::from_polar(1.0, -turned));
-        }
-        start += hop.max(1);
     }
     (t_s, out)
 }
 
-/// Sum of products in four lanes, so that the compiler may use them side by side.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let (a4, a_rest) = a.as_chunks::<4>();
-    let (b4, b_rest) = b.as_chunks::<4>();
-    let mut sum = [0.0; 4];
-    for (a, b) in a4.iter().zip(b4) {
-        for (sum, (a, b)) in sum.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
+/// Frames that are correlated together, and samples of the tables at a time.
+const TOGETHER: usize = 8;
+const STRETCH: usize = 256;
+
+/// The samples as doubles, their mean taken off.
+#[inline(always)]
+fn less_mean(buffer: &mut [f64], x: &[f32]) {
+    let mut sums = [0.0; 8];
+    for (y, x) in buffer.chunks_mut(8).zip(x.chunks(8)) {
+        for (k, (y, x)) in y.iter_mut().zip(x).enumerate() {
+            *y = f64::from(*x);
+            sums[k] += *y;
         }
     }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    sum.iter().sum::<f64>() + rest
+    let mean = sums.iter().sum::<f64>() / buffer.len() as f64;
+    buffer.iter_mut().for_each(|y| *y -= mean);
+}
+
+/// Sums of products with two weights, in eight lanes, so that the compiler may use them side by side.
+#[inline(always)]
+fn weighed(x: &[f64], [re, im]: [&[f64]; 2]) -> [f64; 2] {
+    const LANES: usize = 8;
+    let (whole, rest) = x.as_chunks::<LANES>();
+    let (re_whole, re_rest) = re.as_chunks::<LANES>();
+    let (im_whole, im_rest) = im.as_chunks::<LANES>();
+    let mut sums = [[0.0; LANES]; 2];
+    for (x, (re, im)) in whole.iter().zip(re_whole.iter().zip(im_whole)) {
+        for k in 0..LANES {
+            sums[0][k] = x[k].mul_add(re[k], sums[0][k]);
+            sums[1][k] = x[k].mul_add(im[k], sums[1][k]);
+        }
+    }
+    for (x, (re, im)) in rest.iter().zip(re_rest.iter().zip(im_rest)) {
+        sums[0][0] += x * re;
+        sums[1][0] += x * im;
+    }
+    sums.map(|lanes| lanes.iter().sum())
 }
 
 impl Track {

@@ -2,18 +2,19 @@
 //! replay, which runs recorded samples through a device's own firmware.
 //!
 //! ```text
-//! device ─► Window ─► Segment ─► network ─► gate ─► LoadCurve ─► Observations ─► lookup ─► device
-//!           (link)    (link)     learning/ ──────────────────────────────────►  version.rs  trainer/device.rs
+//! device ─► Window ─► Segment ─► network ─► gate ─► Curve ─► PotMap ─► lookup ─► device
+//!           (link)    (link)     learning/ ─────────────────► (map)    lookup/   trainer/device.rs
 //! ```
 //!
 //! [`Learning`] is what is known of one device; the daemon and the run share it. A run takes one operating
 //! point after the other: ask for power, wait until the frequency stays, take a window, identify R(t) and
-//! L(t) with the PINN, let the gate decide, add the load curve to what was observed, build the lookup, push
+//! L(t) with the PINN, let the gate decide, add R and L over current to what is known of the pot, build the lookup, push
 //! it, wait until the device reports it active. Recorded half-cycles can stand for the heating: they are
 //! replayed through the device, which records its windows from them.
 
 #[cfg(feature = "pinn")]
 pub mod learning;
+pub mod limits;
 pub mod lookup;
 pub mod replay;
 #[cfg(feature = "pinn")]

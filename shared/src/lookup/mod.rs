@@ -2,7 +2,7 @@
 //!
 //! The host builds it from identified windows, the firmware interpolates in it. Eight frequencies
 //! by seventeen currents of u16, both axes logarithmic ([`grid`]); 544 bytes of cells and a bit per
-//! cell that says whether anybody ever observed it. The lookup is advice: the firmware checks it
+//! cell that says whether it rests on observations. The lookup is advice: the firmware checks it
 //! ([`blob`]) before it activates it, and no protection threshold depends on it.
 
 pub mod blob;
@@ -35,8 +35,8 @@ pub struct RlLookup {
     pub r: [[u16; CURRENTS]; FREQUENCIES],
     /// Inductance, [`HENRY_PER_CODE`] each.
     pub l: [[u16; CURRENTS]; FREQUENCIES],
-    /// Bit `cell % 8` of byte `cell / 8` is set where the cell rests on observations; the others
-    /// hold the prior.
+    /// Bit `cell % 8` of byte `cell / 8` is set where the cell rests on observations: of itself, or of others
+    /// from which it follows closely. The others hold the prior, or a prediction nobody should rely on.
     pub observed: [u8; OBSERVED_BYTES],
 }
 

@@ -19,7 +19,7 @@ pub const L_CODES: core::ops::RangeInclusive<u16> = 2_048..=65_433;
 /// Largest ratio of neighbouring cells, in 1/1024: 1.6.
 pub const MAX_RATIO_Q10: u32 = 1_638;
 
-/// Largest ratio where an observed cell meets one that keeps the prior, in 1/1024: 2.5. A field model
+/// Largest ratio where an observed cell meets one that is not, in 1/1024: 2.5. That one may keep the prior; a field model
 /// of a full-size pot differs from the prior by 1.7 at small currents, a small pot by 4.
 pub const MAX_SEAM_RATIO_Q10: u32 = 2_560;
 
@@ -119,7 +119,7 @@ pub fn check(lookup: &RlLookup) -> Result<(), Implausible> {
 enum Trend {
     Rises,
     Falls,
-    /// Between an observed cell and one that keeps the prior: either way, only not too far.
+    /// Between an observed cell and one that is not: either way, only not too far.
     Seam,
 }
 

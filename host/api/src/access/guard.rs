@@ -9,9 +9,9 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::Role;
 use super::hosts::AllowedHosts;
 use super::tokens::Tokens;
+use super::{Role, cookie};
 use crate::model::Problem;
 use crate::routes::App;
 use crate::routes::problem::refusal;
@@ -22,8 +22,14 @@ pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(20);
 /// Copying a store of 2 GB takes longer than other requests.
 pub(crate) const BACKUP_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// The one route that needs no token: a service manager asks it.
-const OPEN: &str = "/healthz";
+/// Making a table of a recording, too; its download is not cut off.
+pub(crate) const RECORDING_TIMEOUT: Duration = Duration::from_secs(330);
+
+/// Below this lie the page's files, which are the same for everybody.
+const PAGE: &str = "/page/";
+
+/// Where a browser shows its token.
+const SESSION: &str = "/api/v1/session";
 
 /// Who may come in.
 pub(crate) struct Access {
@@ -33,34 +39,44 @@ pub(crate) struct Access {
 }
 
 impl Access {
-    /// Whether the bearer of these headers has the role.
-    fn allow(&self, headers: &HeaderMap, needed: Role) -> Result<(), Box<Response>> {
+    /// The role of whoever sends these headers; none where a token is needed, and none that is known is there.
+    pub(crate) fn role(&self, headers: &HeaderMap) -> Option<Role> {
         let Some(tokens) = &self.tokens else {
-            return if needed <= Role::Operate {
-                Ok(())
-            } else {
-                Err(role_missing(needed))
-            };
+            return Some(Role::Operate);
         };
-        let given = headers
-            .get(AUTHORIZATION)
-            .and_then(|value| value.to_str().ok())
-            .and_then(|value| value.split_once(' '))
-            .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-            .map(|(_, token)| token.trim());
-        match given.and_then(|token| tokens.role(token)) {
-            None => Err(token_missing(given.is_some())),
+        // Whoever shows a token in the header means that one.
+        match headers.get(AUTHORIZATION) {
+            Some(header) => tokens.role(bearer(header)?),
+            None => cookie::tokens(headers).find_map(|token| tokens.role(&token)),
+        }
+    }
+
+    /// Whether whoever sends these headers has the role.
+    fn allow(&self, headers: &HeaderMap, needed: Role) -> Result<(), Box<Response>> {
+        match self.role(headers) {
+            None => {
+                let header = headers.get(AUTHORIZATION);
+                let given = header.is_some_and(|header| bearer(header).is_some())
+                    || cookie::tokens(headers).next().is_some();
+                Err(token_missing(given))
+            }
             Some(role) if role < needed => Err(role_missing(needed)),
             Some(_) => Ok(()),
         }
     }
 }
 
+fn bearer(header: &HeaderValue) -> Option<&str> {
+    let (scheme, token) = header.to_str().ok()?.split_once(' ')?;
+    let token = token.trim();
+    scheme.eq_ignore_ascii_case("bearer").then_some(token)
+}
+
 fn token_missing(given: bool) -> Box<Response> {
     let text = if given {
         "this token is not known here"
     } else {
-        "a token is needed: send `Authorization: Bearer TOKEN`"
+        "a token is needed: send `Authorization: Bearer TOKEN`, or show it to /api/v1/session once"
     };
     let mut response = refusal(StatusCode::UNAUTHORIZED, "token", text);
     let bearer = HeaderValue::from_static("Bearer");
@@ -109,24 +125,38 @@ pub(crate) fn cross_site() -> Response {
     )
 }
 
-/// Turns away who lacks the role: looking needs read, everything else operate.
+/// Turns away who lacks the role.
 pub(crate) async fn role(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    let looks = matches!(*request.method(), Method::GET | Method::HEAD);
-    let needed = if looks { Role::Read } else { Role::Operate };
-    if looks && request.uri().path() == OPEN {
+    let Some(needed) = needed(request.method(), request.uri().path()) else {
         return next.run(request).await;
-    }
+    };
     match app.access.allow(request.headers(), needed) {
         Ok(()) => next.run(request).await,
         Err(response) => *response,
     }
 }
 
+/// The role that a request needs: looking needs read, everything else operate. None for what is open to everybody: the health,
+/// which a service manager asks for, the page, without which nobody could show a token, and showing and forgetting it.
+fn needed(method: &Method, path: &str) -> Option<Role> {
+    let looks = matches!(*method, Method::GET | Method::HEAD);
+    let shows = matches!(*method, Method::POST | Method::DELETE);
+    match path {
+        "/healthz" | "/" if looks => None,
+        page if looks && page.starts_with(PAGE) => None,
+        SESSION if shows => None,
+        _ if looks => Some(Role::Read),
+        _ => Some(Role::Operate),
+    }
+}
+
 /// Ends what takes too long, so that nobody holds a place for ever.
 pub(crate) async fn deadline(request: Request, next: Next) -> Response {
-    let backup = request.uri().path().ends_with("/store/backup");
-    let limit = if backup {
+    let path = request.uri().path();
+    let limit = if path.ends_with("/store/backup") {
         BACKUP_TIMEOUT
+    } else if path.starts_with("/api/v1/recordings/") {
+        RECORDING_TIMEOUT
     } else {
         REQUEST_TIMEOUT
     };

@@ -1,13 +1,15 @@
 //! Who may do what: tokens and roles, names of this machine, and the check of every request.
 
+pub(crate) mod cookie;
 pub(crate) mod guard;
 pub mod hosts;
 pub mod tokens;
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// What a token is good for; each role includes those before it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Look: every `GET`.

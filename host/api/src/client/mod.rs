@@ -1,13 +1,14 @@
 //! The client, blocking: what `ihd device` asks a daemon with.
 
 pub mod events;
+mod history;
 
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease};
+use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease, RecordingFile};
 use rustls::crypto::ring;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -20,6 +21,7 @@ use crate::model::{
     BackupMade, BackupRequest, HOLDER_HEADER, Health, LeaseRequest, Problem, StoredLookup,
     StoredResult,
 };
+use crate::percent;
 use events::Events;
 
 /// Longest that an answer may take; the daemon gives up earlier.
@@ -190,6 +192,31 @@ impl ApiClient {
         self.get(&device(name, &format!("/results?limit={limit}{since}")))
     }
 
+    /// Recordings, newest first.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn recordings(&self) -> Result<Vec<RecordingFile>, ClientError> {
+        self.get("/recordings")
+    }
+
+    /// Writes a recording, as it is on disk, to `to`, however long that takes; its length in bytes.
+    ///
+    /// # Errors
+    /// [`ClientError`]; what was written until then is in `to`.
+    pub fn download_recording(
+        &self,
+        file: &str,
+        to: &mut impl std::io::Write,
+    ) -> Result<u64, ClientError> {
+        let answer = self.stream(&format!("/recordings/{}", encoded(file)))?;
+        let mut body = answer.into_body().into_reader();
+        std::io::copy(&mut body, to).map_err(|e| ClientError::Unreachable {
+            url: self.url.clone(),
+            why: format!("{file} was not copied whole: {e}"),
+        })
+    }
+
     /// Asks something of a device.
     ///
     /// # Errors
@@ -245,9 +272,15 @@ impl ApiClient {
     /// [`ClientError`].
     pub fn events(&self, of: Option<&str>) -> Result<Events, ClientError> {
         let query = of.map_or(String::new(), |name| format!("?device={}", encoded(name)));
+        let answer = self.stream(&format!("/events{query}"))?;
+        Ok(Events::new(answer.into_body().into_reader()))
+    }
+
+    /// An answer that may take as long as it likes, as long as something comes.
+    fn stream(&self, path: &str) -> Result<Response<Body>, ClientError> {
         let mut request = self
             .agent
-            .get(self.path(&format!("/events{query}")))
+            .get(self.path(path))
             .config()
             .timeout_global(None)
             .timeout_recv_response(Some(TIMEOUT))
@@ -257,8 +290,7 @@ impl ApiClient {
             request = request.header("authorization", bearer);
         }
         let response = request.call().map_err(|e| self.unreachable(&e))?;
-        let response = self.checked(response)?;
-        Ok(Events::new(response.into_body().into_reader()))
+        self.checked(response)
     }
 
     fn path(&self, path: &str) -> String {
@@ -369,17 +401,9 @@ fn device(name: &str, rest: &str) -> String {
     format!("/devices/{}{rest}", encoded(name))
 }
 
-/// A name as one segment of a path.
+/// A name as one segment of a path, which a dot could make another one.
 fn encoded(name: &str) -> String {
-    let mut text = String::new();
-    for byte in name.bytes() {
-        if byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'~') {
-            text.push(char::from(byte));
-        } else {
-            text += &format!("%{byte:02X}");
-        }
-    }
-    text
+    percent::encoded(name, b"-_~")
 }
 
 /// What a header may hold.

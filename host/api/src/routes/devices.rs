@@ -79,7 +79,7 @@ pub(super) async fn results(
     Ok(Json(results))
 }
 
-/// Carries out a command. All but `off` need the lease.
+/// Carries out a command. All but `off` and recordings need the lease.
 #[utoipa::path(post, path = "/devices/{name}/commands", tag = "devices",
     params(("name" = String, Path, description = "Name of the device"),
         ("ihd-holder" = String, Header, description = "Who asks")),

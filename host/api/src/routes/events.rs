@@ -46,13 +46,7 @@ pub(super) async fn events(
     Asked(which): Asked<WhichEvents>,
     headers: HeaderMap,
 ) -> Result<Sse<KeepAliveStream<Notices>>, Failed> {
-    let place = app.watchers.clone().try_acquire_owned().map_err(|_| {
-        Failed::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            "watchers",
-            "as many watch already as there are places for",
-        )
-    })?;
+    let place = place(&app)?;
     let (tx, rx) = mpsc::channel(WAITING);
     let watcher = Watcher {
         notices: app.backend.watch(),
@@ -70,6 +64,17 @@ pub(super) async fn events(
     tokio::spawn(watcher.run(greeting));
     let heartbeat = KeepAlive::new().interval(HEARTBEAT).text("");
     Ok(Sse::new(ReceiverStream::new(rx)).keep_alive(heartbeat))
+}
+
+/// A place among the watchers, until it is dropped.
+pub(super) fn place(app: &App) -> Result<OwnedSemaphorePermit, Failed> {
+    app.watchers.clone().try_acquire_owned().map_err(|_| {
+        Failed::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "watchers",
+            "as many watch already as there are places for",
+        )
+    })
 }
 
 struct Watcher {

@@ -3,7 +3,13 @@
 mod devices;
 mod events;
 mod health;
+mod hob;
+mod live;
+mod page;
+mod past;
 pub(crate) mod problem;
+mod recordings;
+mod session;
 mod store;
 
 use std::path::PathBuf;
@@ -36,6 +42,8 @@ pub(crate) const MAX_WATCHERS: usize = 64;
 pub(crate) struct App {
     pub(crate) backend: Arc<dyn Backend>,
     pub(crate) access: Access,
+    /// Whether TLS is spoken.
+    pub(crate) tls: bool,
     /// Where backups go.
     pub(crate) backups: PathBuf,
     /// True when the server ends.
@@ -72,9 +80,21 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
         .routes(routes!(devices::one))
         .routes(routes!(devices::lookups))
         .routes(routes!(devices::results))
+        .routes(routes!(past::history))
+        .routes(routes!(past::windows))
+        .routes(routes!(past::window))
+        .routes(routes!(past::training))
+        .routes(routes!(past::map))
+        .routes(routes!(past::pot_temperature))
+        .routes(routes!(past::journal))
         .routes(routes!(devices::command))
         .routes(routes!(devices::take_lease, devices::release_lease))
         .routes(routes!(events::events))
+        .routes(routes!(recordings::all))
+        .routes(routes!(recordings::one))
+        .routes(routes!(live::live))
+        .routes(routes!(hob::hob))
+        .routes(routes!(session::session, session::open, session::close))
         .routes(routes!(store::backup))
         .routes(routes!(description));
     let (router, mut openapi) = OpenApiRouter::with_openapi(Description::openapi())
@@ -98,25 +118,27 @@ async fn description() -> Json<utoipa::openapi::OpenApi> {
 pub(crate) fn router(app: Arc<App>) -> Router {
     described()
         .0
-        .route("/", get(front))
+        .route("/", get(page::index))
+        .route("/page/{*path}", get(page::file))
         .fallback(not_found)
         .method_not_allowed_fallback(wrong_method)
         // From here outwards: the last is what a request meets first.
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(page::compression())
         .layer(from_fn(guard::deadline))
         .layer(from_fn_with_state(app.clone(), guard::role))
         .layer(CsrfLayer::new().with_rejection_response(|_| guard::cross_site()))
         .layer(from_fn(guard::foreign_page))
         .layer(from_fn_with_state(app.clone(), guard::host))
+        .layer(from_fn(page::protect))
         .with_state(app)
 }
 
-/// For a person who opens the address in a browser.
-async fn front() -> &'static str {
-    "ihd: the API is under /api/v1, its description at /api/v1/openapi.json\n"
+async fn not_found() -> Response {
+    nothing_here()
 }
 
-async fn not_found() -> Response {
+fn nothing_here() -> Response {
     refusal(
         StatusCode::NOT_FOUND,
         "no-route",

@@ -1,14 +1,18 @@
 //! A daemon of one hob without a hob, and a server in front of it.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use ihd_api::backend::{Alive, Answer, Backend, Figure};
+use ihd_api::backend::{Alive, Answer, Backend, Figure, Tap};
 use ihd_api::model::{StoredLookup, StoredResult};
 use ihd_api::{Server, Settings};
+use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, DeviceState, Done, Lease, LookupReport, Notice,
-    WindowCounts,
+    Command, CommandError, DeviceReport, DeviceState, Done, Fit, History, Hob, JournalEntry, Lease,
+    Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve, PotPoint, RecordingFile,
+    Scope, WindowCounts, WindowSummary, WindowWanted,
 };
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, watch};
@@ -23,6 +27,12 @@ pub struct Asked {
     pub lease: Option<String>,
     pub backups: Vec<PathBuf>,
     pub results: Vec<(u32, Option<i64>)>,
+    pub histories: Vec<(i64, i64, usize)>,
+    pub windows: Vec<usize>,
+    pub scopes: Vec<WindowWanted>,
+    pub trainings: Vec<usize>,
+    pub maps: Vec<Option<u32>>,
+    pub journals: Vec<JournalFilter>,
     pub store_dead: bool,
 }
 
@@ -30,6 +40,77 @@ pub struct Asked {
 pub struct Fake {
     pub asked: Arc<Mutex<Asked>>,
     pub notices: broadcast::Sender<Arc<Notice>>,
+    pub recordings: Arc<tempfile::TempDir>,
+    pub world: Arc<World>,
+}
+
+/// What devices do, and how often somebody looked.
+#[derive(Default)]
+pub struct World {
+    /// Half-cycles that each device was heard of.
+    pub half_cycles: AtomicU64,
+    /// Looks of all watchers.
+    pub looks: AtomicU64,
+    /// Devices that are heard.
+    pub devices: AtomicU64,
+    /// Whether each report differs from the one before.
+    pub restless: AtomicBool,
+    /// Reports that were made.
+    pub reports: AtomicU32,
+}
+
+struct FakeTap {
+    world: Arc<World>,
+    every: Duration,
+    seen: u64,
+    looked: Instant,
+}
+
+impl Tap for FakeTap {
+    fn take(&mut self) -> LiveTelemetry {
+        self.world.looks.fetch_add(1, Ordering::Relaxed);
+        let came = self.world.half_cycles.load(Ordering::Relaxed);
+        let passed = self.looked.elapsed().as_secs_f64() / self.every.as_secs_f64();
+        let device = LiveDevice {
+            half_cycles: came - self.seen,
+            skipped: (passed.round() as u32).saturating_sub(1),
+            last: live(came),
+            phase_deg: None,
+            resonance_hz: None,
+            power_w: [1.0, 2.0],
+            r_ohm: None,
+            l_h: None,
+            f_sw_hz: None,
+        };
+        (self.seen, self.looked) = (came, Instant::now());
+        let heard = match device.half_cycles {
+            0 => 0,
+            _ => self.world.devices.load(Ordering::Relaxed),
+        };
+        LiveTelemetry {
+            at_ms: ihd_daemon::board::now_ms(),
+            devices: (0..heard)
+                .map(|k| (format!("device-{k:03}"), device.clone()))
+                .collect(),
+        }
+    }
+}
+
+pub fn live(half_cycle: u64) -> Live {
+    Live {
+        half_cycle: half_cycle as u32,
+        state: "Heating".into(),
+        pot: "Ferromagnetic".into(),
+        fault: 0,
+        fault_text: String::new(),
+        limit: "None".into(),
+        asked_w: 1_200,
+        power_w: 1_203.5,
+        f_sw_hz: 51_020,
+        i_crest_a: 44.75,
+        r_ohm: 3.274,
+        l_h: 19.1e-6,
+    }
 }
 
 impl Fake {
@@ -37,6 +118,27 @@ impl Fake {
         Self {
             asked: Arc::default(),
             notices: broadcast::channel(64).0,
+            recordings: Arc::new(tempfile::tempdir().unwrap()),
+            world: Arc::default(),
+        }
+    }
+
+    fn report(&self) -> DeviceReport {
+        let asked = self.asked.lock().unwrap();
+        let reports = self.world.reports.fetch_add(1, Ordering::Relaxed);
+        let restless = self.world.restless.load(Ordering::Relaxed);
+        DeviceReport {
+            connections: if restless {
+                reports
+            } else {
+                report().connections
+            },
+            live: Some(live(self.world.half_cycles.load(Ordering::Relaxed))),
+            lease: asked.lease.clone().map(|holder| Lease {
+                holder,
+                expires_in_s: 10,
+            }),
+            ..report()
         }
     }
 
@@ -66,6 +168,8 @@ fn report() -> DeviceReport {
     DeviceReport {
         name: NAME.into(),
         address: NAME.into(),
+        serial: NAME.into(),
+        updates_needed: String::new(),
         state: DeviceState::Faulted,
         since_s: 5,
         detail: "a \"fault\"\nin two lines".into(),
@@ -82,6 +186,8 @@ fn report() -> DeviceReport {
         lease: None,
         sweep_left_w: vec![],
         recording: None,
+        recording_now: None,
+        pot_temperature: None,
         connections: 3,
     }
 }
@@ -91,12 +197,25 @@ fn answer<'a, T: Send + 'a>(answer: Result<T, CommandError>) -> Answer<'a, T> {
 }
 
 impl Backend for Fake {
+    fn hob(&self) -> Hob {
+        ihd_daemon::hob()
+    }
+
     fn devices(&self) -> Vec<DeviceReport> {
-        vec![report()]
+        vec![self.report()]
     }
 
     fn device(&self, name: &str) -> Option<DeviceReport> {
-        (name == NAME).then(report)
+        (name == NAME).then(|| self.report())
+    }
+
+    fn live(&self, every: Duration) -> Box<dyn Tap> {
+        Box::new(FakeTap {
+            world: self.world.clone(),
+            every,
+            seen: self.world.half_cycles.load(Ordering::Relaxed),
+            looked: Instant::now(),
+        })
     }
 
     fn command<'a>(
@@ -162,6 +281,81 @@ impl Backend for Fake {
                 blob: vec![0, 255],
             }]
         }))
+    }
+
+    fn recordings(&self) -> Answer<'_, Vec<RecordingFile>> {
+        let listed = ihd_daemon::recording::list(&self.recordings_folder(), &[NAME.into()], &[]);
+        answer(listed.map_err(|e| CommandError::Failed { why: e.to_string() }))
+    }
+
+    fn recordings_folder(&self) -> PathBuf {
+        self.recordings.path().to_owned()
+    }
+
+    fn history<'a>(
+        &'a self,
+        device: &'a str,
+        from_ms: i64,
+        to_ms: i64,
+        columns: usize,
+    ) -> Answer<'a, History> {
+        let wanted = (from_ms, to_ms, columns);
+        self.asked.lock().unwrap().histories.push(wanted);
+        answer(Self::known(device).map(|()| History {
+            from_ms,
+            to_ms,
+            ..History::default()
+        }))
+    }
+
+    fn windows<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<WindowSummary>> {
+        self.asked.lock().unwrap().windows.push(limit);
+        answer(Self::known(device).map(|()| vec![]))
+    }
+
+    /// There is one window: number 5 of boot 7.
+    fn scope<'a>(&'a self, device: &'a str, wanted: WindowWanted) -> Answer<'a, Option<Scope>> {
+        self.asked.lock().unwrap().scopes.push(wanted);
+        let scope = Scope {
+            boot: 7,
+            seq: 5,
+            ..Scope::default()
+        };
+        let is_there = wanted.which.is_none_or(|which| which == (7, 5));
+        answer(Self::known(device).map(|()| is_there.then_some(scope)))
+    }
+
+    fn training<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<Fit>> {
+        self.asked.lock().unwrap().trainings.push(limit);
+        answer(Self::known(device).map(|()| vec![]))
+    }
+
+    /// There are versions 0 to 3; the device uses the third.
+    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> Answer<'a, Option<Map>> {
+        self.asked.lock().unwrap().maps.push(version);
+        let version = version.unwrap_or(3);
+        let map = Map {
+            version,
+            ..Map::default()
+        };
+        answer(Self::known(device).map(|()| (version <= 3).then_some(map)))
+    }
+
+    fn pot_curve(&self, device: &str) -> Option<PotCurve> {
+        let point = PotPoint {
+            at_ms: 2_000,
+            rise_k: 41.5,
+            sigma_k: 5.0,
+        };
+        (device == NAME).then(|| PotCurve {
+            now: None,
+            points: vec![point],
+        })
+    }
+
+    fn journal(&self, filter: JournalFilter) -> Answer<'_, Vec<JournalEntry>> {
+        self.asked.lock().unwrap().journals.push(filter);
+        answer(Ok(vec![]))
     }
 
     fn backup(&self, to: PathBuf) -> Answer<'_, ()> {

@@ -6,7 +6,7 @@ use ihd_api::ApiClient;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::{Command, CommandError};
+use ihd_daemon::model::{Command, CommandError, Quantity, RecordSettings, Trigger};
 
 use crate::backend::{NAME, Running};
 
@@ -32,12 +32,22 @@ fn every_route_has_a_method_that_works() {
         Command::LookupPush {
             blob: (0..=255).cycle().take(560).collect(),
         },
-        Command::LookupRollback,
+        Command::LookupRollback { version: None },
+        Command::LookupRollback { version: Some(3) },
         Command::LookupReset,
         Command::Sweep {
             powers_w: vec![700, 1000],
         },
-        Command::RecordStart,
+        Command::RecordStart(RecordSettings::default()),
+        Command::RecordStart(RecordSettings {
+            trigger: Trigger::Level {
+                quantity: Quantity::Inductance,
+                level: 28.5,
+                rising: false,
+            },
+            pre_trigger_s: 2.5,
+            duration_s: Some(30.0),
+        }),
         Command::RecordStop,
     ];
     for command in &commands {

@@ -124,10 +124,11 @@ fn a_thousand_connections_leave_the_daemon_alive() {
 fn watchers_leave_places_for_others() {
     let server = Running::start();
     let mut watching: Vec<TcpStream> = (0..65)
-        .map(|_| {
+        .map(|k| {
             let mut stream = connect(server.address);
-            let request = b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n";
-            stream.write_all(request).unwrap();
+            let path = if k % 2 == 0 { "events" } else { "live" };
+            let request = format!("GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+            stream.write_all(request.as_bytes()).unwrap();
             stream
         })
         .collect();

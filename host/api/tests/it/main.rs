@@ -7,3 +7,8 @@ mod description;
 mod events;
 mod greedy;
 mod http;
+mod live;
+mod page;
+mod past;
+mod recordings;
+mod session;

@@ -4,6 +4,7 @@ pub mod csv;
 pub mod npz;
 #[cfg(feature = "parquet")]
 pub mod parquet;
+pub mod recording;
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

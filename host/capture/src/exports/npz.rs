@@ -1,7 +1,8 @@
 //! NumPy's NPZ: `numpy.load` opens it. docs/import.md lists the arrays.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Write};
 
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{Capture, TimeBase};
@@ -15,11 +16,38 @@ const LEVEL: i64 = 3;
 const CHUNK: usize = 1 << 13;
 
 /// The archive being written.
-struct Archive {
+pub(super) struct Archive {
     zip: ZipWriter<BufWriter<File>>,
 }
 
 impl Archive {
+    /// An archive without arrays.
+    pub(super) fn new(file: File) -> Self {
+        Self {
+            zip: ZipWriter::new(BufWriter::with_capacity(1 << 16, file)),
+        }
+    }
+
+    /// Writes an array whose numbers stand in `from`.
+    pub(super) fn copied(
+        &mut self,
+        name: &str,
+        descr: &str,
+        shape: &str,
+        mut from: impl Read,
+    ) -> io::Result<()> {
+        self.header(name, descr, shape)?;
+        io::copy(&mut from, &mut self.zip).map(drop)
+    }
+
+    /// Ends the archive with notes.
+    pub(super) fn finish(mut self, notes: &BTreeMap<String, String>) -> io::Result<()> {
+        self.begin("metadata.json")?;
+        serde_json::to_writer_pretty(&mut self.zip, notes)?;
+        let mut out = self.zip.finish().map_err(io::Error::other)?;
+        out.flush()
+    }
+
     fn begin(&mut self, name: &str) -> io::Result<()> {
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Deflated)
@@ -104,9 +132,7 @@ impl Archive {
 /// # Errors
 /// What the operating system reports.
 pub fn write(capture: &Capture, file: File, progress: &mut dyn FnMut(f64)) -> io::Result<()> {
-    let mut archive = Archive {
-        zip: ZipWriter::new(BufWriter::with_capacity(1 << 16, file)),
-    };
+    let mut archive = Archive::new(file);
     match &capture.time {
         TimeBase::Even { t0_s, dt_s } => {
             archive.scalar("t0_s", Some(*t0_s))?;
@@ -128,9 +154,6 @@ pub fn write(capture: &Capture, file: File, progress: &mut dyn FnMut(f64)) -> io
         archive.doubles("f_sw_hz", steps.len(), steps.iter().map(|s| s.f_sw_hz))?;
     }
     archive.truth(&capture.truth)?;
-    archive.begin("metadata.json")?;
-    serde_json::to_writer_pretty(&mut archive.zip, &capture.metadata)?;
-    let mut out = archive.zip.finish().map_err(io::Error::other)?;
     progress(1.0);
-    out.flush()
+    archive.finish(&capture.metadata)
 }

@@ -452,7 +452,10 @@ fn unpack(chunk: &records::Chunk<'_>, into: &mut Vec<u8>) -> Result<(), String> 
 }
 
 fn crc32(bytes: &[u8]) -> u32 {
-    ihd_shared::wire::frame::CRC32.checksum(bytes)
+    /// The wire's, with sixteen tables in place of one: a capture has hundreds of megabytes.
+    static CRC32: crc::Crc<u32, crc::Table<16>> =
+        crc::Crc::<u32, crc::Table<16>>::new(ihd_shared::wire::frame::CRC32.algorithm);
+    CRC32.checksum(bytes)
 }
 
 /// The record at `at` of an unpacked chunk, and where the next begins; `None` at the end.

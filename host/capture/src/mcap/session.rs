@@ -34,6 +34,9 @@ const FLUSH_EVERY: Duration = Duration::from_millis(250);
 /// What it may lose on the wall's clock, where that is the transport's too: also when nothing comes any more.
 const FLUSH_EVERY_WALL: Duration = Duration::from_millis(500);
 
+/// Half-cycles that are remembered for their window: two seconds.
+const TOLD: usize = 256;
+
 /// How often the wall's clock is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
@@ -58,6 +61,8 @@ struct Recording {
     began: Option<Duration>,
     flushed: Duration,
     grid: Option<Grid>,
+    /// The last half-cycles, and when their telemetry came.
+    told: VecDeque<(u32, f64)>,
 }
 
 /// Half-cycles of the device in the time of the capture.
@@ -74,6 +79,19 @@ impl SessionRecorder {
     /// # Errors
     /// [`McapFileError::Exists`] when there is such a file, else what the operating system reports.
     pub fn create(path: &Path, hello: &Hello, front_end: &FrontEnd) -> Result<Self, McapFileError> {
+        Self::with_notes(path, hello, front_end, BTreeMap::new())
+    }
+
+    /// As [`SessionRecorder::create`], with notes of one's own beside those on the device.
+    ///
+    /// # Errors
+    /// As [`SessionRecorder::create`].
+    pub fn with_notes(
+        path: &Path,
+        hello: &Hello,
+        front_end: &FrontEnd,
+        notes: BTreeMap<String, String>,
+    ) -> Result<Self, McapFileError> {
         let mut writer = Writer::create(path, Existing::Keep, false)?;
         let name = format!("{} ({})", hello.board, hello.build);
         let scales = front_end.scales();
@@ -81,19 +99,18 @@ impl SessionRecorder {
         writer.metadata(META_CAPTURE, describe(&name, full_scale))?;
         let note = |key: &str, value: String| (key.to_owned(), value);
         let simulated = hello.capabilities & CAP_SIMULATED != 0;
-        writer.metadata(
-            META_FREE,
-            BTreeMap::from([
-                note("device_board", hello.board.to_string()),
-                note("device_build", hello.build.to_string()),
-                note("device_boot_id", hello.boot_id.to_string()),
-                note("device_simulated", simulated.to_string()),
-                note(
-                    "protocol",
-                    format!("{}.{}", hello.protocol_major, hello.protocol_minor),
-                ),
-            ]),
-        )?;
+        let mut all = notes;
+        all.extend([
+            note("device_board", hello.board.to_string()),
+            note("device_build", hello.build.to_string()),
+            note("device_boot_id", hello.boot_id.to_string()),
+            note("device_simulated", simulated.to_string()),
+            note(
+                "protocol",
+                format!("{}.{}", hello.protocol_major, hello.protocol_minor),
+            ),
+        ]);
+        writer.metadata(META_FREE, all)?;
         let mut frame = [0; MAX_ENCODED];
         // The table's longest message fits a frame.
         let length = encode(hello, 0, &mut frame).unwrap_or(0);
@@ -108,11 +125,19 @@ impl SessionRecorder {
             began: None,
             flushed: Duration::ZERO,
             grid: None,
+            told: VecDeque::new(),
         };
         Ok(Self {
             recording: Arc::new(Mutex::new(recording)),
             flushing: None,
         })
+    }
+
+    /// Times count from `at` on the transport's clock, not from the first byte that comes.
+    #[must_use]
+    pub fn beginning_at(self, at: Duration) -> Self {
+        locked(&self.recording).began = Some(at);
+        self
     }
 
     /// Flushes by the wall's clock too, on a thread of its own, so that what came last is in the file even when
@@ -166,6 +191,7 @@ impl Recording {
     }
 
     fn take(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
+        self.still_well()?;
         let t_s = self.seconds(at);
         self.writer.message(Topic::FromDevice, t_s, bytes)?;
         for &byte in bytes {
@@ -185,7 +211,13 @@ impl Recording {
         self.flush_when_due(at, t_s)
     }
 
+    /// What failed first says why; the writer says then only that it has.
+    fn still_well(&mut self) -> Result<(), McapFileError> {
+        self.failed.take().map_or(Ok(()), Err)
+    }
+
     fn give(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
+        self.still_well()?;
         let t_s = self.seconds(at);
         self.writer.message(Topic::ToDevice, t_s, bytes)?;
         for &byte in bytes {
@@ -201,9 +233,6 @@ impl Recording {
     }
 
     fn flush_when_due(&mut self, at: Duration, t_s: f64) -> Result<(), McapFileError> {
-        if let Some(failed) = self.failed.take() {
-            return Err(failed);
-        }
         if at.saturating_sub(self.flushed) < FLUSH_EVERY {
             self.unflushed_since.get_or_insert_with(Instant::now);
             return Ok(());
@@ -215,9 +244,7 @@ impl Recording {
     }
 
     fn finish(&mut self) -> Result<(), McapFileError> {
-        if let Some(failed) = self.failed.take() {
-            return Err(failed);
-        }
+        self.still_well()?;
         self.unflushed_since = None;
         let counters = notes::link_counters(&self.incoming.counters());
         let began = self.began.unwrap_or_default();
@@ -228,9 +255,11 @@ impl Recording {
 
     fn event(&mut self, t_s: f64, event: &Event) -> Result<(), McapFileError> {
         match event {
-            Event::Telemetry(t) => self
-                .writer
-                .json(Topic::Telemetry, t_s, &notes::telemetry(t)),
+            Event::Telemetry(t) => {
+                self.tell(t.half_cycle, t_s);
+                self.writer
+                    .json(Topic::Telemetry, t_s, &notes::telemetry(t))
+            }
             Event::Fault(f) => self.writer.json(Topic::Fault, t_s, &notes::fault(f)),
             Event::WindowRejected { seq, reason } => {
                 let note = notes::rejected(*seq, reason);
@@ -240,6 +269,18 @@ impl Recording {
             // Only the image's own table decodes it; the link's bytes hold it.
             Event::Log { .. } => Ok(()),
         }
+    }
+
+    /// Remembers when a half-cycle was over, until its window has come.
+    fn tell(&mut self, half_cycle: u32, t_s: f64) {
+        if self.told.back().is_some_and(|last| last.0 > half_cycle) {
+            // The device began anew.
+            self.told.clear();
+        }
+        if self.told.len() == TOLD {
+            self.told.pop_front();
+        }
+        self.told.push_back((half_cycle, t_s));
     }
 
     fn window(&mut self, t_s: f64, window: &Window) -> Result<(), McapFileError> {
@@ -272,16 +313,20 @@ impl Recording {
         self.writer.json(Topic::Window, t_s, &note)
     }
 
-    /// Windows lie on the device's own half-cycles, as it counts them; the first one lies where it
-    /// arrived, at the latest, because no message carries an absolute time.
+    /// Windows lie on the device's own half-cycles, as it counts them. No message carries an absolute time: the first one
+    /// was over when its half-cycle's telemetry arrived, or else when it arrived itself, which takes some half-cycles. A
+    /// grid that proves too late by whole half-cycles is moved by them, so that its phase stays.
     fn zero_crossing_s(&mut self, arrived_s: f64, window: &Window) -> f64 {
-        let fresh = |half_cycle_s: f64, not_before_s: f64| Grid {
-            half_cycle: window.half_cycle,
-            zero_crossing_s: (arrived_s - half_cycle_s).max(not_before_s),
-            half_cycle_s,
-        };
+        let of_window = |told: &&(u32, f64)| told.0 == window.half_cycle;
+        let told_s = self.told.iter().rev().find(of_window).map(|told| told.1);
+        let over_s = told_s.unwrap_or(arrived_s);
         let duration_s = f64::from(window.half_cycle_ns) * 1e-9;
-        let grid = match self.grid {
+        let fresh = |not_before_s: f64| Grid {
+            half_cycle: window.half_cycle,
+            zero_crossing_s: (over_s - duration_s).max(not_before_s),
+            half_cycle_s: duration_s,
+        };
+        let mut grid = match self.grid {
             Some(grid) if window.half_cycle > grid.half_cycle => Grid {
                 half_cycle: window.half_cycle,
                 zero_crossing_s: grid.zero_crossing_s
@@ -289,9 +334,16 @@ impl Recording {
                 ..grid
             },
             // The device began anew.
-            Some(grid) => fresh(duration_s, grid.zero_crossing_s + grid.half_cycle_s),
-            None => fresh(duration_s, 0.0),
+            Some(grid) => fresh(grid.zero_crossing_s + grid.half_cycle_s),
+            None => fresh(0.0),
         };
+        if let Some(told_s) = told_s
+            && grid.half_cycle_s > 0.0
+        {
+            let late = (grid.zero_crossing_s + duration_s - told_s) / grid.half_cycle_s;
+            grid.zero_crossing_s -= libm::floor(late).max(0.0) * grid.half_cycle_s;
+            grid.zero_crossing_s = grid.zero_crossing_s.max(0.0);
+        }
         self.grid = Some(grid);
         grid.zero_crossing_s
     }

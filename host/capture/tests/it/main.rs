@@ -3,3 +3,4 @@
 mod damage;
 mod flush;
 mod memory;
+mod recording_tables;

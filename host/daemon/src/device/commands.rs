@@ -3,11 +3,15 @@
 use ihd_link::{Client, LinkError};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
 
 use super::lookups::before_this;
+use super::recording;
 use super::session::{Ended, Session};
 use super::sweep::Sweep;
 use super::{Answer, Order};
+use crate::learning::Lookup;
+use crate::looks::newest;
 use crate::model::{Command, CommandError, Done};
 use crate::printable::printable;
 
@@ -51,30 +55,33 @@ impl Session<'_> {
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {
                     // Answered when the device uses it.
+                    let lookup = Lookup::unfounded(lookup);
                     let _ = self.push(lookup, "pushed by hand", Some(answer)).await;
                     return Ok(());
                 }
                 Err(why) => Err(why.to_string()),
             },
-            Command::LookupRollback => {
-                let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
-                let rows = self.rows().await.unwrap_or_default();
-                match before_this(on_device, &rows) {
-                    Some(lookup) => {
-                        let why = format!("rolled back to version {}", lookup.version);
-                        let _ = self.push(lookup, &why, Some(answer)).await;
-                        return Ok(());
-                    }
-                    None => Err("the store holds no lookup that was active before".to_owned()),
+            Command::LookupRollback { version } => match self.earlier(version).await {
+                Ok(lookup) => {
+                    let why = format!("rolled back to version {}", lookup.lookup.version);
+                    let _ = self.push(lookup, &why, Some(answer)).await;
+                    return Ok(());
                 }
-            }
+                Err(why) => Err(why),
+            },
             Command::LookupReset => {
                 let reset = self.reset_lookup().await;
                 let done = "back to the built-in lookup; what was learned is forgotten";
                 reset.map(|()| done.to_owned()).map_err(|e| words(&e))
             }
-            Command::RecordStart => return self.answer_with_file(answer, true).await,
-            Command::RecordStop => return self.answer_with_file(answer, false).await,
+            Command::RecordStart(settings) => {
+                self.start_recording(settings, answer).await;
+                return Ok(());
+            }
+            Command::RecordStop => {
+                recording::stop(self.face, answer);
+                return Ok(());
+            }
         };
         let _ = answer.send(match outcome {
             Ok(text) => Ok(Done { text, file: None }),
@@ -83,26 +90,37 @@ impl Session<'_> {
         ended
     }
 
+    /// A lookup of the store's: of this version, or the one that was active before.
+    async fn earlier(&self, version: Option<u32>) -> Result<Lookup, String> {
+        let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
+        let rows = self.rows().await.ok_or("the store does not answer")?;
+        let lookup = match version {
+            // Whose cells are those of the device's own.
+            Some(0) => Some(prior()),
+            Some(version) => {
+                newest(&rows, version).and_then(|r| RlLookup::from_bytes(&r.blob).ok())
+            }
+            None => before_this(on_device, &rows),
+        };
+        let lookup = lookup.ok_or_else(|| match version {
+            Some(version) => format!("the store holds no lookup of version {version}"),
+            None => "the store holds no lookup that was active before".to_owned(),
+        })?;
+        let (name, of) = (self.face.name.clone(), lookup.version);
+        let confidence = self
+            .context
+            .in_store(move |store| store.confidence(&name, of));
+        Ok(Lookup {
+            confidence: confidence.await.flatten(),
+            lookup,
+        })
+    }
+
     fn refused(&self, why: &str) -> CommandError {
         CommandError::Refused {
             name: self.face.name.clone(),
             why: printable(why),
         }
-    }
-
-    async fn answer_with_file(&mut self, answer: Answer, start: bool) -> Result<(), Ended> {
-        let (outcome, text) = match start {
-            true => (self.start_recording().await, "recording"),
-            false => (self.stop_recording().await, "recorded"),
-        };
-        let _ = answer.send(match outcome {
-            Ok(file) => Ok(Done {
-                text: text.to_owned(),
-                file: Some(file),
-            }),
-            Err(why) => Err(self.refused(&why)),
-        });
-        Ok(())
     }
 
     async fn power(&mut self, power_w: u16) -> Result<String, String> {

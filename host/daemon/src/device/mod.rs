@@ -19,17 +19,19 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, LinkError};
-use ihd_shared::lookup::RlLookup;
 use ihd_store::{Store, StoreError};
 use tokio::sync::{mpsc, oneshot, watch};
 
-use crate::OpenDevice;
 use crate::clocks::Backoff;
 use crate::config::Address;
 use crate::face::{Face, identity};
-use crate::learning::Learner;
+use crate::firmware::updates_needed;
+use crate::history::Seconds;
+use crate::learning::{Learner, Lookup};
 use crate::model::{Command, CommandError, DeviceState, Done, What};
+use crate::printable::printable;
 use crate::store_thread::StoreThread;
+use crate::{OpenDevice, TruthOf};
 
 pub use session::Ended;
 use session::Session;
@@ -56,7 +58,7 @@ pub enum Order {
         answer: Answer,
     },
     /// Push a lookup that was learned.
-    News(Box<RlLookup>),
+    News(Box<Lookup>),
     /// The lease is over: what was asked for under it is to end.
     LeaseOver {
         /// Why.
@@ -74,6 +76,8 @@ pub type Answer = oneshot::Sender<Result<Done, CommandError>>;
 pub struct Context {
     /// The store.
     pub store: StoreThread,
+    /// What devices did, on its way to the store.
+    pub seconds: Arc<Seconds>,
     /// Learns from windows.
     pub learner: Arc<Learner>,
     /// Opens an address.
@@ -120,9 +124,9 @@ impl DeviceTask {
         let mut backoff = Backoff::new(hasher.finish());
         while !self.is_stopping() {
             let wait = match self.connect(orders).await {
-                Some(Ok((client, events))) => {
+                Some(Ok(connection)) => {
                     let began = Instant::now();
-                    let ended = self.keep_session(client, events, orders).await;
+                    let ended = self.keep_session(connection, orders).await;
                     if began.elapsed() > GOOD_SESSION {
                         backoff.reset();
                     }
@@ -151,8 +155,9 @@ impl DeviceTask {
     fn not_connected(&self, error: &LinkError, backoff: &mut Backoff) -> Duration {
         match error {
             LinkError::Mismatch { .. } => {
-                self.face
-                    .enter(DeviceState::Incompatible, &error.to_string());
+                let why = error.to_string();
+                self.face.lock().updates_needed = printable(&why);
+                self.face.enter(DeviceState::Incompatible, &why);
                 INCOMPATIBLE_EVERY
             }
             _ => {
@@ -166,9 +171,22 @@ impl DeviceTask {
     async fn connect(&self, orders: &mut mpsc::Receiver<Order>) -> Option<Connected> {
         let (events, coming) = mpsc::channel(EVENTS);
         let (open, address) = (Arc::clone(&self.context.open), self.address.clone());
-        let connecting = AsyncClient::connect(move || open(&address), events);
+        let (tell, truth) = oneshot::channel();
+        let opening = move || {
+            let opened = open(&address)?;
+            // Whoever asked is there until it is connected.
+            let _ = tell.send(opened.truth);
+            Ok(opened.transport)
+        };
+        let connecting = AsyncClient::connect(opening, events);
         tokio::select! {
-            connected = connecting => Some(connected.map(|client| (client, coming))),
+            connected = connecting => {
+                let truth = match &connected {
+                    Ok(_) => truth.await.ok().flatten(),
+                    Err(_) => None,
+                };
+                Some(connected.map(|client| Connection { client, events: coming, truth }))
+            }
             () = self.without_device(orders) => None,
         }
     }
@@ -189,16 +207,20 @@ impl DeviceTask {
                 () = self.context.stopping() => return,
                 order = orders.recv() => match order {
                     None => return,
+                    Some(Order::Command { command: Command::RecordStop, answer }) => {
+                        recording::stop(&self.face, answer);
+                    }
                     Some(Order::Command { answer, .. }) => {
                         let _ = answer.send(Err(self.absent()));
                     }
                     // It is offered again when the device is there.
-                    Some(Order::News(lookup)) => self.learner_refused(lookup.version),
+                    Some(Order::News(news)) => self.learner_refused(news.lookup.version),
                     Some(Order::LeaseOver { done, .. }) => {
                         let _ = done.send(());
                     }
                 },
                 _ = tick.tick() => {
+                    self.face.recorder.tick();
                     if let Some(holder) = self.face.lock().lease.expired(Instant::now()) {
                         lease_ended(&self.face, &holder);
                     }
@@ -225,20 +247,25 @@ impl DeviceTask {
 
     async fn keep_session(
         &self,
-        client: AsyncClient,
-        events: mpsc::Receiver<ihd_link::Event>,
+        connection: Connection,
         orders: &mut mpsc::Receiver<Order>,
     ) -> Ended {
-        let client = Arc::new(client);
+        let client = Arc::new(connection.client);
         {
             let mut inner = self.face.lock();
             inner.identity = Some(identity(client.hello()));
+            inner.updates_needed = updates_needed(client.hello().protocol_minor);
             inner.connections = inner.connections.saturating_add(1);
             inner.client = Some(Arc::clone(&client));
             inner.last = None;
         }
-        let mut session = Session::new(&self.face, &self.context, Arc::clone(&client));
-        let ended = session.run(events, orders).await;
+        let mut session = Session::new(
+            &self.face,
+            &self.context,
+            Arc::clone(&client),
+            connection.truth,
+        );
+        let ended = session.run(connection.events, orders).await;
         session.close(&ended).await;
         drop(session);
         self.face.lock().client = None;
@@ -250,7 +277,15 @@ impl DeviceTask {
     }
 }
 
-type Connected = Result<(AsyncClient, mpsc::Receiver<ihd_link::Event>), LinkError>;
+type Connected = Result<Connection, LinkError>;
+
+/// A device that was shaken hands with.
+struct Connection {
+    client: AsyncClient,
+    events: mpsc::Receiver<ihd_link::Event>,
+    /// What R and L truly are, where it is simulated here.
+    truth: Option<Arc<TruthOf>>,
+}
 
 /// Tells that a lease has run out.
 fn lease_ended(face: &Face, holder: &str) {

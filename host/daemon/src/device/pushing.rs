@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 use ihd_link::{Client, LinkError};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_store::LookupRow;
+use ihd_store::{Confidence, LookupRow};
 
 use super::Answer;
 use super::lookups::{Mend, mend, next_version};
 use super::session::Session;
+use crate::learning::Lookup;
 use crate::model::{CommandError, Done, What};
 use crate::printable::printable;
 
@@ -46,7 +47,8 @@ impl Session<'_> {
                 Mend::Nothing => {}
                 Mend::Activate(_) | Mend::Adopt => self.adopt(&lookup).await,
                 Mend::Push(lookup, why) => {
-                    let _ = self.push(*lookup, why, None).await;
+                    let lookup = Lookup::unfounded(*lookup);
+                    let _ = self.push(lookup, why, None).await;
                 }
             }
         }
@@ -95,11 +97,15 @@ impl Session<'_> {
     /// What to say to whoever asked where there is no `answer`; a refusal is a state, not an end.
     pub(super) async fn push(
         &mut self,
-        mut lookup: RlLookup,
+        pushed: Lookup,
         why: &str,
         answer: Option<Answer>,
     ) -> Result<(), String> {
-        let outcome = self.try_push(&mut lookup, why).await;
+        let Lookup {
+            mut lookup,
+            confidence,
+        } = pushed;
+        let outcome = self.try_push(&mut lookup, confidence, why).await;
         let version = lookup.version;
         match outcome {
             Ok(()) => {
@@ -126,7 +132,12 @@ impl Session<'_> {
         }
     }
 
-    async fn try_push(&mut self, lookup: &mut RlLookup, why: &str) -> Result<(), String> {
+    async fn try_push(
+        &mut self,
+        lookup: &mut RlLookup,
+        confidence: Option<Confidence>,
+        why: &str,
+    ) -> Result<(), String> {
         let device = self.device.ok_or(
             "the store does not know the device: nothing is pushed that it could not keep",
         )?;
@@ -142,7 +153,7 @@ impl Session<'_> {
         let (pending, said) = (lookup.clone(), printable(why));
         let pended = self
             .context
-            .in_store(move |store| store.pend_lookup(device, &pending, &said));
+            .in_store(move |store| store.pend_lookup(device, &pending, &said, confidence.as_ref()));
         let not_kept = "the store cannot keep it: nothing is pushed that it does not know";
         pended.await.ok_or(not_kept)?;
         let version = lookup.version;
@@ -165,7 +176,7 @@ impl Session<'_> {
     }
 
     /// A lookup that was learned: pushed when nothing else is on its way. A newer one takes its place.
-    pub(super) async fn on_news(&mut self, lookup: Box<RlLookup>) {
+    pub(super) async fn on_news(&mut self, lookup: Box<Lookup>) {
         self.news = Some(lookup);
         self.push_news().await;
     }
@@ -178,7 +189,7 @@ impl Session<'_> {
         let Some(lookup) = self.news.take() else {
             return;
         };
-        let version = lookup.version;
+        let version = lookup.lookup.version;
         let pushed = self.push(*lookup, "learned", None).await;
         match &mut self.push {
             // Under another version, where the device was given one meanwhile.

@@ -6,23 +6,28 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, Client, Event, HEARD_EVERY, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::messages::{State, Status, Telemetry};
+use ihd_shared::wire::messages::{Pot, State, Status, Telemetry};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
-use ihd_store::{DeviceId, SessionId};
+use ihd_signal::truth::Truth;
+use ihd_store::{CurveOf, DeviceId, SessionId};
+use ihd_thermal::PotEvent;
 use ihd_train::WINDOWS_EVERY;
 use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 
 use super::pushing::Push;
 use super::sweep::{Step, Sweep};
 use super::{Context, Order, lease_ended};
+use crate::TruthOf;
+use crate::board::now_ms;
 use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
-use crate::learning::Task;
+use crate::learning::{Lookup, Task, curve_of};
 use crate::ledger::Arrival;
 use crate::model::{DeviceState, What};
+use crate::pot_watch::words;
 use crate::printable::printable;
-use crate::states::{live, of_telemetry};
+use crate::states::{live, of_telemetry, pot_change};
 
 /// How often the session looks at the clock, and shows what the device does.
 const TICK: Duration = Duration::from_millis(100);
@@ -51,6 +56,15 @@ const WINDOWS_A_SECOND: u32 = 30;
 /// Faults, and windows with a defect, of a second that are told.
 const TOLD_A_SECOND: u32 = 10;
 
+/// Half-cycles that wait for whoever follows the pot: what a fit takes, many times.
+const POT_WAITING: usize = 1_000;
+
+/// What is told of a pot at once, at most: a device that plays makes up more.
+const POT_EVENTS: usize = 4;
+
+/// How long a simulation may take to tell the truth.
+const TRUTH_WITHIN: Duration = Duration::from_millis(200);
+
 /// A state lasts this long before another one is told.
 const STATE_LASTS: Duration = Duration::from_millis(400);
 
@@ -78,7 +92,7 @@ pub struct Session<'a> {
     /// Until then nothing is sent that need not be: what a host before us asked for has to lapse.
     pub(super) quiet_until: Option<Instant>,
     /// A lookup that was learned, and waits for the one before it.
-    pub(super) news: Option<Box<RlLookup>>,
+    pub(super) news: Option<Box<Lookup>>,
     clocks: Clocks,
     /// When the device was heard last, and heard from us.
     heard: Instant,
@@ -95,11 +109,23 @@ pub struct Session<'a> {
     told_allowed: Allowance,
     /// The last half-cycles, and in which it heated with which power in milliwatt.
     powers: VecDeque<(u32, bool, u32)>,
+    /// What stood on the coil last, where it was looked at.
+    pot: Option<Pot>,
+    /// Half-cycles for whoever follows the pot, and that work under way.
+    pot_waiting: Vec<(Telemetry, i64)>,
+    pot_work: Option<JoinHandle<()>>,
+    /// What R and L truly are, where the device is simulated here.
+    truth: Option<Arc<TruthOf>>,
 }
 
 impl<'a> Session<'a> {
     /// With a device that has shaken hands.
-    pub fn new(face: &'a Arc<Face>, context: &'a Context, client: Arc<AsyncClient>) -> Self {
+    pub fn new(
+        face: &'a Arc<Face>,
+        context: &'a Context,
+        client: Arc<AsyncClient>,
+        truth: Option<Arc<TruthOf>>,
+    ) -> Self {
         let now = Instant::now();
         Self {
             face,
@@ -122,6 +148,10 @@ impl<'a> Session<'a> {
             windows_allowed: Allowance::new(WINDOWS_A_SECOND),
             told_allowed: Allowance::new(TOLD_A_SECOND),
             powers: VecDeque::new(),
+            pot: None,
+            pot_waiting: Vec::new(),
+            pot_work: None,
+            truth,
             news: None,
         }
     }
@@ -172,6 +202,7 @@ impl<'a> Session<'a> {
 
     /// What comes before the first event: who it is, what it does, what it uses.
     async fn begin(&mut self) -> Result<(), LinkError> {
+        self.listen().await?;
         let status = self.ask(Client::status).await?;
         let boot = self.client.hello().boot_id;
         {
@@ -179,6 +210,7 @@ impl<'a> Session<'a> {
             let due = status.windows_recorded.wrapping_add(status.windows_dropped);
             inner.ledger.connect(boot, due, status.windows_dropped);
         }
+        self.face.pot_watch().of_boot(boot);
         self.end_what_is_nobodys(&status).await?;
         self.begin_in_store().await;
         self.face.enter(DeviceState::Connected, "");
@@ -250,7 +282,7 @@ impl<'a> Session<'a> {
         match event {
             Event::Telemetry(t) => self.on_telemetry(t).await,
             Event::Window(window) => {
-                self.on_window(window);
+                self.on_window(window).await;
                 Ok(())
             }
             Event::WindowRejected { seq, reason } => {
@@ -277,7 +309,10 @@ impl<'a> Session<'a> {
                 } else {
                     tracing::warn!(device = self.face.name, fault, text, "fault");
                 }
-                let said = format!("{fault}: {text}");
+                let said = match fault {
+                    0 => "cleared".to_owned(),
+                    _ => format!("{fault}: {text}"),
+                };
                 self.note("fault", &said);
                 self.face.tell(What::Fault { fault, text });
                 Ok(())
@@ -294,6 +329,13 @@ impl<'a> Session<'a> {
     }
 
     async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), Ended> {
+        self.face.ring().push(&t, Instant::now());
+        let seconds = &self.context.seconds;
+        seconds.push(&self.face.name, &t, now_ms());
+        self.look_at_pot(t.pot);
+        if self.pot_waiting.len() < POT_WAITING {
+            self.pot_waiting.push((t.clone(), now_ms()));
+        }
         let before = {
             let mut inner = self.face.lock();
             inner.lookup.on_device = Some(t.lookup_version);
@@ -322,8 +364,67 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// Tells what stands on the coil where it is another thing than before.
+    fn look_at_pot(&mut self, pot: Pot) {
+        if pot == Pot::Unknown || self.pot == Some(pot) {
+            return;
+        }
+        let before = self.pot.replace(pot);
+        if before.is_some() && self.told_allowed.take() {
+            let text = pot_change(pot).to_owned();
+            tracing::info!(device = self.face.name, text, "pot");
+            self.face.tell(What::Pot {
+                pot: format!("{pot:?}"),
+                text,
+            });
+        }
+    }
+
+    /// Hands the last half-cycles to whoever follows the pot, on a thread that may take its time.
+    fn follow_pot(&mut self) {
+        let busy = self
+            .pot_work
+            .as_ref()
+            .is_some_and(|work| !work.is_finished());
+        if busy || self.pot_waiting.is_empty() {
+            return;
+        }
+        let (face, waiting) = (Arc::clone(self.face), std::mem::take(&mut self.pot_waiting));
+        self.pot_work = Some(tokio::task::spawn_blocking(move || {
+            let (mut events, curve) = {
+                let mut watch = face.pot_watch();
+                let events: Vec<_> = waiting
+                    .iter()
+                    .flat_map(|(t, at_ms)| watch.push(t, *at_ms))
+                    .collect();
+                (events, watch.curve())
+            };
+            *face.pot_curve() = curve;
+            events.truncate(POT_EVENTS);
+            for event in &events {
+                let text = words(event);
+                tracing::info!(device = face.name, text, "pot");
+                let overheats = matches!(event, PotEvent::Overheats { .. });
+                face.tell(What::PotTemperature { text, overheats });
+            }
+        }));
+    }
+
+    /// The truth of a half-cycle, where there is one to ask.
+    async fn truth_of(&self, half_cycle: u32) -> Option<Arc<Truth>> {
+        let truth = Arc::clone(self.truth.as_ref()?);
+        // It may wait for the simulation.
+        let asked = tokio::task::spawn_blocking(move || truth(half_cycle));
+        let told = tokio::time::timeout(TRUTH_WITHIN, asked).await;
+        told.ok()?.ok()?.map(Arc::new)
+    }
+
     /// A window goes to the store, and from there to whoever learns.
-    fn on_window(&mut self, window: Box<Window>) {
+    async fn on_window(&mut self, window: Box<Window>) {
+        // A fit may hold it; the next window tells the same.
+        if let Some(mut watch) = self.face.try_pot_watch() {
+            watch.half_cycle_lasts(1e-9 * f64::from(window.half_cycle_ns));
+        }
         if let Some(sweep) = &mut self.sweep {
             sweep.window(window.half_cycle);
         }
@@ -338,6 +439,10 @@ impl<'a> Session<'a> {
         let power_w = told.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3);
         let ids = self.device.zip(self.session);
         let ids = ids.filter(|_| self.windows_allowed.take());
+        let truth = match ids {
+            Some(_) => self.truth_of(half_cycle).await,
+            None => None,
+        };
         let stored = ids.is_some_and(|(device_id, session)| {
             let face = Arc::clone(self.face);
             let learner = Arc::clone(&self.context.learner);
@@ -351,6 +456,9 @@ impl<'a> Session<'a> {
                 drop(inner);
                 kept?;
                 face.tell(What::WindowStored { boot, seq });
+                if let Some(truth) = &truth {
+                    store.keep_curve(session, seq, CurveOf::Truth, &curve_of(truth, &window))?;
+                }
                 if teaches {
                     // What it makes room for, the learner counts.
                     learner.offer(Task {
@@ -360,6 +468,7 @@ impl<'a> Session<'a> {
                         boot,
                         window,
                         power_w,
+                        truth,
                     });
                 } else {
                     face.lock().ledger.fates.unfit += 1;
@@ -386,7 +495,9 @@ impl<'a> Session<'a> {
             self.off_for("the lease has run out").await?;
         }
         self.stay_in_touch().await?;
+        self.face.recorder.tick();
         self.show();
+        self.follow_pot();
         self.is_overdue().await;
         self.push_news().await;
         if let Some(sweep) = &mut self.sweep {
@@ -495,7 +606,6 @@ impl<'a> Session<'a> {
                 "more windows and faults than a device sends: not told"
             );
         }
-        self.look_at_recording();
         if self.tried_again.elapsed() >= TRY_AGAIN {
             self.tried_again = Instant::now();
             self.try_store_again().await?;
@@ -584,7 +694,7 @@ impl<'a> Session<'a> {
                 tracing::warn!(device = self.face.name, %error, "could not be switched off; it ends by itself within 10 s");
             }
         }
-        self.finish_recording().await;
+        self.leave_recording(ended).await;
         if *ended == Ended::Stopping {
             let _ = self.ask(|client| client.stream(0, 0)).await;
         }

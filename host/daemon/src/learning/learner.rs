@@ -13,7 +13,7 @@ use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
 
 use super::figures::{LearnerFigures, Meter};
-use super::outcome::{Learned, Numbers, Task};
+use super::outcome::{Course, Learned, Numbers, Task};
 use super::queue::{Dropped, Known, Note, Queue};
 
 /// How often what was learned goes to the store where nothing new was.
@@ -266,8 +266,12 @@ fn study(shared: &Shared, mut known: Box<Known>, window: &Window) -> (Box<Known>
         let why = format!("training panicked: {}", text.unwrap_or("no message"));
         // Whatever it was, it may have come from there.
         before.learning.start_cold();
-        let identified = None;
-        (before, Outcome::Unfit { why, identified })
+        let unfit = Outcome::Unfit {
+            why,
+            identified: None,
+            findings: Vec::new(),
+        };
+        (before, unfit)
     })
 }
 
@@ -279,14 +283,22 @@ fn settle(
     outcome: Outcome,
     took: Duration,
 ) -> Learned {
-    let (numbers, pass, why, taught) = match outcome {
+    let truth = task.truth.as_deref();
+    let (numbers, course, pass, why, taught) = match outcome {
         Outcome::Fit(fit) => {
             let numbers = Numbers::of(&fit.identified);
-            (numbers, true, String::new(), fit.taught)
+            let course = Course::of(Some(&fit.identified), &fit.findings, truth);
+            (numbers, course, true, String::new(), fit.taught)
         }
-        Outcome::Unfit { why, identified } => {
-            let numbers = identified.map_or(Numbers::NONE, |i| Numbers::of(&i));
-            (numbers, false, why, Taught::Known)
+        Outcome::Unfit {
+            why,
+            identified,
+            findings,
+        } => {
+            let identified = identified.as_deref();
+            let numbers = identified.map_or(Numbers::NONE, Numbers::of);
+            let course = Course::of(identified, &findings, truth);
+            (numbers, course, false, why, Taught::Known)
         }
     };
     let (mut news, no_lookup) = match taught {
@@ -330,6 +342,7 @@ fn settle(
         no_lookup,
         state,
         busy: took,
+        course: Box::new(course),
     }
 }
 

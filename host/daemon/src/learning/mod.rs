@@ -21,7 +21,7 @@ use ihd_shared::wire::messages::{State, Telemetry};
 
 pub use self::figures::LearnerFigures;
 pub use self::learner::{Learner, LearnerError, LearnerSettings};
-pub use self::outcome::{Learned, Numbers, Task};
+pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, curve_of};
 pub use self::queue::Dropped;
 
 /// Whether the windows of a device that says this are worth learning from.

@@ -52,6 +52,7 @@ fn task(device: &str, window: Box<Window>) -> Task {
         boot: 3,
         window,
         power_w: Some(1_000.0),
+        truth: None,
     }
 }
 
@@ -59,6 +60,7 @@ fn unfit() -> Outcome {
     Outcome::Unfit {
         why: "a test".into(),
         identified: None,
+        findings: Vec::new(),
     }
 }
 

@@ -46,7 +46,9 @@ async fn pushed_rolled_back_and_reset() {
     assert_eq!(report.lookup.active, Some(2));
     let rows = states(&daemon).await;
     assert_eq!(rows, [(0, Superseded), (1, Superseded), (2, Active)]);
-    let back = daemon.command("bench", "a", Command::LookupRollback).await;
+    let back = daemon
+        .command("bench", "a", Command::LookupRollback { version: None })
+        .await;
     assert!(back.unwrap().text.contains("version 3"));
     let active = daemon.lookups("bench").await.unwrap().pop().unwrap();
     assert_eq!(
@@ -106,7 +108,9 @@ async fn what_was_pending_when_the_daemon_died_is_pushed_by_the_next() {
             .unwrap()
             .store;
         let device = store.device("bench", "serial:bench").unwrap();
-        store.pend_lookup(device, &lookup(4, 4), "a test").unwrap();
+        store
+            .pend_lookup(device, &lookup(4, 4), "a test", None)
+            .unwrap();
     }
     let daemon = rig.daemon().await;
     let report = until(&daemon, |r| {

@@ -2,6 +2,10 @@
 
 mod learning;
 mod leases;
+mod live;
+
+mod looks;
 mod lookups;
+mod recordings;
 mod rig;
 mod sessions;

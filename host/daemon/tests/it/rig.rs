@@ -7,7 +7,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use ihd_daemon::model::{Command, CommandError, DeviceReport, DeviceState, Done, Notice, What};
-use ihd_daemon::{Config, Daemon, OpenDevice};
+use ihd_daemon::{Config, Daemon, OpenDevice, Opened, TruthOf};
 use ihd_firmware::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -81,6 +81,12 @@ impl Bench {
     /// Power that the hob is asked for by whomever, in watt.
     pub fn asked_w(&self) -> u16 {
         self.hob().housekeeping().control().asked_w()
+    }
+
+    /// What R and L truly are.
+    fn truth(self: &Arc<Self>) -> Arc<TruthOf> {
+        let bench = Arc::clone(self);
+        Arc::new(move |half_cycle| bench.hob().truth(half_cycle).cloned())
     }
 
     fn plug(self: &Arc<Self>, name: &str) -> Result<Box<dyn Transport>, LinkError> {
@@ -189,7 +195,10 @@ impl Rig {
     pub async fn daemon(&self) -> Daemon {
         let benches = self.benches.clone();
         let open: Arc<OpenDevice> = Arc::new(move |address| match &address.spec {
-            DeviceSpec::Serial(name) => benches[name].plug(name),
+            DeviceSpec::Serial(name) => benches[name].plug(name).map(|transport| Opened {
+                transport,
+                truth: Some(benches[name].truth()),
+            }),
             other => panic!("{other} is on no bench"),
         });
         Daemon::start(self.config(), open).await.unwrap()

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::model::{Command, DeviceState, WindowCounts};
-use ihd_daemon::{Config, Daemon, OpenDevice};
+use ihd_daemon::model::{Command, DeviceState, RecordSettings, WindowCounts};
+use ihd_daemon::{Config, Daemon, OpenDevice, Opened};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
@@ -136,7 +136,7 @@ async fn a_server_that_is_killed_is_found_again_over_tcp() {
     .unwrap();
     config.store = folder.path().to_owned();
     let open: Arc<OpenDevice> = Arc::new(|address| match &address.spec {
-        DeviceSpec::Tcp(place) => Ok(Box::new(TcpTransport::connect(place)?)),
+        DeviceSpec::Tcp(place) => Ok(Opened::real(Box::new(TcpTransport::connect(place)?))),
         other => panic!("{other}"),
     });
     let daemon = Daemon::start(config, open).await.unwrap();
@@ -190,7 +190,7 @@ async fn a_device_of_another_protocol_says_what_to_update() {
     )
     .unwrap();
     config.store = folder.path().to_owned();
-    let open: Arc<OpenDevice> = Arc::new(|_| Ok(Box::new(Foreign(Vec::new()))));
+    let open: Arc<OpenDevice> = Arc::new(|_| Ok(Opened::real(Box::new(Foreign(Vec::new())))));
     let daemon = Daemon::start(config, open).await.unwrap();
     let report = until_state(&daemon, DeviceState::Incompatible).await;
     assert!(
@@ -208,12 +208,16 @@ async fn what_is_recorded_can_be_read() {
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
     let command = |command| daemon.command("bench", "me", command);
-    let begun = command(Command::RecordStart).await.unwrap();
+    let begun = command(Command::RecordStart(RecordSettings::default()))
+        .await
+        .unwrap();
     rig.bench().panel(6);
     until(&daemon, |r| r.windows.stored >= 2).await;
     assert!(daemon.device("bench").unwrap().recording.is_some());
     assert!(
-        command(Command::RecordStart).await.is_err(),
+        command(Command::RecordStart(RecordSettings::default()))
+            .await
+            .is_err(),
         "one at a time"
     );
     let done = command(Command::RecordStop).await.unwrap();

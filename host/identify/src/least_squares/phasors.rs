@@ -74,7 +74,12 @@ impl Fit {
         noise: WhiteNoise,
     ) -> Result<Self, IdentifyError> {
         let per_period = segment.samples_per_period();
-        let (v_v, i_a) = (&segment.v_v[range.clone()], &segment.i_a[range.clone()]);
+        let mut buffers = [Vec::new(), Vec::new()];
+        let [v_buffer, i_buffer] = &mut buffers;
+        let (v_v, i_a) = (
+            segment.v_v.block(range.clone(), v_buffer),
+            segment.i_a.block(range.clone(), i_buffer),
+        );
         let used = ORDERS
             .iter()
             .filter(|&&h| 2.0 * f64::from(h) + 1.0 < per_period)

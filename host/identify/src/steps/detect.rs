@@ -5,9 +5,9 @@
 
 use std::f64::consts::TAU;
 
-use ihd_signal::Segment;
-use ihd_signal::correlation::Correlator;
+use ihd_signal::correlation::{Correlator, weighted_sums};
 use ihd_signal::noise::median;
+use ihd_signal::{Raw, Samples, Segment};
 use nalgebra::Complex;
 
 use crate::lockin::r_l;
@@ -96,6 +96,31 @@ fn trend(differences: &[f64], k: usize) -> f64 {
     x.get(x.len() / 4).copied().unwrap_or(0.0)
 }
 
+/// A Hann window times e^(−jωt).
+struct Window {
+    re: Vec<f64>,
+    im: Vec<f64>,
+    /// Their sums, which an offset is worth.
+    mean: Complex<f64>,
+}
+
+impl Window {
+    fn new(length: usize, periods_per_sample: f64) -> Self {
+        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / length as f64);
+        let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
+        let re: Vec<f64> = (0..length).map(|k| hann(k) * libm::cos(turn(k))).collect();
+        let im: Vec<f64> = (0..length).map(|k| -hann(k) * libm::sin(turn(k))).collect();
+        let mean = Complex::new(re.iter().sum(), im.iter().sum());
+        Self { re, im, mean }
+    }
+
+    /// Of samples less an offset.
+    fn sum<T: Copy + Into<f64>>(&self, x: &[T], offset: f64) -> Complex<f64> {
+        let [re, im] = weighted_sums(x, [&self.re, &self.im]);
+        Complex::new(re, im) - self.mean * offset
+    }
+}
+
 /// Impedance and current of every switching period.
 struct Frames {
     /// R and ωL in ohm.
@@ -120,21 +145,19 @@ impl Frames {
         );
         let omega = TAU * segment.f_sw_hz;
         let step_s = hop as f64 * segment.dt_s;
-        let correlator = Correlator::new(segment, length, [1.0]);
-        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / length as f64);
-        let weight: Vec<f64> = (0..length).map(hann).collect();
-        let weigh = |x: &[f64]| -> Vec<f64> { x.iter().zip(&weight).map(|(x, w)| x * w).collect() };
+        let window = Window::new(length, segment.f_sw_hz * segment.dt_s);
+        let turns = Correlator::new(segment, 1, [1.0]);
+        let phasor = |x: &Samples, first: usize| {
+            let sum = match x.raw() {
+                Raw::Doubles(x) => window.sum(&x[first..first + length], 0.0),
+                Raw::Singles(x, offset) => window.sum(&x[first..first + length], offset),
+            };
+            sum * turns.turn(first)[0]
+        };
         let starts = (0..=segment.len().saturating_sub(length)).step_by(hop.max(1));
         let phasors: Vec<_> = starts
-            .map(|first| {
-                let range = first..first + length;
-                let sums = correlator.block(
-                    first,
-                    &weigh(&segment.v_v[range.clone()]),
-                    &weigh(&segment.i_a[range]),
-                );
-                (sums.v[0], sums.i[0])
-            })
+            .filter(|first| first + length <= segment.len())
+            .map(|first| (phasor(&segment.v_v, first), phasor(&segment.i_a, first)))
             .collect();
         let largest = phasors
             .iter()
@@ -229,21 +252,22 @@ impl Frames {
         let from = index(near_s - reach_s);
         let to = (index(near_s + reach_s) + 1).min(segment.len());
         let length = (segment.samples_per_period() / 6.0).round().max(1.0) as usize;
+        let near = segment.part(from, to);
         let error = |k: usize, z: Complex<f64>| {
             // Over an interval the current's slope is the difference of its ends, and noise counts little.
             let mean = |x: &[f64]| {
                 let inner: f64 = x[k + 1..k + length].iter().sum();
                 (inner + 0.5 * (x[k] + x[k + length])) / length as f64
             };
-            let rise = segment.i_a[k + length] - segment.i_a[k];
+            let rise = near.i_a[k + length] - near.i_a[k];
             let slope = rise / (length as f64 * segment.dt_s);
-            mean(&segment.v_v) - z.re * mean(&segment.i_a) - z.im / self.omega * slope
+            mean(&near.v_v) - z.re * mean(&near.i_a) - z.im / self.omega * slope
         };
         let (mut sum, mut least, mut best) = (0.0, 0.0, from);
-        for k in from..to.saturating_sub(length) {
+        for k in 0..near.len().saturating_sub(length) {
             sum += error(k, a).powi(2) - error(k, b).powi(2);
             if sum < least {
-                (least, best) = (sum, k + length.div_ceil(2));
+                (least, best) = (sum, from + k + length.div_ceil(2));
             }
         }
         segment.t_s(best)

@@ -19,7 +19,17 @@ const LEAST_GUARD_PERIODS: f64 = 1.0;
 /// Fewest switching periods of a piece that is identified.
 const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
 
-/// Identifies a segment in which the load may step, piece by piece with `identify` where the method's R and L are smooth;
+/// Steps of the load in a segment, in order of time.
+#[derive(Clone, Debug)]
+pub(super) struct Steps(Vec<Step>);
+
+impl Steps {
+    pub(super) fn of(segment: &Segment) -> Self {
+        Self(detect::steps(segment))
+    }
+}
+
+/// Identifies a segment in which the load may step, at `known` steps or where they are found, piece by piece with `identify` where the method's R and L are smooth;
 /// `clock` tells the capture's time, in seconds, at one of the segment's.
 ///
 /// # Errors
@@ -27,6 +37,7 @@ const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
 pub(super) fn identify(
     method: Method,
     segment: &Segment,
+    known: Option<&Steps>,
     settings: &Settings,
     clock: &dyn Fn(f64) -> f64,
     mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
@@ -35,7 +46,14 @@ pub(super) fn identify(
     if matches!(method, Method::Firmware | Method::EkfPaper) {
         return identify(segment, settings);
     }
-    let steps = detect::steps(segment);
+    let found;
+    let Steps(steps) = match known {
+        Some(known) => known,
+        None => {
+            found = Steps::of(segment);
+            &found
+        }
+    };
     if steps.is_empty() {
         return identify(segment, settings);
     }
@@ -45,7 +63,7 @@ pub(super) fn identify(
         whole.remarks.extend(remarks);
         return Ok(whole);
     }
-    joined(method, segment, settings, &steps, clock, identify)
+    joined(method, segment, settings, steps, clock, identify)
 }
 
 /// What a filter makes of a step.

@@ -93,6 +93,12 @@ pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     }
 }
 
+/// The URL of a daemon of this machine that says it listens at `url`, as a browser here reaches it.
+pub fn reached(url: &str, listen: SocketAddr) -> String {
+    let scheme = url.split_once(':').map_or("http", |(scheme, _)| scheme);
+    format!("{scheme}://{}", reached_at(listen))
+}
+
 /// Where a daemon on this machine that listens there is reached.
 fn reached_at(listen: SocketAddr) -> SocketAddr {
     let ip = match listen.ip() {

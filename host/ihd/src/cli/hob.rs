@@ -1,10 +1,14 @@
 //! `ihd hob`: the simulated hob as a process of its own.
 
+use std::io::BufRead;
 use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use ihd_sim::hob::{PanelEvent, SimHob};
+use ihd_sim::scenario::ScenarioError;
 use ihd_sim::scenario::file::Scenario;
 use ihd_sim::scenario::script::Script;
 use ihd_sim::server::{Ended, Server, ServerEvent};
@@ -27,6 +31,7 @@ const FASTEST: f64 = 1000.0;
     ihd trainer --device tcp:127.0.0.1:4711      (in another terminal)\n  \
     ihd hob --listen 127.0.0.1:4711 --pot aluminium\n  \
     ihd hob --panel 6 --warming                  (heats by itself)\n  \
+    ihd hob --panel 6 --contents water-1.5       (and boils)\n  \
     ihd hob --script kitchen.toml --seed 2\n\n\
 A script is a file as of `ihd scenario` without events of a host; when its duration is over it begins anew:\n  \
     duration_s = 60\n  \
@@ -39,6 +44,11 @@ A script is a file as of `ihd scenario` without events of a host; when its durat
     pot = { name = \"none\", for_s = 3 }\n  \
     [[event]]\n  \
     at_s = 40\n  \
+    mains = { v_rms = 160, for_s = 0.3 }\n\n\
+With --stdin a line is an event of such a script, without its time:\n  \
+    pot = \"none\"\n  \
+    pot = \"ferritic-21\"\n  \
+    panel = 6\n  \
     mains = { v_rms = 160, for_s = 0.3 }")]
 pub struct HobArgs {
     /// Address and port to listen on; port 0 lets the system choose. Nothing but loopback is safe: who connects may
@@ -56,9 +66,12 @@ pub struct HobArgs {
     #[arg(
         long,
         value_name = "FILE.toml",
-        conflicts_with_all = ["pot", "load", "warming", "mains", "snr", "anti_alias"]
+        conflicts_with_all = ["pot", "load", "warming", "contents", "mains", "snr", "anti_alias"]
     )]
     script: Option<PathBuf>,
+    /// Take what happens to pot, mains and panel from standard input, an event a line
+    #[arg(long)]
+    stdin: bool,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
 }
@@ -93,6 +106,9 @@ impl HobArgs {
                 server.address()
             ));
         }
+        if self.stdin {
+            server.listen_to(wishes());
+        }
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let speed = self.speed;
         server.run(speed, stop, |event| tell(speed, event))?;
@@ -113,6 +129,36 @@ impl HobArgs {
     }
 }
 
+/// What is written to standard input, from a thread that ends with it or with the process.
+fn wishes() -> Receiver<Scenario> {
+    let (tell, wishes) = channel();
+    thread::spawn(move || {
+        for line in std::io::stdin().lock().lines() {
+            let Ok(line) = line else { return };
+            if line.trim().is_empty() {
+                continue;
+            }
+            match event(&line) {
+                Ok(event) => {
+                    if tell.send(event).is_err() {
+                        return;
+                    }
+                }
+                Err(why) => complain(format_args!(
+                    "warning: `{line}` is no event of a script: {why}"
+                )),
+            }
+        }
+    });
+    wishes
+}
+
+/// A scenario of one event, now.
+fn event(line: &str) -> Result<Scenario, ScenarioError> {
+    let text = format!("duration_s = 1\n[[event]]\nat_s = 0\n{line}\n");
+    Scenario::parse(&text, PathBuf::new())
+}
+
 /// One line an event. A hob whose lines nobody can take goes on.
 fn tell(speed: f64, event: ServerEvent) {
     let _ = match event {
@@ -127,6 +173,10 @@ fn tell(speed: f64, event: ServerEvent) {
                 Ended::Replaced => ": no frame for 10 s, and another host is there",
             }
         ),
+        ServerEvent::Impossible(why) => {
+            complain(format_args!("warning: {why}"));
+            Ok(())
+        }
         ServerEvent::Lagging(share) => say!(
             "this machine is too slow for {speed} times real time: {:.0} % of the last minute was left out",
             100.0 * share

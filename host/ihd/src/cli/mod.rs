@@ -12,6 +12,8 @@ pub mod completions;
 pub mod configured;
 pub mod convert;
 #[cfg(feature = "daemon")]
+pub mod demonstration;
+#[cfg(feature = "daemon")]
 pub mod device;
 pub mod doctor;
 pub mod flash;
@@ -40,6 +42,10 @@ pub mod study;
 pub mod supervised;
 #[cfg(feature = "pinn")]
 pub mod trainer;
+#[cfg(feature = "daemon")]
+pub mod ui;
+#[cfg(feature = "daemon")]
+pub mod watch;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -83,6 +89,8 @@ enum Command {
     #[cfg(feature = "daemon")]
     Store(Box<store::StoreArgs>),
     Study(study::StudyArgs),
+    #[cfg(feature = "daemon")]
+    Watch(watch::WatchArgs),
 }
 
 impl Cli {
@@ -114,6 +122,8 @@ impl Cli {
             #[cfg(feature = "daemon")]
             Command::Store(args) => args.run(),
             Command::Study(args) => args.run(),
+            #[cfg(feature = "daemon")]
+            Command::Watch(args) => args.run(),
         }
     }
 }

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Command, FromArgMatches};
-use ihd_daemon::OpenDevice;
 use ihd_daemon::config::{Address, Config};
+use ihd_daemon::{OpenDevice, Opened, TruthOf};
 use ihd_link::{DeviceSpec, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::{PacedHob, SharedHob};
@@ -90,7 +90,8 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
     }
     let running: Mutex<BTreeMap<String, SharedHob>> = Mutex::default();
     Ok(Arc::new(move |address: &Address| {
-        address.spec.open(|| {
+        let mut truth: Option<Arc<TruthOf>> = None;
+        let transport = address.spec.open(|| {
             let name = match address.sim.get(NAME) {
                 Some(toml::Value::String(name)) => name.clone(),
                 _ => String::new(),
@@ -100,8 +101,11 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
             let hob = running
                 .entry(name)
                 .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob.booted_now())));
+            let knows = hob.clone();
+            truth = Some(Arc::new(move |half_cycle| knows.truth(half_cycle)));
             Box::new(PacedHob::new(hob.clone(), simulated.speed)) as Box<dyn Transport>
-        })
+        })?;
+        Ok(Opened { transport, truth })
     }))
 }
 

@@ -11,13 +11,15 @@ use clap::{Args, ValueEnum};
 use ihd_api::{DaemonBackend, Server};
 use ihd_daemon::Daemon;
 use ihd_daemon::config::Config;
+use ihd_link::DeviceSpec;
 use tokio::runtime;
 use tokio::sync::watch;
 use tokio::time::timeout;
 use tracing_subscriber::EnvFilter;
 
+use super::demonstration::{self, Demonstration};
 use super::opener::opener;
-use super::{configured, supervised};
+use super::{configured, supervised, ui};
 
 /// Longest that an orderly end may take: a hob that does not answer is switched off by itself after 10 s.
 const END_WITHIN: Duration = Duration::from_secs(30);
@@ -38,6 +40,10 @@ pub struct ServeArgs {
     /// Run until told to stop: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
     #[arg(long, conflicts_with_all = ALONE)]
     daemon: bool,
+    /// Open the daemon's page in a browser. Without --daemon, a demonstration: a daemon whose simulated hob heats with --power, again
+    /// and again, until somebody commands it
+    #[arg(long, conflicts_with_all = ["replay", "no_store", "follow", "json"])]
+    ui: bool,
     /// Configuration of the daemon; without one ihd.toml of this folder, or what is built in (docs/daemon.md)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -47,9 +53,9 @@ pub struct ServeArgs {
 }
 
 /// Options of `ihd trainer` that say nothing to a daemon: devices have theirs in the configuration.
-const ALONE: [&str; 11] = [
+const ALONE: [&str; 12] = [
     "device", "power", "replay", "backend", "network", "store", "no_store", "follow", "json",
-    "pot", "warming",
+    "pot", "warming", "contents",
 ];
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -65,16 +71,31 @@ enum LogFormat {
     Json,
 }
 
+/// What is asked for beside what `ihd trainer` does itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Nothing.
+    Nothing,
+    /// The daemon.
+    Daemon,
+    /// The page with a hob that heats by itself.
+    Demonstration,
+}
+
 impl ServeArgs {
-    /// Whether a daemon is asked for.
+    /// What is asked for.
     ///
     /// # Errors
-    /// When it is not, and its configuration is given all the same.
-    pub fn asked(&self) -> Result<bool> {
-        let asked = self.daemon || self.serve.is_some();
+    /// When it is nothing, and the daemon's configuration is given all the same.
+    pub fn asked(&self) -> Result<Asked> {
+        let asked = match self.daemon || self.serve.is_some() {
+            true => Asked::Daemon,
+            false if self.ui => Asked::Demonstration,
+            false => Asked::Nothing,
+        };
         ensure_usage!(
-            asked || self.config.is_none(),
-            "--config is the daemon's, with --daemon; settings of the network stand in --network FILE"
+            asked != Asked::Nothing || self.config.is_none(),
+            "--config is the daemon's, with --daemon or --ui; settings of the network stand in --network FILE"
         );
         Ok(asked)
     }
@@ -84,20 +105,46 @@ impl ServeArgs {
     /// # Errors
     /// A configuration that cannot work, a port in use, a store that cannot be opened.
     pub fn run(&self) -> Result<()> {
-        let mut config = configured::config(self.config.as_deref())?;
+        let config = configured::config(self.config.as_deref())?;
+        if self.ui
+            && let Some(daemon) = configured::daemon(&config)?
+        {
+            say!("a daemon runs already: its page is {}/", daemon.url())?;
+            ui::open(&format!("{}/", daemon.url()));
+            return Ok(());
+        }
+        self.start(config, tracing::Level::INFO, None)
+    }
+
+    /// Runs a daemon with a hob that heats by itself until told to stop.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn demonstrate(&self, demonstration: Demonstration) -> Result<()> {
+        let of_file = self.config.as_deref().map(Config::read).transpose()?;
+        let config = demonstration.config(of_file);
+        self.start(config, tracing::Level::WARN, Some(demonstration))
+    }
+
+    fn start(
+        &self,
+        mut config: Config,
+        level: tracing::Level,
+        demonstration: Option<Demonstration>,
+    ) -> Result<()> {
         let open = opener(&mut config)?;
-        start_log(self.log_format)?;
+        start_log(self.log_format, level)?;
         let runtime = runtime::Builder::new_multi_thread()
             .enable_all()
             .build()
             .context("cannot start the daemon's threads")?;
-        runtime.block_on(serve(config, open))
+        runtime.block_on(serve(config, open, self.ui, demonstration))
     }
 }
 
-fn start_log(format: LogFormat) -> Result<()> {
+fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
     let wanted = EnvFilter::builder()
-        .with_default_directive(tracing::Level::INFO.into())
+        .with_default_directive(level.into())
         .from_env()
         .context("RUST_LOG")?;
     let log = tracing_subscriber::fmt()
@@ -111,7 +158,12 @@ fn start_log(format: LogFormat) -> Result<()> {
     started.map_err(|why| anyhow::anyhow!("cannot start the log: {why}"))
 }
 
-async fn serve(config: Config, open: Arc<ihd_daemon::OpenDevice>) -> Result<()> {
+async fn serve(
+    config: Config,
+    open: Arc<ihd_daemon::OpenDevice>,
+    shows: bool,
+    demonstration: Option<Demonstration>,
+) -> Result<()> {
     // Before anything heats or is opened: from here on ^C ends in order.
     let mut signals = supervised::Signals::new().context("cannot catch ^C")?;
     let settings = configured::server_settings(&config);
@@ -124,6 +176,7 @@ async fn serve(config: Config, open: Arc<ihd_daemon::OpenDevice>) -> Result<()> 
         )
     })?;
     let url = server.url();
+    let page = format!("{}/", configured::reached(&url, server.address()));
     tracing::info!(url, store = %store.display(), devices, "the daemon listens");
     if let Some((fingerprint, file)) = server.certificate() {
         tracing::info!(fingerprint, file = %file.display(), "TLS certificate (SHA-256)");
@@ -135,7 +188,15 @@ async fn serve(config: Config, open: Arc<ihd_daemon::OpenDevice>) -> Result<()> 
     let backend = Arc::new(DaemonBackend::new(daemon.clone()));
     let serving = tokio::spawn(server.run(backend, stopping));
     let watched = tokio::spawn(supervised::ready_and_alive(daemon.clone()));
+    if shows {
+        say!("{}", words(&page, demonstration.as_ref()))?;
+        ui::open(&page);
+    }
+    let heating = demonstration.map(|d| tokio::spawn(heat_until_taken(daemon.clone(), d)));
     let signal = signals.next().await;
+    if let Some(heating) = heating {
+        heating.abort();
+    }
     tracing::info!(signal, "stopping: hobs off, windows under way stored");
     supervised::stopping();
     watched.abort();
@@ -161,4 +222,26 @@ async fn serve(config: Config, open: Arc<ihd_daemon::OpenDevice>) -> Result<()> 
         }
     }
     Ok(())
+}
+
+/// What a person is told who asked for the page.
+fn words(page: &str, demonstration: Option<&Demonstration>) -> String {
+    match demonstration {
+        None => format!("the page is {page}"),
+        Some(d) => {
+            let hob = match &d.device {
+                DeviceSpec::Sim => "a simulated hob".to_owned(),
+                device => format!("the hob at {device}"),
+            };
+            format!(
+                "the page is {page} and shows {hob} that heats by itself until somebody commands it; ^C ends it"
+            )
+        }
+    }
+}
+
+async fn heat_until_taken(daemon: Daemon, d: Demonstration) {
+    let somebody = demonstration::heat(daemon, d.name(), d.powers_w).await;
+    // Nobody may read it: that is no reason to end.
+    let _ = say!("{somebody} commands the hob now: it heats no more by itself");
 }

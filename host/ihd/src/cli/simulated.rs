@@ -3,10 +3,15 @@
 use anyhow::Result;
 use clap::Args;
 use ihd_sim::adc::Noise;
+use ihd_sim::contents::Contents;
 use ihd_sim::hob::HobConfig;
+use ihd_sim::perturbation::Perturbation;
 use ihd_sim::pot::Pot;
+use ihd_sim::recording::settings::LoadKind;
 
 use super::simulate::LoadWord;
+use super::simulate::quantity::quantity;
+use super::usage::Usage;
 
 /// The simulated hob.
 #[derive(Debug, Args)]
@@ -16,6 +21,19 @@ pub struct SimulatedHobArgs {
     /// cm, or none.
     #[arg(long, value_name = "POT", default_value = "ferritic-21")]
     pot: Pot,
+    /// Lift the pot, in m (5mm).
+    #[arg(long, value_parser = quantity, value_name = "M", default_value = "0")]
+    lift: f64,
+    /// Move the pot off centre, in m (20mm).
+    #[arg(long, value_parser = quantity, value_name = "M", default_value = "0")]
+    offset: f64,
+    /// Temperature of the pot in °C, with the field model and its table.
+    #[arg(long, value_name = "CELSIUS", default_value_t = Pot::NONE.temperature_c)]
+    temperature: f64,
+    /// Let the load depart from the standard field model: tail, sharp-knee, rings, fine-gap, ferrite, rim or coil-gap
+    /// (docs/simulator.md).
+    #[arg(long, value_name = "NAME")]
+    perturb: Option<Perturbation>,
     /// How the load is modelled: field is the electromagnetic model (35 to 70 times slower than
     /// real time), reduced a table fitted to it.
     #[arg(long, value_name = "MODEL", default_value = "behavioural")]
@@ -23,6 +41,9 @@ pub struct SimulatedHobArgs {
     /// Let the pot warm up: R and L drift over minutes of simulated time.
     #[arg(long)]
     warming: bool,
+    /// What is in the pot, which then warms up: water-LITRE or oil-LITRE with 0.05 to 10 litre, empty, or food (the one lump of --warming)
+    #[arg(long, value_name = "CONTENTS")]
+    contents: Option<Contents>,
     /// Mains frequency in hertz.
     #[arg(long, value_name = "HZ", default_value_t = 50.0)]
     mains: f64,
@@ -44,17 +65,50 @@ pub struct SimulatedHobArgs {
 
 /// Rms voltage and current at 45 kHz, full power: what `--snr` refers to (measured on
 /// tests/fixtures/half_cycle, and close to the paper's Table 4).
-const RATED_RMS: (f64, f64) = (179.1, 27.7);
+pub const RATED_RMS: (f64, f64) = (179.1, 27.7);
 
 impl SimulatedHobArgs {
     /// The pot.
     pub fn pot(&self) -> Pot {
-        self.pot
+        Pot {
+            lift_m: self.lift,
+            offset_m: self.offset,
+            temperature_c: self.temperature,
+            perturbation: self.perturb,
+            ..self.pot
+        }
     }
 
     /// The seed, where one was given.
     pub fn seed(&self) -> Option<u64> {
         self.seed
+    }
+
+    /// These options as `sim` in the daemon's configuration has them.
+    #[cfg(feature = "daemon")]
+    pub fn table(&self) -> toml::Table {
+        use clap::ValueEnum;
+        let load = self.load.to_possible_value();
+        let given = [
+            ("pot", Some(self.pot.to_string())),
+            ("lift", Some(self.lift.to_string())),
+            ("offset", Some(self.offset.to_string())),
+            ("temperature", Some(self.temperature.to_string())),
+            ("perturb", self.perturb.map(|p| p.to_string())),
+            ("load", load.map(|load| load.get_name().to_owned())),
+            ("contents", self.contents.map(|x| x.to_string())),
+            ("mains", Some(self.mains.to_string())),
+            ("bench-supply", self.bench_supply.map(|x| x.to_string())),
+            ("snr", self.snr.map(|x| x.to_string())),
+            ("anti-alias", Some(self.anti_alias.to_string())),
+            ("seed", self.seed.map(|x| x.to_string())),
+        ];
+        let texts = given.into_iter().filter_map(|(key, text)| {
+            let text = toml::Value::String(text?);
+            Some((key.to_owned(), text))
+        });
+        let warming = ("warming".to_owned(), toml::Value::Boolean(self.warming));
+        texts.chain([warming]).collect()
     }
 
     /// The configuration.
@@ -88,12 +142,30 @@ impl SimulatedHobArgs {
                 Noise::from_snr_db(db, RATED_RMS.0, RATED_RMS.1)
             }
         };
+        let pot = self.pot();
+        pot.field_settings(0.0).map_err(Usage::of)?;
+        let formulas = LoadKind::from(self.load) == LoadKind::Behavioural;
+        let standard = Pot {
+            diameter_m: pot.diameter_m,
+            metal: pot.metal,
+            ..Pot::NONE
+        };
+        ensure_usage!(
+            !formulas || pot == standard,
+            "--load behavioural knows no --lift, --offset, --temperature and --perturb: use --load reduced or field"
+        );
+        ensure_usage!(
+            self.perturb != Some(Perturbation::Rings)
+                || LoadKind::from(self.load) != LoadKind::Field,
+            "--perturb rings goes with --load reduced: the rings of the time domain are compiled in"
+        );
         Ok(HobConfig {
             mains_hz: self.mains,
             bench_supply_v: self.bench_supply,
-            pot: self.pot,
+            pot,
             load: self.load.into(),
-            warming: self.warming,
+            warming: self.warming || self.contents.is_some(),
+            contents: self.contents.unwrap_or_default(),
             anti_alias_hz: self.anti_alias,
             noise,
             seed: self.seed.unwrap_or(HobConfig::default().seed),

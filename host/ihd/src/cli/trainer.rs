@@ -20,6 +20,10 @@ use ihd_survey::{Hints, Survey};
 use ihd_train::{Failed, Progress, Recorded, Report, Settings, Source, TruthSource, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
+#[cfg(feature = "daemon")]
+use super::demonstration::Demonstration;
+#[cfg(feature = "daemon")]
+use super::serve::Asked;
 use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
 use crate::report::{trained, training};
@@ -35,7 +39,8 @@ const MAX_RUNS: u32 = 9_999;
     ihd trainer\n  \
     ihd trainer --power 1500 --backend ndarray --json\n  \
     ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
-    ihd trainer --replay capture.mcap\n\n\
+    ihd trainer --replay capture.mcap\n  \
+    ihd trainer --ui                     (the page in a browser, with a simulated hob that heats)\n\n\
     Every end leaves the hob off, and what was found until then is printed.\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 device or link, 4 the device does not heat (fault, no pot),\n\
     5 nothing fit for the lookup")]
@@ -86,29 +91,34 @@ impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
         #[cfg(feature = "daemon")]
-        if self.serve.asked()? {
-            return self.serve.run();
+        match self.serve.asked()? {
+            Asked::Daemon => return self.serve.run(),
+            Asked::Demonstration => return self.demonstrate(),
+            Asked::Nothing => {}
         }
-        for &power_w in &self.power {
-            ensure_usage!(
-                (1..=RATED_POWER_W).contains(&power_w),
-                "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
-            );
-        }
+        self.check_powers()?;
         let pinn = self.pinn_config()?;
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let bar = progress_bar();
         let mut truth: TruthSource = None;
+        let mut simulated = None;
         let config = self.simulated.config()?;
         let transport = self.device.open(|| {
             let hob = SharedHob::new(SimHob::new(&config));
             let known = hob.clone();
+            simulated = Some(hob.clone());
             truth = Some(Box::new(move |half_cycle| known.truth(half_cycle)));
             Box::new(hob)
         })?;
         let client = Client::connect(transport)?;
         let scales = client.front_end().scales();
         let reopen = || self.reopen();
+        let map_truth = || {
+            bar.set_message("the truth of every cell");
+            let truth = simulated.as_ref()?.lock().map_truth(&mut |_| ());
+            let complain = |why: &_| line(&bar, &format!("the map is not judged: {why}"));
+            truth.inspect_err(complain).ok()
+        };
         let settings = Settings {
             source: self.source(scales)?,
             pinn,
@@ -120,6 +130,7 @@ impl TrainerArgs {
             follow: self.follow,
             stop: Some(stop),
             reopen: (self.device != DeviceSpec::Sim).then_some(&reopen),
+            map_truth: (self.device == DeviceSpec::Sim).then_some(&map_truth),
         };
         let ended = run(client, truth, &settings, &mut |p| {
             show(&bar, self.follow, p)
@@ -133,6 +144,48 @@ impl TrainerArgs {
                 Err(failed.into())
             }
         }
+    }
+
+    fn check_powers(&self) -> Result<()> {
+        for &power_w in &self.power {
+            ensure_usage!(
+                (1..=RATED_POWER_W).contains(&power_w),
+                "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
+            );
+        }
+        Ok(())
+    }
+
+    /// The page with a hob that heats by itself.
+    #[cfg(feature = "daemon")]
+    fn demonstrate(&self) -> Result<()> {
+        self.check_powers()?;
+        // With the messages of the command line, before anything runs.
+        self.simulated.config()?;
+        let network = match (&self.network, self.backend) {
+            (None, None) => None,
+            (file, backend) => {
+                self.pinn_config()?;
+                let text = file
+                    .as_ref()
+                    .map_or(Ok(String::new()), fs::read_to_string)?;
+                let mut table: toml::Table = text.parse()?;
+                if let Some(backend) = backend {
+                    table.insert("backend".to_owned(), backend.to_string().into());
+                }
+                Some(table)
+            }
+        };
+        self.serve.demonstrate(Demonstration {
+            sim: match self.device {
+                DeviceSpec::Sim => self.simulated.table(),
+                _ => toml::Table::new(),
+            },
+            device: self.device.clone(),
+            powers_w: self.power.clone(),
+            store: self.store.clone(),
+            network,
+        })
     }
 
     /// A new link to the same device; a simulated hob in this process has none.
@@ -300,7 +353,7 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             observed_cells,
         } => {
             let text =
-                format!("lookup {version} active on the device, {observed_cells} cells observed");
+                format!("lookup {version} active on the device, {observed_cells} cells known");
             if follow {
                 line(bar, &text);
             } else {

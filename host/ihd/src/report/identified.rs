@@ -7,10 +7,11 @@ use ihd_identify::accuracy::fundamental;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::FigureError;
+use super::plot::legend::header;
+use super::plot::{self, Axis, Curve, Drawn, Entry, GREY, Panel, Pen, span};
 
 /// Switching periods of the close-up.
 const CLOSE_UP_PERIODS: f64 = 3.0;
@@ -19,15 +20,11 @@ const CLOSE_UP_PERIODS: f64 = 3.0;
 /// what an estimator makes of the zero crossings, must not flatten everything else.
 const OUTLIERS: f64 = 0.02;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
+/// How far beyond what was measured a reconstructed waveform is shown, in spans of it.
+const REACH: f64 = 1.0;
 
-struct Curve {
-    name: String,
-    style: ShapeStyle,
-    /// Runs of points; the line breaks between them.
-    runs: Vec<Vec<(f64, f64)>>,
-}
+/// What is known or measured: wide, so that it shows under what was found.
+const KNOWN: Pen = Pen::Line(5);
 
 fn colour(method: Method) -> RGBColor {
     match method {
@@ -42,8 +39,6 @@ fn colour(method: Method) -> RGBColor {
         Method::Pinn => RGBColor(227, 119, 194),
     }
 }
-
-const GREY: RGBColor = RGBColor(150, 150, 150);
 
 /// Draws R and L over time with the truth where there is one, and a close-up of the measured and
 /// reconstructed waveforms at the largest current.
@@ -71,83 +66,115 @@ fn draw_all(
     if !drawn {
         return Err("no method found anything".into());
     }
-    let root = SVGBackend::new(path, (1100, 760)).into_drawing_area();
+    let panels = panels(segments, estimates, truth);
+    let root = SVGBackend::new(path, (1100, 800)).into_drawing_area();
     root.fill(&WHITE)?;
-    let root = root.titled(name, ("sans-serif", 18))?;
-    let (strip, root) = root.split_vertically(24);
-    legend(&strip, estimates, !truth.is_empty())?;
-    let panels = root.split_evenly((2, 2));
+    let beyond = panels.iter().any(Framed::has_more);
+    let below = header(&root, name, &entries(estimates, !truth.is_empty(), beyond))?;
+    let places = below.split_evenly((2, 2));
+    for (area, framed) in places.iter().zip(&panels) {
+        let below = header(area, framed.title, &[])?;
+        plot::draw(&below, &framed.panel, &framed.curves)?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+/// A panel with its axes.
+struct Framed {
+    title: &'static str,
+    panel: Panel,
+    curves: Vec<Curve>,
+}
+
+impl Framed {
+    fn new(
+        title: &'static str,
+        label: &str,
+        curves: Vec<Curve>,
+        y: impl Fn(&[Curve]) -> Option<Range<f64>>,
+    ) -> Option<Self> {
+        let (from, to) = span(curves.iter().flat_map(Curve::points).map(|p| p.0))?;
+        let panel = Panel {
+            x: Axis::linear("t / ms", from..to),
+            y: Axis::linear(label, y(&curves)?),
+        };
+        Some(Self {
+            title,
+            panel,
+            curves,
+        })
+    }
+
+    /// Whether a curve goes on outside.
+    fn has_more(&self) -> bool {
+        let frame = self.panel.y.scale.ends();
+        let mut points = self.curves.iter().flat_map(Curve::points);
+        points.any(|p| p.1 < frame.start || p.1 > frame.end)
+    }
+}
+
+/// R, L, and where there is a segment the waveforms.
+fn panels(segments: &[Segment], estimates: &[&Estimate], truth: &[PeriodTruth]) -> Vec<Framed> {
     let truth = fundamental(truth);
     let curves = |values: fn(&Estimate) -> &Vec<f64>, known: &[f64], unit: f64| {
         let mut curves = Vec::new();
+        let points = |t: &[f64], x: &[f64]| {
+            let both = t.iter().zip(x);
+            both.map(|(t, x)| (t * 1e3, x / unit)).collect::<Vec<_>>()
+        };
         if !truth.t_s.is_empty() {
-            let points = truth.t_s.iter().zip(known);
-            curves.push(Curve {
-                name: "truth".into(),
-                style: GREY.stroke_width(5),
-                runs: vec![points.map(|(t, x)| (t * 1e3, x / unit)).collect()],
-            });
+            curves.push(Curve::new("truth", GREY, KNOWN, points(&truth.t_s, known)));
         }
         for method in Method::ALL {
             let of_method = estimates.iter().filter(|e| e.method == method);
-            let run = |e: &&Estimate| {
-                let points = e.t_s.iter().zip(values(e));
-                points.map(|(t, x)| (t * 1e3, x / unit)).collect()
-            };
-            let runs: Vec<Vec<_>> = of_method.map(run).collect();
+            let runs: Vec<_> = of_method.map(|e| points(&e.t_s, values(e))).collect();
             if !runs.is_empty() {
                 curves.push(Curve {
                     name: method.name().into(),
-                    style: colour(method).stroke_width(1),
+                    colour: colour(method),
+                    pen: Pen::Line(1),
                     runs,
                 });
             }
         }
         curves
     };
-    panel(
-        &panels[0],
-        "Resistance",
-        "R / Ω",
-        &curves(|e| &e.r_ohm, &truth.r_ohm, 1.0),
-    )?;
-    panel(
-        &panels[1],
-        "Inductance",
-        "L / µH",
-        &curves(|e| &e.l_h, &truth.l_h, 1e-6),
-    )?;
-    let Some((segment, range)) = close_up(segments) else {
-        return Ok(root.present()?);
-    };
-    let waves = |measured: &[f64], found: fn(&Estimate) -> &Vec<f32>| {
-        let at = |k: usize| segment.t_s(k) * 1e3;
-        let mut curves = vec![Curve {
-            name: "measured".into(),
-            style: GREY.stroke_width(5),
-            runs: vec![range.clone().map(|k| (at(k), measured[k])).collect()],
-        }];
-        for estimate in estimates {
-            let x = found(estimate);
-            if estimate.f_sw_hz == segment.f_sw_hz && x.len() == segment.len() {
-                let points = range.clone().map(|k| (at(k), f64::from(x[k])));
-                curves.push(Curve {
-                    name: estimate.method.name().into(),
-                    style: colour(estimate.method).stroke_width(1),
-                    runs: vec![points.collect()],
-                });
-            }
+    let r = curves(|e| &e.r_ohm, &truth.r_ohm, 1.0);
+    let l = curves(|e| &e.l_h, &truth.l_h, 1e-6);
+    let mut all = vec![
+        Framed::new("Resistance", "R / Ω", r, frame),
+        Framed::new("Inductance", "L / µH", l, frame),
+    ];
+    if let Some((segment, range)) = close_up(segments) {
+        let v = waves(segment, &range, estimates, &segment.v_v, |e| &e.v_hat_v);
+        let i = waves(segment, &range, estimates, &segment.i_a, |e| &e.i_hat_a);
+        all.push(Framed::new("Voltage, reconstructed", "v / V", v, whole));
+        all.push(Framed::new("Current, reconstructed", "i / A", i, whole));
+    }
+    all.into_iter().flatten().collect()
+}
+
+/// What was measured, and what the estimators make of it.
+fn waves(
+    segment: &Segment,
+    range: &Range<usize>,
+    estimates: &[&Estimate],
+    measured: &[f64],
+    found: fn(&Estimate) -> &Vec<f32>,
+) -> Vec<Curve> {
+    let at = |k: usize| segment.t_s(k) * 1e3;
+    let points = range.clone().map(|k| (at(k), measured[k])).collect();
+    let mut curves = vec![Curve::new("measured", GREY, KNOWN, points)];
+    for estimate in estimates {
+        let x = found(estimate);
+        if estimate.f_sw_hz == segment.f_sw_hz && x.len() == segment.len() {
+            let points = range.clone().map(|k| (at(k), f64::from(x[k]))).collect();
+            let (name, colour) = (estimate.method.name(), colour(estimate.method));
+            curves.push(Curve::new(name, colour, Pen::Line(1), points));
         }
-        curves
-    };
-    let (v, i) = (
-        waves(&segment.v_v, |e| &e.v_hat_v),
-        waves(&segment.i_a, |e| &e.i_hat_a),
-    );
-    panel(&panels[2], "Voltage, reconstructed", "v / V", &v)?;
-    panel(&panels[3], "Current, reconstructed", "i / A", &i)?;
-    root.present()?;
-    Ok(())
+    }
+    curves
 }
 
 /// The longest segment and its samples around the largest current.
@@ -164,66 +191,113 @@ fn close_up(segments: &[Segment]) -> Option<(&Segment, Range<usize>)> {
 
 /// The range of the values without the outermost.
 fn frame(curves: &[Curve]) -> Option<Range<f64>> {
-    // The paper's literal preset runs away, which shows as a line along the frame's edge.
+    // The paper's literal preset runs away, which arrows at the frame's edge show.
     let literal = |c: &&Curve| c.name == Method::EkfPaper.name();
     let alone = curves.iter().all(|c| literal(&c));
     let framed = curves.iter().filter(|c| alone || !literal(c));
-    let points = framed.flat_map(|c| c.runs.iter().flatten());
-    let mut y: Vec<f64> = points.map(|p| p.1).filter(|y| y.is_finite()).collect();
+    let mut y: Vec<f64> = framed
+        .flat_map(Curve::points)
+        .map(|p| p.1)
+        .filter(|y| y.is_finite())
+        .collect();
     y.sort_unstable_by(f64::total_cmp);
     let cut = (OUTLIERS * y.len() as f64) as usize;
     let (mut low, mut high) = (*y.get(cut)?, *y.get(y.len() - 1 - cut)?);
-    // What is known or measured is shown whole.
-    let known = curves.iter().filter(|c| c.style.stroke_width > 1);
-    for (_, y) in known.flat_map(|c| c.runs.iter().flatten()) {
-        (low, high) = (low.min(*y), high.max(*y));
+    // What is known is shown whole.
+    if let Some(known) = known(curves) {
+        (low, high) = (low.min(known.0), high.max(known.1));
     }
-    let air = 0.08 * (high - low).max(1e-9 * high.abs().max(1e-9));
-    Some(low - air..high + air)
+    Some(with_air(low, high))
 }
 
-fn panel(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
-    let Some(y) = frame(curves) else {
-        return Ok(());
-    };
-    let points = || curves.iter().flat_map(|c| c.runs.iter().flatten());
-    let x = points().fold((f64::MAX, f64::MIN), |(a, b), p| (a.min(p.0), b.max(p.0)));
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 16))
-        .margin(10)
-        .x_label_area_size(34)
-        .y_label_area_size(52)
-        .build_cartesian_2d(x.0..x.1.max(x.0 + 1e-9), y.clone())?;
-    chart
-        .configure_mesh()
-        .x_desc("t / ms")
-        .y_desc(label)
-        .light_line_style(WHITE)
-        .draw()?;
-    for curve in curves {
-        let style = curve.style;
-        for run in &curve.runs {
-            let inside = run.iter().map(|p| (p.0, p.1.clamp(y.start, y.end)));
-            chart.draw_series(LineSeries::new(inside, style))?;
-        }
-    }
-    Ok(())
+/// The range of all values, a runaway's within reason of what was measured.
+fn whole(curves: &[Curve]) -> Option<Range<f64>> {
+    let (low, high) = known(curves)?;
+    let reach = REACH * (high - low);
+    let all = span(curves.iter().flat_map(Curve::points).map(|p| p.1))?;
+    Some(with_air(all.0.max(low - reach), all.1.min(high + reach)))
+}
+
+/// The range of what is known or measured.
+fn known(curves: &[Curve]) -> Option<(f64, f64)> {
+    let known = curves.iter().filter(|c| c.pen == KNOWN);
+    span(known.flat_map(Curve::points).map(|p| p.1))
+}
+
+fn with_air(low: f64, high: f64) -> Range<f64> {
+    let air = 0.08 * (high - low).max(1e-9 * high.abs().max(1e-9));
+    low - air..high + air
 }
 
 /// Names and colours in one line above the panels.
-fn legend(strip: &Area<'_>, estimates: &[&Estimate], truth: bool) -> Drawn {
-    const STEP: i32 = 110;
+fn entries(estimates: &[&Estimate], truth: bool, beyond: bool) -> Vec<Entry> {
     let grey = if truth { "truth, measured" } else { "measured" };
-    let mut entries = vec![(grey, GREY.stroke_width(5))];
+    let mut entries = vec![Entry::line(grey, GREY, KNOWN)];
     for method in Method::ALL {
         if estimates.iter().any(|e| e.method == method) {
-            entries.push((method.name(), colour(method).stroke_width(2)));
+            entries.push(Entry::line(method.name(), colour(method), Pen::Line(2)));
         }
     }
-    for (k, (name, style)) in entries.into_iter().enumerate() {
-        let x = 20 + STEP * k as i32 + if k > 0 { 20 } else { 0 };
-        strip.draw(&PathElement::new([(x, 12), (x + 16, 12)], style))?;
-        strip.draw(&Text::new(name, (x + 22, 6), ("sans-serif", 12)))?;
+    if beyond {
+        entries.push(Entry::words("▲▼ goes on outside"));
     }
-    Ok(())
+    entries
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plot::svg::Picture;
+    use super::*;
+
+    /// A segment at 50 kHz, and a reconstruction that overshoots by half at every edge, once by a thousand.
+    fn overshooting(by: f32) -> (Segment, Estimate) {
+        let (n, dt_s, f_sw_hz) = (5_000, 1e-7, 50e3);
+        let wave = |k: usize| (std::f64::consts::TAU * f_sw_hz * k as f64 * dt_s).sin();
+        let v_v: Vec<f64> = (0..n).map(|k| 300.0 * wave(k)).collect();
+        let i_a: Vec<f64> = (0..n).map(|k| 40.0 * wave(k)).collect();
+        let mut estimate = Estimate::new(Method::LeastSquares, f_sw_hz);
+        estimate.t_s = vec![0.0, 1e-4];
+        (estimate.r_ohm, estimate.l_h) = (vec![2.0, 2.1], vec![20e-6, 21e-6]);
+        estimate.v_hat_v = v_v.iter().map(|v| *v as f32 * by).collect();
+        estimate.i_hat_a = i_a.iter().map(|i| *i as f32).collect();
+        let segment = Segment {
+            v_v: v_v.into(),
+            i_a: i_a.into(),
+            t0_s: 0.0,
+            dt_s,
+            f_sw_hz,
+            mains_hz: 50.0,
+            zero_crossing_s: 0.0,
+        };
+        (segment, estimate)
+    }
+
+    #[test]
+    fn a_reconstruction_that_overshoots_is_shown_whole() {
+        let (segment, estimate) = overshooting(1.5);
+        let all = panels(&[segment], &[&estimate], &[]);
+        let voltage = &all[2];
+        let frame = voltage.panel.y.scale.ends();
+        // 450 V and some air, no more.
+        assert!((450.0..540.0).contains(&frame.end), "{frame:?}");
+        assert!(!voltage.has_more());
+        assert!(!all[3].has_more());
+    }
+
+    #[test]
+    fn a_runaway_is_marked_and_does_not_flatten_what_was_measured() {
+        let (segment, estimate) = overshooting(1e3);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.svg");
+        draw("a", &[segment], &[&estimate], &[], &path).unwrap();
+        let picture = Picture::read(&path);
+        assert!(
+            picture
+                .texts()
+                .iter()
+                .any(|t| t.contains("goes on outside"))
+        );
+        // The colour of least squares: arrows at both edges of the voltage's panel.
+        assert!(picture.polygons("#D62728").len() >= 2);
+    }
 }

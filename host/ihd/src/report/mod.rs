@@ -1,6 +1,7 @@
 //! What a person reads or looks at after a command: tables and figures.
 
 pub mod identified;
+pub mod plot;
 pub mod recording;
 pub mod scenario;
 pub mod survey;

@@ -6,40 +6,35 @@ use std::path::Path;
 use ihd_signal::Capture;
 use ihd_survey::spectrum::amplitude_db;
 use ihd_survey::{Severity, Span, Survey};
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::FigureError;
-use crate::report::recording::extremes;
+use super::plot::legend::header;
+use super::plot::two_axes::{self, Side, Trace, Under, Zero};
+use super::plot::{self, Area, Axis, BLUE, Curve, Drawn, Entry, Panel, Pen, RED, envelope, scale};
 
 /// Switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 2.0;
 
-/// Highest harmonic in the spectrum.
-const HARMONICS: f64 = 12.0;
+/// The spectrum begins at this share of the switching frequency: below it are mains and drift.
+const SPECTRUM_FROM: f64 = 0.05;
+
+/// Columns of a panel of the whole width, and of one of half of it.
+const COLUMNS: (usize, usize) = (1040, 470);
 
 /// Letters in a line of findings.
-const LINE: usize = 160;
+const LINE: usize = 150;
 
 /// Height of the panels in pixels.
-const WAVES_PX: u32 = 520;
+const WAVES_PX: u32 = 660;
+
+/// Of which the overview.
+const OVERVIEW_PX: u32 = 310;
 
 /// Height of a line of text in pixels.
-const LINE_PX: u32 = 18;
+const LINE_PX: u32 = 19;
 
-const VOLTAGE: RGBColor = RGBColor(31, 119, 180);
-const CURRENT: RGBColor = RGBColor(214, 39, 40);
-const LEFT_OUT: RGBColor = RGBColor(235, 235, 235);
-
-type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// A curve against the left or the right axis.
-struct Curve {
-    name: &'static str,
-    colour: RGBColor,
-    points: Vec<(f64, f64)>,
-}
+const LEFT_OUT: RGBColor = RGBColor(225, 225, 225);
 
 /// Writes the figure as SVG.
 ///
@@ -55,7 +50,7 @@ fn draw(capture: &Capture, survey: &Survey, path: &Path) -> Drawn {
     let root = SVGBackend::new(path, (1200, height)).into_drawing_area();
     root.fill(&WHITE)?;
     let (waves, below) = root.split_vertically(WAVES_PX);
-    let (overview, details) = waves.split_vertically(250);
+    let (overview, details) = waves.split_vertically(OVERVIEW_PX);
     let (close_up, spectrum) = details.split_horizontally(600);
     overview_panel(&overview, capture, survey)?;
     if let Some((span, peak)) = strongest(capture, survey) {
@@ -81,173 +76,150 @@ fn strongest<'a>(capture: &Capture, survey: &'a Survey) -> Option<(&'a Span, usi
     all.max_by(|a, b| size(a.1).total_cmp(&size(b.1)))
 }
 
-/// Voltage and current of a range of samples, times in `unit` seconds.
+/// Voltage and current of a range of samples; `period` in samples, where there are more of those than columns.
 fn waves(
     capture: &Capture,
     range: Range<usize>,
-    t_s: impl Fn(usize) -> f64 + Copy,
-    unit: f64,
-) -> [Curve; 2] {
-    let curve = |name, colour, x: &[f32]| {
+    most: usize,
+    period: f64,
+    at: impl Fn(usize) -> f64,
+) -> [Side; 2] {
+    let side = |label: &str, colour, x: &[f32]| {
         let value = |k: usize| x.get(k).map_or(f64::NAN, |x| f64::from(*x));
-        let mut points = extremes(|k| t_s(k) / unit, value, range.clone());
-        points.retain(|p| p.0.is_finite() && p.1.is_finite());
-        Curve {
-            name,
+        let trace = if range.len() > 2 * most {
+            Trace::Band(envelope::columns(range.clone(), most, period, &at, value))
+        } else {
+            Trace::Line(range.clone().map(|k| (at(k), value(k))).collect())
+        };
+        Side {
+            label: label.into(),
             colour,
-            points,
+            trace,
         }
     };
     [
-        curve("v / V", VOLTAGE, &capture.v_v),
-        curve("i / A", CURRENT, &capture.i_a),
+        side("v / V", BLUE, &capture.v_v),
+        side("i / A", RED, &capture.i_a),
     ]
 }
 
-fn overview_panel(area: &Panel<'_>, capture: &Capture, survey: &Survey) -> Drawn {
-    let t_s = |k: usize| capture.time.at(k).unwrap_or(f64::NAN);
-    let curves = waves(capture, 0..capture.len(), t_s, 1e-3);
+/// Names of the two channels, and how they are drawn.
+fn names(dense: bool) -> Vec<Entry> {
+    let entry = |name: &str, colour: RGBColor| {
+        if dense {
+            let RGBColor(r, g, b) = colour;
+            // As the band's fill on white.
+            let pale = |c: u8| (0.45 * f64::from(c) + 0.55 * 255.0) as u8;
+            Entry::shade(name, RGBColor(pale(r), pale(g), pale(b)))
+        } else {
+            Entry::line(name, colour, Pen::Line(1))
+        }
+    };
+    vec![entry("voltage (left)", BLUE), entry("current (right)", RED)]
+}
+
+fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> Drawn {
+    let at = |k: usize| capture.time.at(k).unwrap_or(f64::NAN) * 1e3;
+    let (from_s, to_s) = (survey.start_s, survey.start_s + survey.duration_s);
+    let mut shaded = Vec::new();
+    let mut at_s = from_s;
+    for span in &survey.spans {
+        shaded.push((at_s * 1e3, span.t0_s * 1e3, LEFT_OUT));
+        at_s = span.end_s();
+    }
+    shaded.push((at_s * 1e3, to_s * 1e3, LEFT_OUT));
+    shaded.retain(|(a, b, _)| b > a);
+    let mut marks = survey.mains.crossings_s(from_s, to_s);
+    marks.iter_mut().for_each(|t| *t *= 1e3);
+    // More than this would be a wall.
+    if marks.len() > 200 {
+        marks.clear();
+    }
+    // The longest of the periods: what is shorter is whole in its columns too.
+    let periods = survey.spans.iter().map(|s| 1.0 / (s.f_sw_hz * s.dt_s));
+    let period = periods.filter(|p| p.is_finite()).fold(0.0, f64::max);
+    let sides = waves(capture, 0..capture.len(), COLUMNS.0, period, at);
+    let mut entries = names(matches!(sides[0].trace, Trace::Band(_)));
+    if !shaded.is_empty() {
+        entries.push(Entry::shade("left out", LEFT_OUT));
+    }
+    if !marks.is_empty() {
+        entries.push(Entry::line("mains zero crossing", BLACK, Pen::Broken(1)));
+    }
     let title = format!(
-        "{}: {} samples at {:.4} MS/s; grey: left out; dashed: mains zero crossings",
+        "{}: {} samples at {:.4} MS/s",
         survey.name,
         survey.samples,
         survey.rate_hz * 1e-6
     );
-    let (from_s, to_s) = (survey.start_s, survey.start_s + survey.duration_s);
-    let mut out = Vec::new();
-    let mut at_s = from_s;
-    for span in &survey.spans {
-        out.push((at_s * 1e3, span.t0_s * 1e3));
-        at_s = span.end_s();
-    }
-    out.push((at_s * 1e3, to_s * 1e3));
-    out.retain(|(a, b)| b > a);
-    let marks: Vec<f64> = survey
-        .mains
-        .crossings_s(from_s, to_s)
-        .iter()
-        .map(|t| t * 1e3)
-        .collect();
-    // More than this would be a wall.
-    let marks = if marks.len() > 200 { &[] } else { &marks[..] };
-    panel(area, &title, "t / ms", &curves, &out, marks)
+    let below = header(area, &title, &entries)?;
+    let under = Under {
+        shaded,
+        marks,
+        alarms: Vec::new(),
+    };
+    two_axes::draw(&below, "t / ms", Zero::Middle, &sides, &under)
 }
 
-fn close_up_panel(area: &Panel<'_>, capture: &Capture, span: &Span, peak: usize) -> Drawn {
+fn close_up_panel(area: &Area<'_>, capture: &Capture, span: &Span, peak: usize) -> Drawn {
     let half = (0.5 * CLOSE_UP_PERIODS / (span.f_sw_hz * span.dt_s)).ceil() as usize;
     let end = span.first + span.samples;
     let range = peak.saturating_sub(half).max(span.first)..(peak + half + 1).min(end);
     let first = range.start;
-    let t_s = |k: usize| (k - first) as f64 * span.dt_s;
-    let curves = waves(capture, range, t_s, 1e-6);
+    let at = |k: usize| (k - first) as f64 * span.dt_s * 1e6;
+    // No carrier to gather: two periods are wider than that.
+    let sides = waves(capture, range, COLUMNS.1, 0.0, at);
     let at_ms = span.run().t_s(first) * 1e3;
     let title = format!(
         "Two periods from {at_ms:.3} ms, {:.3} kHz",
         span.f_sw_hz * 1e-3
     );
-    panel(area, &title, "t / µs", &curves, &[], &[])
+    let below = header(area, &title, &names(false))?;
+    two_axes::draw(&below, "t / µs", Zero::Middle, &sides, &Under::default())
 }
 
-/// Two axes: voltage left, current right, both with zero in the middle.
-fn panel(
-    area: &Panel<'_>,
-    title: &str,
-    x_label: &str,
-    curves: &[Curve; 2],
-    left_out: &[(f64, f64)],
-    marks: &[f64],
-) -> Drawn {
-    let xs = || curves[0].points.iter().map(|p| p.0);
-    let (from, to) = (
-        xs().fold(f64::INFINITY, f64::min),
-        xs().fold(f64::NEG_INFINITY, f64::max),
-    );
-    let size = |c: &Curve| c.points.iter().map(|p| p.1.abs()).fold(1e-9, f64::max) * 1.08;
-    let (v, i) = (size(&curves[0]), size(&curves[1]));
-    if from >= to {
-        return Ok(());
-    }
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 15))
-        .margin(8)
-        .x_label_area_size(32)
-        .y_label_area_size(60)
-        .right_y_label_area_size(60)
-        .build_cartesian_2d(from..to, -v..v)?
-        .set_secondary_coord(from..to, -i..i);
-    chart
-        .configure_mesh()
-        .x_desc(x_label)
-        .y_desc(curves[0].name)
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .draw()?;
-    chart
-        .configure_secondary_axes()
-        .y_desc(curves[1].name)
-        .draw()?;
-    let grey = |(a, b): &(f64, f64)| Rectangle::new([(*a, -v), (*b, v)], LEFT_OUT.filled());
-    chart.draw_series(left_out.iter().map(grey))?;
-    chart.draw_series(marks.iter().flat_map(|t| {
-        (0..24).step_by(2).map(move |k| {
-            let y = |k: i32| v * (f64::from(k) / 12.0 - 1.0);
-            PathElement::new([(*t, y(k)), (*t, y(k + 1))], BLACK.mix(0.4))
-        })
-    }))?;
-    // Where a carrier becomes a band, the one behind has to show.
-    let dense = curves[0].points.len() > 1000;
-    let opacity = if dense { 0.6 } else { 1.0 };
-    let line = |c: &Curve| LineSeries::new(c.points.clone(), c.colour.mix(opacity).stroke_width(1));
-    chart.draw_series(line(&curves[0]))?;
-    chart.draw_secondary_series(line(&curves[1]))?;
-    Ok(())
-}
-
-fn spectrum_panel(area: &Panel<'_>, capture: &Capture, span: &Span) -> Drawn {
-    let to_hz = (HARMONICS * span.f_sw_hz).min(0.5 / span.dt_s);
+/// Both spectra up to half the sampling rate: in each column of pixels the largest line and the least.
+fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> Drawn {
+    let to_hz = 0.5 / span.dt_s;
     let range = span.first..span.first + span.samples;
-    let curve = |name, colour, x: &[f32]| {
-        let x = x.get(range.clone()).unwrap_or(&[]);
-        let all = amplitude_db(x, span.dt_s, to_hz);
-        Curve {
-            name,
-            colour,
-            points: extremes(|k| all[k].0 * 1e-3, |k| all[k].1, 0..all.len()),
-        }
+    let lines = |x: &[f32]| amplitude_db(x.get(range.clone()).unwrap_or(&[]), span.dt_s, to_hz);
+    let all = [lines(&capture.v_v), lines(&capture.i_a)];
+    let first_hz = all.iter().filter_map(|x| Some(x.first()?.0));
+    let from_hz = first_hz.fold(SPECTRUM_FROM * span.f_sw_hz, f64::max);
+    let label = format!("f / Hz, to half the sampling rate, {}Hz", mega(to_hz));
+    let panel = Panel {
+        x: Axis::decades(&label, from_hz..to_hz),
+        y: Axis::linear("dB of the largest line", -120.0..5.0),
+    };
+    let curve = |name: &str, colour, points: &[(f64, f64)]| {
+        let x = &panel.x.scale;
+        let columns = envelope::of_points(points, COLUMNS.1, |f| x.unit(f), |u| x.value(u));
+        // From the least to the largest and on to the next column: noise is a band.
+        let points = columns.iter().flat_map(|c| [(c.at, c.min), (c.at, c.max)]);
+        Curve::new(name, colour, Pen::Line(1), points.collect())
     };
     let curves = [
-        curve("voltage", VOLTAGE, &capture.v_v),
-        curve("current", CURRENT, &capture.i_a),
+        curve("voltage", BLUE, &all[0]),
+        curve("current", RED, &all[1]),
     ];
-    let mut chart = ChartBuilder::on(area)
-        .caption("Spectra / dB of the largest line", ("sans-serif", 15))
-        .margin(8)
-        .x_label_area_size(32)
-        .y_label_area_size(46)
-        .build_cartesian_2d(0.0..to_hz * 1e-3, -120.0..5.0)?;
-    chart
-        .configure_mesh()
-        .x_desc("f / kHz")
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .draw()?;
-    for curve in curves {
-        let colour = curve.colour;
-        chart
-            .draw_series(LineSeries::new(curve.points, colour.stroke_width(1)))?
-            .label(curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.85))
-        .draw()?;
+    let entries: Vec<Entry> = curves.iter().map(Curve::entry).collect();
+    let below = header(area, "Spectra", &entries)?;
+    plot::draw(&below, &panel, &curves)?;
     Ok(())
+}
+
+/// A frequency before its unit: `25 M`, `312.5 k`.
+fn mega(hz: f64) -> String {
+    let rounded = |x: f64| scale::plain((x * 1e3).round() / 1e3);
+    if hz >= 1e6 {
+        format!("{} M", rounded(hz * 1e-6))
+    } else {
+        format!("{} k", rounded(hz * 1e-3))
+    }
 }
 
 /// Numbers and findings as text.
-fn findings(area: &Panel<'_>, text: Vec<(RGBColor, String)>) -> Drawn {
+fn findings(area: &Area<'_>, text: Vec<(RGBColor, String)>) -> Drawn {
     for (row, (colour, text)) in text.into_iter().enumerate() {
         let style = ("sans-serif", 14).into_font().color(&colour);
         area.draw_text(&text, &style, (16, LINE_PX as i32 * row as i32 + 8))?;
@@ -272,7 +244,7 @@ fn lines(survey: &Survey) -> Vec<(RGBColor, String)> {
         let colour = match finding.severity() {
             Severity::Info => BLACK,
             Severity::Warning => RGBColor(180, 95, 0),
-            Severity::Error => CURRENT,
+            Severity::Error => RED,
         };
         let text = format!("{}: {finding}", finding.severity());
         out.extend(wrapped(&text).into_iter().map(|line| (colour, line)));

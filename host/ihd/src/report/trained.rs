@@ -6,18 +6,11 @@ use std::path::Path;
 use ihd_link::Window;
 use ihd_signal::truth::Truth;
 use ihd_train::Report;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::FigureError;
-
-/// One quantity over the half-cycle, in the figure's units: (ms, ohm or µH).
-struct Panel<'a> {
-    label: &'a str,
-    network: Vec<(f64, f64)>,
-    filter: Vec<(f64, f64)>,
-    truth: Vec<(f64, f64)>,
-}
+use super::plot::legend::header;
+use super::plot::{self, Axis, BLUE, Curve, Drawn, Entry, GREY, Panel, Pen, RED, span};
 
 /// Writes an SVG with R above L. Nothing is written when the report has no window.
 ///
@@ -31,26 +24,37 @@ pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
         let points = identified.t_s.iter().zip(values);
         points.map(|(t, x)| (t * 1e3, x / unit)).collect()
     };
-    let r = Panel {
-        label: "R / Ω",
-        network: network(&identified.r_ohm, 1.0),
-        filter: filter(window, |e| e.0),
-        truth: known(truth.as_ref(), |t| &t.r_ohm, 1.0),
-    };
-    let l = Panel {
-        label: "L / µH",
-        network: network(&identified.l_h, 1e-6),
-        filter: filter(window, |e| e.1 * 1e6),
-        truth: known(truth.as_ref(), |t| &t.l_h, 1e-6),
-    };
+    let r = curves(
+        known(truth.as_ref(), |t| &t.r_ohm, 1.0),
+        filter(window, |e| e.0),
+        network(&identified.r_ohm, 1.0),
+    );
+    let l = curves(
+        known(truth.as_ref(), |t| &t.l_h, 1e-6),
+        filter(window, |e| e.1 * 1e6),
+        network(&identified.l_h, 1e-6),
+    );
     let title = format!(
         "Window {} at {:.2} kHz: identified load over one mains half-cycle",
         window.seq,
         f64::from(window.f_sw_hz) * 1e-3
     );
     let mut svg = String::new();
-    draw(&mut svg, &title, &[r, l]).map_err(|why| FigureError::new(path, &why))?;
+    let panels = [("R / Ω", r), ("L / µH", l)];
+    draw(&mut svg, &title, &panels).map_err(|why| FigureError::new(path, &why))?;
     ihd_signal::atomic::write(path, svg.as_bytes()).map_err(|why| FigureError::new(path, &why))
+}
+
+/// What is compared: (ms, ohm or µH).
+fn curves(truth: Vec<(f64, f64)>, filter: Vec<(f64, f64)>, network: Vec<(f64, f64)>) -> Vec<Curve> {
+    let mut curves = vec![
+        Curve::new("firmware's EKF", BLUE, Pen::Dots, filter),
+        Curve::new("PINN", RED, Pen::Line(2), network),
+    ];
+    if !truth.is_empty() {
+        curves.insert(0, Curve::new("truth", GREY, Pen::Line(5), truth));
+    }
+    curves
 }
 
 fn filter(window: &Window, value: fn((f64, f64)) -> f64) -> Vec<(f64, f64)> {
@@ -72,71 +76,30 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
     })
 }
 
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-fn draw(svg: &mut String, title: &str, panels: &[Panel<'_>]) -> Drawn {
+fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> Drawn {
     let root = SVGBackend::with_string(svg, (900, 640)).into_drawing_area();
     root.fill(&WHITE)?;
-    let root = root.titled(title, ("sans-serif", 20))?;
-    for (area, panel) in root.split_evenly((panels.len(), 1)).iter().zip(panels) {
-        draw_panel(area, panel)?;
+    let entries: Vec<Entry> = panels.first().map_or(Vec::new(), |(_, curves)| {
+        curves.iter().map(Curve::entry).collect()
+    });
+    let below = header(&root, title, &entries)?;
+    for (area, (label, curves)) in below.split_evenly((panels.len(), 1)).iter().zip(panels) {
+        let panel = Panel {
+            x: Axis::linear(
+                "time after the mains zero crossing / ms",
+                range(curves, |p| p.0, 0.0),
+            ),
+            y: Axis::linear(label, range(curves, |p| p.1, 0.05)),
+        };
+        plot::draw(area, &panel, curves)?;
     }
     root.present()?;
     Ok(())
 }
 
-/// The range of all points, with a little air.
-fn range(panel: &Panel<'_>, of: fn(&(f64, f64)) -> f64) -> Range<f64> {
-    let all = [&panel.network, &panel.filter, &panel.truth];
-    let values = all.into_iter().flatten().map(of);
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-    let air = 0.05 * (high - low).max(1e-6);
+/// The range of all points, with a share of it as air.
+fn range(curves: &[Curve], of: fn((f64, f64)) -> f64, air: f64) -> Range<f64> {
+    let (low, high) = span(curves.iter().flat_map(Curve::points).map(of)).unwrap_or((0.0, 1.0));
+    let air = air * (high - low).max(1e-6);
     low - air..high + air
-}
-
-fn draw_panel(area: &DrawingArea<SVGBackend<'_>, Shift>, panel: &Panel<'_>) -> Drawn {
-    let mut chart = ChartBuilder::on(area)
-        .margin(12)
-        .x_label_area_size(36)
-        .y_label_area_size(56)
-        .build_cartesian_2d(range(panel, |p| p.0), range(panel, |p| p.1))?;
-    chart
-        .configure_mesh()
-        .x_desc("time after the mains zero crossing / ms")
-        .y_desc(panel.label)
-        .light_line_style(WHITE)
-        .draw()?;
-    let grey = RGBColor(120, 120, 120);
-    if !panel.truth.is_empty() {
-        chart
-            .draw_series(LineSeries::new(
-                panel.truth.iter().copied(),
-                grey.stroke_width(5),
-            ))?
-            .label("truth")
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], grey.stroke_width(5)));
-    }
-    chart
-        .draw_series(
-            panel
-                .filter
-                .iter()
-                .map(|&p| Circle::new(p, 2, BLUE.filled())),
-        )?
-        .label("firmware's EKF")
-        .legend(|(x, y)| Circle::new((x + 9, y), 3, BLUE.filled()));
-    chart
-        .draw_series(LineSeries::new(
-            panel.network.iter().copied(),
-            RED.stroke_width(2),
-        ))?
-        .label("PINN")
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], RED.stroke_width(2)));
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperMiddle)
-        .background_style(WHITE.mix(0.8))
-        .border_style(grey)
-        .draw()?;
-    Ok(())
 }

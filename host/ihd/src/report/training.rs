@@ -6,6 +6,7 @@ use ihd_shared::lookup::grid::CELLS;
 use ihd_shared::wire::messages::Status;
 use ihd_signal::Load;
 use ihd_signal::printable::printable;
+use ihd_train::lookup::{Built, CellErrors, MapError};
 use ihd_train::{Point, Report};
 use serde::Serialize;
 
@@ -24,13 +25,16 @@ pub fn text(report: &Report) -> String {
     }
     let built = report.built.as_ref();
     if let Some(s) = &report.status {
-        out.push_str(&device(s, built.map_or(0, |b| b.lookup.observed_cells())));
+        out.push_str(&device(s, built));
     } else if let Some(built) = built {
         let _ = writeln!(
             out,
             "lookup   version {} was active last; the device was not asked at the end",
             built.lookup.version
         );
+    }
+    if let Some(error) = &report.map_error {
+        let _ = writeln!(out, "map      {}", map_error(error));
     }
     let _ = writeln!(out, "link     {}", link(report));
     let used = utilisation::line(report.utilisation.as_ref());
@@ -46,10 +50,12 @@ pub fn text(report: &Report) -> String {
 }
 
 /// The device at the end.
-fn device(s: &Status, observed: u32) -> String {
+fn device(s: &Status, built: Option<&Built>) -> String {
+    let known = built.map_or(0, |b| b.lookup.observed_cells());
+    let seen = built.map_or(0, Built::seen_cells);
     format!(
-        "lookup   version {} active on the device; {observed} of {CELLS} cells observed, the others \
-         keep the prior\n\
+        "lookup   version {} active on the device; {known} of {CELLS} cells known: {seen} seen, the others follow \
+         from the pot's physics\n\
          power    {} W asked, {:.0} W delivered at {:.2} kHz\n\
          pot      {:?}; state {:?}, fault {:?}\n",
         s.lookup_version,
@@ -59,6 +65,30 @@ fn device(s: &Status, observed: u32) -> String {
         s.pot,
         s.state,
         s.fault
+    )
+}
+
+/// Errors of the lookup where the hob comes, in one line.
+pub fn map_error(error: &MapError) -> String {
+    let of = |name: &str, e: &CellErrors| {
+        let pair = |mean: Option<f64>, worst: Option<f64>| match (mean, worst) {
+            (Some(mean), Some(worst)) => format!("{mean:.2} % mean, {worst:.2} % worst"),
+            _ => "–".into(),
+        };
+        format!(
+            "{} {name} cells R {}, L {}",
+            e.cells,
+            pair(e.r_mean_pct, e.r_worst_pct),
+            pair(e.l_mean_pct, e.l_worst_pct)
+        )
+    };
+    let z = error
+        .z_rms
+        .map_or(String::new(), |z| format!("; {z:.2} σ rms"));
+    format!(
+        "against the truth where the hob comes: {}; {}{z}",
+        of("observed", &error.observed),
+        of("unseen", &error.unseen)
     )
 }
 
@@ -159,6 +189,8 @@ pub fn json(report: &Report) -> serde_json::Value {
         "points": report.points,
         "lookup_version": s.map(|s| s.lookup_version).or(built.map(|b| b.lookup.version)),
         "observed_cells": built.map_or(0, |b| b.lookup.observed_cells()),
+        "seen_cells": built.map_or(0, Built::seen_cells),
+        "map_error": report.map_error,
         "asked_w": s.map(|s| s.asked_w),
         "delivered_w": s.map(|s| f64::from(s.delivered_mw) * 1e-3),
         "f_sw_hz": s.map(|s| s.f_sw_hz),

@@ -4,5 +4,8 @@ pub mod document;
 pub mod estimators;
 pub mod hostile;
 #[cfg(feature = "pinn")]
+pub mod map;
+#[cfg(feature = "pinn")]
 pub mod paper;
 pub mod parallel;
+pub mod temperature;

@@ -274,6 +274,7 @@ fn the_trainer_works_over_tcp() {
     // No truth comes over a link.
     assert!(report["points"][0]["truth"].is_null(), "{report:#}");
     assert!(report["points"][0]["pinn_errors"].is_null(), "{report:#}");
+    assert!(report["map_error"].is_null(), "{report:#}");
     assert!((number(&report, "/points/0/pinn/l_h") / 19e-6 - 1.0).abs() < 0.1);
     // What was taught outlives the link.
     let again = trained(&format!("--device tcp:{address} --power 1000"));

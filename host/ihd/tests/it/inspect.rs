@@ -48,7 +48,17 @@ fn inspect_tells_what_is_in_a_capture_and_draws_it() {
         assert!(text.contains(word), "{word} not in {text}");
     }
     let svg = std::fs::read_to_string(dir.join("a.svg")).unwrap();
-    for word in ["<svg", "Two periods", "Spectra", "nothing found wrong"] {
+    for word in [
+        "<svg",
+        "Two periods",
+        "Spectra",
+        "nothing found wrong",
+        "voltage (left)",
+        "current (right)",
+        "to half the sampling rate, 6.25 MHz",
+        "10⁴",
+        "10⁶",
+    ] {
         assert!(svg.contains(word), "{word}");
     }
     assert!(svg.len() < 300_000, "{}", svg.len());

@@ -20,6 +20,8 @@ mod simulate;
 mod store;
 mod study_hostile;
 #[cfg(feature = "pinn")]
+mod study_map;
+#[cfg(feature = "pinn")]
 mod study_paper;
 #[cfg(feature = "pinn")]
 mod trainer;

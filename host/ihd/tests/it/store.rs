@@ -101,9 +101,9 @@ fn filled(folder: &Path) -> Store {
         store.record_result(&result, Some(b"{}")).unwrap();
     }
     let lookup = |version| RlLookup { version, ..prior() };
-    store.pend_lookup(device, &lookup(1), "").unwrap();
+    store.pend_lookup(device, &lookup(1), "", None).unwrap();
     store.activate_lookup(device, 1).unwrap();
-    store.pend_lookup(device, &lookup(2), "").unwrap();
+    store.pend_lookup(device, &lookup(2), "", None).unwrap();
     store
 }
 

@@ -24,6 +24,7 @@ use crate::{Config, Identified, PinnError};
 struct Inputs<'a> {
     samples: &'a Normalised,
     config: &'a Config,
+    system: &'a DataSystem,
     /// n of the impedance law Z(s) = s L_0 + K s^n.
     order: f64,
     /// That law at each physics harmonic.
@@ -44,6 +45,7 @@ pub(crate) fn hybrid(
     let inputs = Inputs {
         samples,
         config,
+        system: &system,
         order,
         laws: setup::laws(order, &branch.basis, config),
     };

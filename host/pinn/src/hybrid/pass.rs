@@ -6,6 +6,8 @@
 //! variance under the samples' white noise, w the width expected of the weights θ (`weight_width`) and c the
 //! constant network that fits best.
 
+use nalgebra::DMatrix;
+
 use super::Inputs;
 use crate::harmonic_branch::HarmonicBranch;
 use crate::levenberg_marquardt::{Evaluation, LeastSquares, Prior, minimise};
@@ -62,7 +64,7 @@ impl<'a> Pass<'a> {
         } else {
             network
         };
-        let data_losses = branch.data_losses(samples);
+        let data_losses = inputs.system.losses(branch);
         let white = white_noise(samples, branch, data_losses, config.noise);
         let [r, l] = constant;
         let typical = [r * start.r_scale_ohm, l * start.l_scale_h];
@@ -160,7 +162,7 @@ impl LeastSquares for Pass<'_> {
         self.model.evaluate(&self.start.with_flat(theta))
     }
 
-    fn jacobian(&self, theta: &[f64]) -> Result<Vec<f64>, PinnError> {
+    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, PinnError> {
         self.model.jacobian(&self.start.with_flat(theta))
     }
 }

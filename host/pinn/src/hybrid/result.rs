@@ -4,7 +4,7 @@ use super::corrected::Corrected;
 use super::pass::{Descent, Pass};
 use crate::harmonic_branch::HarmonicBranch;
 use crate::progress::Log;
-use crate::result::{nmse_pct, reconstruction, result_times_s};
+use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
 use crate::{Identified, Losses, PinnError};
 
@@ -49,7 +49,7 @@ pub(super) fn assemble(
         elapsed_s: log.elapsed_s(),
         nmse_v_pct: nmse_pct(losses.l_i1, &samples.v),
         nmse_i_pct: nmse_pct(losses.l_i2, &samples.i),
-        reconstruction: reconstruction(samples, branch.signals(samples)),
+        reconstruction: Reconstruction::of_branch(samples, branch),
         history: log.history,
         parameters,
     })

@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{Point, Prior};
+use crate::normal_matrix::{Factor, gram, times, transposed_times};
 
 impl Prior {
     /// θ − c.
@@ -15,8 +16,8 @@ impl Prior {
 
 /// The residuals around one point, `e + J d`, and the prior's pull.
 pub(super) struct Linearised {
-    /// Jᵀ, one column per residual.
-    transposed: DMatrix<f64>,
+    /// J, a row a residual.
+    jacobian: DMatrix<f64>,
     /// Half the gradient of F: `Jᵀe + s (θ − c)`.
     gradient: DVector<f64>,
     /// JᵀJ, or JJᵀ where there are more parameters than residuals.
@@ -28,22 +29,19 @@ pub(super) struct Linearised {
 }
 
 impl Linearised {
-    /// `rows` is J, row by row.
-    pub fn new(rows: Vec<f64>, at: &Point, prior: &Prior) -> Self {
+    /// Around `at`, with J there.
+    pub fn new(jacobian: DMatrix<f64>, at: &Point, prior: &Prior) -> Self {
         let pull = prior.distance(&at.theta) * prior.strength;
-        let (parameters, residuals) = (pull.len(), at.value.residuals.len());
-        let transposed = DMatrix::from_vec(parameters, residuals, rows);
-        let gradient = &transposed * DVector::from_column_slice(&at.value.residuals) + pull;
-        let wide = parameters > residuals;
-        let across = transposed.transpose();
+        let gradient = transposed_times(&jacobian, &at.value.residuals) + pull;
+        let wide = jacobian.ncols() > jacobian.nrows();
         let product = if wide {
-            &across * &transposed
+            gram(&jacobian.transpose())
         } else {
-            &transposed * &across
+            gram(&jacobian)
         };
         let scale = product.diagonal().max().max(f64::MIN_POSITIVE);
         Self {
-            transposed,
+            jacobian,
             gradient,
             product,
             wide,
@@ -52,24 +50,56 @@ impl Linearised {
         }
     }
 
-    /// The step for a damping of `mu`, or nothing if rounding forbids it.
-    pub fn step(&self, mu: f64) -> Option<DVector<f64>> {
+    /// The model with a damping of `mu`, or nothing if rounding forbids it.
+    pub fn damped(&self, mu: f64) -> Option<Damped<'_>> {
         let ridge = self.strength + mu;
-        let mut damped = self.product.clone();
-        for k in 0..damped.nrows() {
-            damped[(k, k)] += ridge;
-        }
-        let factor = damped.cholesky()?;
-        if !self.wide {
-            return Some(-factor.solve(&self.gradient));
-        }
-        // (JᵀJ + aI)⁻¹ = (I − Jᵀ(JJᵀ + aI)⁻¹J)/a: the smaller system of the two.
-        let seen = factor.solve(&self.transposed.tr_mul(&self.gradient));
-        Some((&self.transposed * seen - &self.gradient) / ridge)
+        let factor = Factor::new(&self.product, ridge)?;
+        let model = self;
+        Some(Damped {
+            model,
+            factor,
+            ridge,
+        })
     }
 
     /// Descent of the linearised F along `step`: for this step `dᵀ(µd − gradient)`.
     pub fn predicted_descent(&self, step: &DVector<f64>, mu: f64) -> f64 {
         step.dot(&(step * mu - &self.gradient))
+    }
+}
+
+/// JᵀJ + (s + µ) I, factorised.
+pub(super) struct Damped<'a> {
+    model: &'a Linearised,
+    factor: Factor,
+    ridge: f64,
+}
+
+impl Damped<'_> {
+    /// The step.
+    pub fn step(&self) -> DVector<f64> {
+        self.against(&self.model.gradient)
+    }
+
+    /// Second order of the step: with residuals that bend by `bend` along it, d²e/dx² for θ + x d, what has to be
+    /// added to keep to the path of steepest descent (Transtrum and Sethna 2012, arXiv:1201.5885, eq. (9)).
+    pub fn acceleration(&self, bend: &[f64]) -> DVector<f64> {
+        self.against(&transposed_times(&self.model.jacobian, bend))
+    }
+
+    /// `J d`.
+    pub fn slope(&self, step: &DVector<f64>) -> Vec<f64> {
+        times(&self.model.jacobian, step)
+    }
+
+    /// −(JᵀJ + ridge I)⁻¹ g.
+    fn against(&self, g: &DVector<f64>) -> DVector<f64> {
+        if !self.model.wide {
+            return -self.factor.solve(g);
+        }
+        // (JᵀJ + aI)⁻¹ = (I − Jᵀ(JJᵀ + aI)⁻¹J)/a: the smaller system of the two.
+        let jacobian = &self.model.jacobian;
+        let seen = self.factor.solve(&DVector::from(times(jacobian, g)));
+        (transposed_times(jacobian, seen.as_slice()) - g) / self.ridge
     }
 }

@@ -10,13 +10,19 @@ mod linearised;
 #[cfg(test)]
 mod tests;
 
-use self::linearised::Linearised;
+use nalgebra::{DMatrix, DVector};
+
+use self::linearised::{Damped, Linearised};
 use crate::progress::{Log, Settling, StoppedBecause};
 
 /// First damping, compared with the largest diagonal entry of JᵀJ.
 const FIRST_DAMPING: f64 = 1e-3;
 /// Last damping tried, compared with the same entry: a step damped so is below rounding.
 const LAST_DAMPING: f64 = 1e12;
+/// Share of a step after which the bend of the residuals is looked at: long enough to be above rounding.
+const PROBE: f64 = 0.1;
+/// Largest second order of a step compared with it (Transtrum and Sethna's α).
+const MOST_BENT: f64 = 0.75;
 /// Steps over which the outputs' change is compared with the tolerance.
 const SETTLING_STEPS: usize = 5;
 
@@ -28,8 +34,8 @@ pub(crate) trait LeastSquares {
     /// The residuals and outputs at these parameters; numbers that are not finite only shorten the step.
     fn evaluate(&self, theta: &[f64]) -> Result<Evaluation, Self::Error>;
 
-    /// ∂e/∂θ at these parameters, row by row, one row per residual.
-    fn jacobian(&self, theta: &[f64]) -> Result<Vec<f64>, Self::Error>;
+    /// ∂e/∂θ at these parameters, a row a residual.
+    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, Self::Error>;
 }
 
 /// A problem at one set of parameters.
@@ -94,8 +100,7 @@ pub(crate) fn minimise<P: LeastSquares>(
         if let Some(limit) = log.exhausted() {
             return Ok(at.ends(limit));
         }
-        let rows = problem.jacobian(&at.theta)?;
-        let model = Linearised::new(rows, &at, prior);
+        let model = Linearised::new(problem.jacobian(&at.theta)?, &at, prior);
         let Some(next) = damping.search(problem, prior, &at, &model)? else {
             return Ok(at.ends(StoppedBecause::NoDescent));
         };
@@ -125,6 +130,12 @@ impl Point {
             theta,
             value,
         })
+    }
+
+    /// θ + `share` · `step`.
+    fn moved(&self, step: &DVector<f64>, share: f64) -> Vec<f64> {
+        let both = self.theta.iter().zip(step.iter());
+        both.map(|(x, d)| x + share * d).collect()
     }
 
     fn ends(self, stopped: StoppedBecause) -> Minimum {
@@ -164,9 +175,10 @@ impl Damping {
         let mut mu = self.mu.unwrap_or(FIRST_DAMPING * model.scale);
         while mu < LAST_DAMPING * model.scale {
             // No step: JᵀJ + µI lost its definiteness to rounding.
-            if let Some(step) = model.step(mu) {
-                let theta = at.theta.iter().zip(step.iter()).map(|(x, d)| x + d);
-                let next = Point::new(problem, prior, theta.collect())?;
+            if let Some(damped) = model.damped(mu) {
+                let step = damped.step();
+                let path = bent(problem, at, &damped, &step)?;
+                let next = Point::new(problem, prior, at.moved(&path, 1.0))?;
                 let gain = (at.cost - next.cost) / model.predicted_descent(&step, mu);
                 // A NaN or infinite cost fails this too, and so is never accepted.
                 if gain > 0.0 && next.cost < at.cost {
@@ -180,4 +192,27 @@ impl Damping {
         }
         Ok(None)
     }
+}
+
+/// The step with its second order, where that is small against it: else neither holds that far.
+fn bent<P: LeastSquares>(
+    problem: &P,
+    at: &Point,
+    damped: &Damped<'_>,
+    step: &DVector<f64>,
+) -> Result<DVector<f64>, P::Error> {
+    let ahead = problem.evaluate(&at.moved(step, PROBE))?.residuals;
+    let slope = damped.slope(step);
+    let here = at.value.residuals.iter().zip(&slope);
+    let bend: Vec<f64> = ahead
+        .iter()
+        .zip(here)
+        .map(|(ahead, (here, slope))| 2.0 / PROBE * ((ahead - here) / PROBE - slope))
+        .collect();
+    let acceleration = damped.acceleration(&bend);
+    // A NaN fails this too.
+    if 2.0 * acceleration.norm() <= MOST_BENT * step.norm() {
+        return Ok(step + acceleration * 0.5);
+    }
+    Ok(step.clone())
 }

@@ -2,6 +2,8 @@
 
 use std::convert::Infallible;
 
+use nalgebra::DMatrix;
+
 use super::{Evaluation, LeastSquares, Minimum, Prior, minimise};
 use crate::Config;
 use crate::progress::{Log, StoppedBecause};
@@ -26,8 +28,10 @@ where
         })
     }
 
-    fn jacobian(&self, theta: &[f64]) -> Result<Vec<f64>, Infallible> {
-        Ok((self.rows)(theta))
+    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, Infallible> {
+        let rows = (self.rows)(theta);
+        let count = rows.len() / theta.len();
+        Ok(DMatrix::from_row_slice(count, theta.len(), &rows))
     }
 }
 
@@ -125,7 +129,7 @@ fn the_jacobians_of_these_tests_are_finite_differences() {
             };
             for (k, (after, before)) in at(1e-6).iter().zip(at(-1e-6)).enumerate() {
                 let numeric = (after - before) / 2e-6;
-                assert!((numeric - rows[k * theta.len() + p]).abs() < 1e-7);
+                assert!((numeric - rows[(k, p)]).abs() < 1e-7);
             }
         }
     }

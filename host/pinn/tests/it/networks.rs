@@ -54,7 +54,7 @@ fn the_loss_falls_and_the_best_parameters_are_the_result() {
     let eq_7 = 5.0 * found.losses.l_f + found.losses.l_i1 + found.losses.l_i2;
     assert!((found.losses.total / eq_7 - 1.0).abs() < 1e-6);
     assert_eq!(
-        found.reconstruction.sample.len(),
+        found.reconstruction.waveforms().sample.len(),
         recording().v.len().div_ceil(5)
     );
 }

@@ -28,8 +28,8 @@ fn swept(rate_hz: f64, f: impl Fn(f64) -> f64, snr_db: Option<f64>) -> Segment {
         zero_crossing_s: 0.0,
         t0_s: 0.0,
         dt_s,
-        v_v,
-        i_a,
+        v_v: v_v.into(),
+        i_a: i_a.into(),
     }
 }
 

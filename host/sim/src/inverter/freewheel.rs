@@ -94,13 +94,13 @@ mod tests {
     use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
     use crate::behavioural::{BehaviouralLoad, PotKind};
-    use crate::field::FieldModel;
-    use crate::field::model::Settings;
     use crate::inverter::bridge::HalfBridge;
     use crate::inverter::bus::Bus;
     use crate::inverter::load::{Law, LoadState};
     use crate::inverter::{Instant, Inverter};
     use crate::mains::Mains;
+    use ihd_field::FieldModel;
+    use ihd_field::model::Settings;
 
     const F_HZ: f64 = 50e3;
     const STEPS: usize = 488;

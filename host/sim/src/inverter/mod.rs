@@ -18,7 +18,7 @@ use self::bridge::HalfBridge;
 use self::bus::Bus;
 use self::load::{FluxStep, LoadState};
 use super::circuit::Circuit;
-use super::field::FieldError;
+use ihd_field::FieldError;
 
 /// Refused settings of the power stage.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -273,9 +273,9 @@ mod tests {
     use super::load::Law;
     use super::*;
     use crate::behavioural::{BehaviouralLoad, PotKind};
-    use crate::field::model::Settings;
-    use crate::field::{FieldModel, harmonic};
     use crate::mains::Mains;
+    use ihd_field::model::Settings;
+    use ihd_field::{FieldModel, harmonic};
 
     /// Truth of the last of `periods` periods, and the amplitude's law there.
     fn run(

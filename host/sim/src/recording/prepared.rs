@@ -3,13 +3,13 @@
 use super::settings::LoadKind;
 use crate::behavioural;
 use crate::behavioural::PotKind;
-use crate::field::FieldModel;
-use crate::field::gap::GapOperator;
-use crate::field::geometry::Geometry;
 use crate::inverter::InverterError;
 use crate::inverter::load::{Law, LoadState};
 use crate::pot::{Metal, Pot};
 use crate::surrogate::SurrogatePot;
+use ihd_field::FieldModel;
+use ihd_field::gap::GapOperator;
+use ihd_field::geometry::Geometry;
 
 /// A pot made ready for one kind of load model, at any frequency.
 #[derive(Clone, Debug)]
@@ -23,7 +23,7 @@ pub enum PreparedLoad {
 }
 
 impl PreparedLoad {
-    /// Solves what has to be solved once for a pot: some 10 ms for the field, 100 ms for the table.
+    /// Solves what has to be solved once for a pot: some 10 ms for the field, 200 ms for the table.
     pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
         if kind == LoadKind::Behavioural {
             return Ok(Self::Behavioural(behavioural_kind(pot)));

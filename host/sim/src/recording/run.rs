@@ -107,8 +107,8 @@ impl Recording {
             zero_crossing_s: -self.settings.start_s,
             t0_s: t_s.first().copied().unwrap_or(0.0),
             dt_s: span_s / t_s.len().saturating_sub(1).max(1) as f64,
-            v_v: self.v_clean_v.clone(),
-            i_a: self.i_clean_a.clone(),
+            v_v: self.v_clean_v.clone().into(),
+            i_a: self.i_clean_a.clone().into(),
         }
     }
 }
@@ -282,9 +282,9 @@ mod tests {
     use super::*;
     use crate::behavioural;
     use crate::behavioural::PotKind;
-    use crate::field::gap::GapOperator;
-    use crate::field::geometry::Geometry;
     use crate::pot::Pot;
+    use ihd_field::gap::GapOperator;
+    use ihd_field::geometry::Geometry;
 
     fn behavioural(duration_s: f64) -> Settings {
         Settings {

@@ -9,6 +9,7 @@ use toml::Spanned;
 
 use super::{ScenarioError, number};
 use crate::adc::Noise;
+use crate::contents::Contents;
 use crate::hob::HobConfig;
 use crate::injection::{Channel, InjectionKind};
 use crate::pot::Pot;
@@ -39,6 +40,9 @@ pub struct ScenarioFile {
     /// Whether the pot warms up.
     #[serde(default)]
     pub warming: bool,
+    /// What is in the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
+    #[serde(default)]
+    pub contents: Option<Contents>,
     /// Bus capacitance in microfarad, 0 for none.
     #[serde(default, deserialize_with = "number::bus_uf")]
     pub bus_capacitance_uf: f64,
@@ -87,7 +91,8 @@ impl ScenarioFile {
             bus_capacitance_f: self.bus_capacitance_uf * 1e-6,
             pot: self.pot.pot,
             load: self.load,
-            warming: self.warming,
+            warming: self.warming || self.contents.is_some(),
+            contents: self.contents.unwrap_or_default(),
             ambient_c: self.ambient_c.unwrap_or(usual.ambient_c),
             ntc: self.ntc.unwrap_or(usual.ntc),
             dc_link: self.dc_link,

@@ -43,6 +43,22 @@ impl Script {
         })
     }
 
+    /// The same once, instead of over and over.
+    ///
+    /// # Errors
+    /// As [`Script::new`].
+    pub fn once(scenario: &Scenario, hob: &mut SimHob) -> Result<Self, ScenarioError> {
+        Ok(Self {
+            duration_s: f64::INFINITY,
+            ..Self::new(scenario, hob)?
+        })
+    }
+
+    /// Whether all has happened; never of one that begins anew.
+    pub fn is_over(&self) -> bool {
+        self.duration_s.is_infinite() && self.next == self.events.len()
+    }
+
     /// Carries out what is due; to be called between any two steps.
     pub fn turn(&mut self, hob: &mut SimHob) {
         let mut at_s = hob.t_s() - self.began_s;
@@ -85,6 +101,24 @@ mod tests {
             there.push(hob.pot().metal.is_some());
         }
         assert_eq!(there, [true, false, true, true, false, true, true, false]);
+    }
+
+    #[test]
+    fn once_is_over_when_all_has_happened() {
+        let mut hob = SimHob::new(&HobConfig::default());
+        let text =
+            "duration_s = 0.01\n[[event]]\nat_s = 0\npot = { name = \"none\", for_s = 0.03 }\n";
+        let scenario = Scenario::parse(text, PathBuf::new()).unwrap();
+        let mut script = Script::once(&scenario, &mut hob).unwrap();
+        let mut seen = Vec::new();
+        for at_s in [0.01, 0.05, 0.1] {
+            while hob.t_s() < at_s {
+                script.turn(&mut hob);
+                hob.step();
+            }
+            seen.push((hob.pot().metal.is_some(), script.is_over()));
+        }
+        assert_eq!(seen, [(false, false), (true, true), (true, true)]);
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod guest;
 use std::io;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -16,6 +17,8 @@ use guest::{Guest, would_wait};
 
 use super::hob::SimHob;
 use super::pace::Pace;
+use super::scenario::ScenarioError;
+use super::scenario::file::Scenario;
 use super::scenario::script::Script;
 
 /// Wall time between two looks at the port: short against the link's time-outs, long against a sleep.
@@ -57,7 +60,7 @@ fn hint(source: &io::Error) -> &'static str {
 }
 
 /// What happens at the port, for whoever watches.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum ServerEvent {
     /// A host connected.
     Connected(SocketAddr),
@@ -67,6 +70,8 @@ pub enum ServerEvent {
     TurnedAway(SocketAddr),
     /// The machine is too slow: of the last minute this share, 0 to 1, was not simulated.
     Lagging(f64),
+    /// What somebody wanted to happen cannot.
+    Impossible(ScenarioError),
 }
 
 /// A hob and its port.
@@ -75,7 +80,8 @@ pub struct Server {
     address: SocketAddr,
     hob: SimHob,
     guest: Option<Guest>,
-    script: Option<Script>,
+    scripts: Vec<Script>,
+    wishes: Option<Receiver<Scenario>>,
 }
 
 impl Server {
@@ -97,7 +103,8 @@ impl Server {
             address: bound,
             hob,
             guest: None,
-            script: None,
+            scripts: Vec::new(),
+            wishes: None,
         })
     }
 
@@ -113,7 +120,12 @@ impl Server {
 
     /// What happens to pot, mains and panel meanwhile.
     pub fn play(&mut self, script: Script) {
-        self.script = Some(script);
+        self.scripts.push(script);
+    }
+
+    /// What somebody else wants to happen while it runs: each once, from when it comes.
+    pub fn listen_to(&mut self, wishes: Receiver<Scenario>) {
+        self.wishes = Some(wishes);
     }
 
     /// Runs the hob until `stop`, `speed` times as fast as real time, or as fast as the machine can.
@@ -129,6 +141,7 @@ impl Server {
         let mut pace = Pace::new(speed, self.hob.t_s(), Instant::now());
         while !stop.load(Ordering::Relaxed) {
             let began = Instant::now();
+            self.begin_wishes(&mut watch);
             let due_s = pace.due_s(self.hob.t_s(), began);
             let early = self.simulate(due_s, began);
             let now = Instant::now();
@@ -145,6 +158,16 @@ impl Server {
         Ok(())
     }
 
+    fn begin_wishes(&mut self, watch: &mut impl FnMut(ServerEvent)) {
+        self.scripts.retain(|script| !script.is_over());
+        while let Some(Ok(wish)) = self.wishes.as_ref().map(Receiver::try_recv) {
+            match Script::once(&wish, &mut self.hob) {
+                Ok(script) => self.scripts.push(script),
+                Err(why) => watch(ServerEvent::Impossible(why)),
+            }
+        }
+    }
+
     /// Simulates up to `due_s`, or until it is time to look at the port again; whether it got there.
     fn simulate(&mut self, due_s: f64, began: Instant) -> bool {
         while self.hob.t_s() < due_s {
@@ -152,7 +175,7 @@ impl Server {
                 return false;
             }
             for _ in 0..STEPS {
-                if let Some(script) = &mut self.script {
+                for script in &mut self.scripts {
                     script.turn(&mut self.hob);
                 }
                 self.hob.step();

@@ -46,7 +46,7 @@ fn a_writer_that_is_killed() {
                 version: seq + 1,
                 ..prior()
             };
-            store.pend_lookup(device, &lookup, "").unwrap();
+            store.pend_lookup(device, &lookup, "", None).unwrap();
             writeln!(out, "pending {}", seq + 1).unwrap();
             store.activate_lookup(device, seq + 1).unwrap();
             writeln!(out, "active {}", seq + 1).unwrap();

@@ -23,17 +23,19 @@ fn a_lookup_is_pending_then_active_then_superseded() {
     let mut store = open(folder.path(), &Settings::default());
     let device = store.device("a", "sim").unwrap();
     store
-        .pend_lookup(device, &lookup(1), "5 new cells")
+        .pend_lookup(device, &lookup(1), "5 new cells", None)
         .unwrap();
     assert_eq!(states(&store, device), [(1, Pending)]);
     store.activate_lookup(device, 1).unwrap();
     store.activate_lookup(device, 1).unwrap();
-    store.pend_lookup(device, &lookup(2), "").unwrap();
-    store.pend_lookup(device, &lookup(2), "once more").unwrap();
+    store.pend_lookup(device, &lookup(2), "", None).unwrap();
+    store
+        .pend_lookup(device, &lookup(2), "once more", None)
+        .unwrap();
     assert_eq!(states(&store, device), [(1, Active), (2, Pending)]);
     store.activate_lookup(device, 2).unwrap();
     assert_eq!(states(&store, device), [(1, Superseded), (2, Active)]);
-    store.pend_lookup(device, &lookup(3), "").unwrap();
+    store.pend_lookup(device, &lookup(3), "", None).unwrap();
     store
         .refuse_lookup(device, 3, "cell 12 is out of range")
         .unwrap();
@@ -69,7 +71,7 @@ fn what_does_not_fit_the_states_is_said_and_changes_nothing() {
         store.refuse_lookup(device, 4, ""),
         Err(StoreError::NoLookup { .. })
     ));
-    store.pend_lookup(device, &lookup(1), "").unwrap();
+    store.pend_lookup(device, &lookup(1), "", None).unwrap();
     store.activate_lookup(device, 1).unwrap();
     let refused = store.refuse_lookup(device, 1, "no");
     assert!(matches!(
@@ -78,7 +80,7 @@ fn what_does_not_fit_the_states_is_said_and_changes_nothing() {
     ));
     assert_eq!(states(&store, device), [(1, Active)]);
     assert!(
-        store.pend_lookup(device + 1, &lookup(1), "").is_err(),
+        store.pend_lookup(device + 1, &lookup(1), "", None).is_err(),
         "no such device"
     );
 }
@@ -89,12 +91,12 @@ fn what_the_device_uses_is_active() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(folder.path(), &Settings::default());
     let device = store.device("a", "sim").unwrap();
-    store.pend_lookup(device, &lookup(1), "").unwrap();
+    store.pend_lookup(device, &lookup(1), "", None).unwrap();
     store.adopt_lookup(device, &lookup(1)).unwrap();
     assert_eq!(states(&store, device), [(1, Active)]);
     // Superseded while the answer was lost; the device has it all the same.
-    store.pend_lookup(device, &lookup(2), "").unwrap();
-    store.pend_lookup(device, &lookup(3), "").unwrap();
+    store.pend_lookup(device, &lookup(2), "", None).unwrap();
+    store.pend_lookup(device, &lookup(3), "", None).unwrap();
     store.activate_lookup(device, 2).unwrap();
     assert_eq!(
         states(&store, device),
@@ -104,7 +106,7 @@ fn what_the_device_uses_is_active() {
     store.adopt_lookup(device, &lookup(0)).unwrap();
     let mut other = lookup(1);
     other.mark_observed(2, 3);
-    store.pend_lookup(device, &other, "").unwrap();
+    store.pend_lookup(device, &other, "", None).unwrap();
     store.activate_lookup(device, 1).unwrap();
     let rows = store.lookups(device).unwrap();
     let active: Vec<_> = rows.iter().filter(|row| row.state == Active).collect();
@@ -131,7 +133,7 @@ proptest! {
             let device = devices[usize::from(device)];
             let before = states(&store, device);
             let done = match what {
-                0 => store.pend_lookup(device, &lookup(version), ""),
+                0 => store.pend_lookup(device, &lookup(version), "", None),
                 1 => store.activate_lookup(device, version),
                 2 => store.refuse_lookup(device, version, ""),
                 _ => store.adopt_lookup(device, &lookup(version)),

@@ -230,7 +230,7 @@ fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
                     );
                     assert!(span.first + span.samples <= c.len(), "{seed}: {span:?}");
                     let segment = survey.segment(&c, span);
-                    let finite = |x: &Vec<f64>| x.iter().all(|x| x.is_finite());
+                    let finite = |x: &[f64]| x.iter().all(|x| x.is_finite());
                     assert!(finite(&segment.v_v) && finite(&segment.i_a), "{seed}");
                 }
                 assert!(survey.mains.hz.is_finite() && survey.mains.zero_crossing_s.is_finite());

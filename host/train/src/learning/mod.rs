@@ -1,16 +1,17 @@
 //! What is learned of one device's load: one window after the other, until a lookup is worth pushing.
 //!
 //! ```text
-//! Window ─► network ─► gate ─► LoadCurve ─► Observations ─► worth pushing? ─► lookup to push
-//!           network.rs gate.rs              observations.rs is_news           version.rs
+//! Window ─► network ─► gate ─► Curve ─► PotMap ─► worth pushing? ─► lookup to push
+//!           network.rs gate.rs          ihd-map   news.rs           version.rs
 //! ```
 //!
 //! [`Learning`] talks to no device: whoever does pushes what [`Learning::observe`] builds, and tells it
 //! what became of that. Its state is bytes ([`Learning::to_bytes`]), so that a restart learns nothing anew.
 
 mod gate;
+mod lag;
 mod network;
-mod observations;
+mod news;
 mod sensors;
 mod state;
 #[cfg(test)]
@@ -19,17 +20,18 @@ mod version;
 
 use ihd_gate::Judgement;
 use ihd_link::Window;
+use ihd_map::{Curve, PotMap, Predicted, Seen};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
-use self::observations::{Observations, is_news};
+use self::lag::Lag;
 use self::version::Versions;
 use crate::lookup::Built;
 
 pub use self::gate::judge;
-pub use self::observations::NotTeachable;
-pub use self::sensors::Sensors;
+pub use self::network::{curve, identify_window};
+pub use self::sensors::{SELF_CALIBRATED, Sensors};
 pub use self::state::DamagedState;
 
 /// Most windows that are learned in silence after a device has refused lookups one after the other: at
@@ -40,7 +42,8 @@ const LONGEST_SILENCE: u32 = 1_024;
 #[derive(Clone, Debug)]
 pub struct Learning {
     network: Config,
-    observations: Observations,
+    map: PotMap,
+    lag: Lag,
     sensors: Sensors,
     /// The network of the last window that was fit, which the next one starts from.
     warm: Option<Parameters>,
@@ -64,6 +67,8 @@ pub enum Outcome {
         why: String,
         /// What the network found, where it came to an end.
         identified: Option<Box<Identified>>,
+        /// What is to be said of it, worst first.
+        findings: Vec<Remark>,
     },
 }
 
@@ -74,6 +79,8 @@ pub struct Fit {
     pub identified: Identified,
     /// What is to be said of them beside, worst first; no errors.
     pub findings: Vec<Remark>,
+    /// Whether it is the pot that was known.
+    pub seen: Seen,
     /// What it means for the lookup.
     pub taught: Taught,
 }
@@ -97,7 +104,8 @@ impl Learning {
                 start: None,
                 ..network
             },
-            observations: Observations::default(),
+            map: PotMap::default(),
+            lag: Lag::default(),
             sensors: Sensors::default(),
             warm: None,
             offered: None,
@@ -156,9 +164,21 @@ impl Learning {
         self.warm = None;
     }
 
-    /// Load curves that were kept.
+    /// Switching frequencies at which the pot was seen.
     pub fn curves(&self) -> usize {
-        self.observations.curves().len()
+        self.map.curves().len()
+    }
+
+    /// What is known of the pot.
+    pub fn map(&self) -> &PotMap {
+        &self.map
+    }
+
+    /// R(t) and L(t) of a window from all windows of this pot, at the times of what the network found; empty where there
+    /// was none.
+    pub fn learned(&self, window: &Window, identified: &Identified) -> Vec<Predicted> {
+        let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
+        self.map.along(f_hz, &self.lag.behind(identified), now_s)
     }
 
     /// Cells of the lookup that was built last that rest on observations.
@@ -178,48 +198,87 @@ impl Learning {
             start: self.warm.take(),
             ..self.network.clone()
         };
+        let before = self.sensors.correction().is_some();
         let (segment, said) = self.sensors.look(&window.segment());
+        if before != self.sensors.correction().is_some() {
+            // What was known was seen through other sensors.
+            self.map = PotMap::default();
+        }
         let identified = match network::identify_window(&segment, config, on_step) {
             Ok(identified) => identified,
             Err(why) => {
-                let (why, identified) = (why.to_string(), None);
-                return Outcome::Unfit { why, identified };
+                return Outcome::Unfit {
+                    why: why.to_string(),
+                    identified: None,
+                    findings: said,
+                };
             }
         };
         let Judgement { findings, gate } = judge(&segment, &identified, &said);
         if gate.refuses() {
-            let (why, identified) = (gate.why.join("; "), Some(Box::new(identified)));
-            return Outcome::Unfit { why, identified };
+            return Outcome::Unfit {
+                why: gate.why.join("; "),
+                identified: Some(Box::new(identified)),
+                findings,
+            };
         }
         self.warm = Some(identified.parameters.clone());
-        let taught = self.learn(network::load_curve(window, &identified), always);
+        let curve = network::curve(&segment, &identified, time_s(window));
+        let (seen, taught) = self.learn(curve, always);
+        let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
+        let law = self.map.along(f_hz, &identified.i_amplitude_a, now_s);
+        self.lag.look(&identified, &law);
         Outcome::Fit(Box::new(Fit {
             identified,
             findings,
+            seen,
             taught,
         }))
     }
 
-    fn learn(&mut self, curve: crate::lookup::LoadCurve, always: bool) -> Taught {
-        let differs = self.offered.as_ref().is_none_or(|l| is_news(&curve, l));
-        self.observations.remember(curve);
+    fn learn(&mut self, curve: Curve, always: bool) -> (Seen, Taught) {
+        let (now_s, before) = (curve.t_s, self.curves());
+        self.map.rebase(now_s);
+        let differs = self
+            .offered
+            .as_ref()
+            .is_none_or(|l| news::differs(&curve, l));
+        let seen = self.map.observe(curve);
         self.silence = self.silence.saturating_sub(1);
-        if !always && (!differs || self.silence > 0) {
-            return Taught::Known;
+        // Another frequency tells of cells that nobody saw.
+        let says_more = self.curves() != before;
+        if !always && ((!differs && !says_more) || self.silence > 0) {
+            return (seen, Taught::Known);
         }
+        (seen, self.build(now_s, always || differs))
+    }
+
+    fn build(&mut self, now_s: f64, whatever: bool) -> Taught {
+        self.map.refresh(now_s);
+        let Some(cells) = self.map.cells(now_s) else {
+            return Taught::Refused("the window shows no load".to_owned());
+        };
         let Some(version) = self.versions.next() else {
             return Taught::Refused(format!(
                 "the device's lookup has version {}, the highest that there is; reset it",
                 self.versions.device
             ));
         };
-        match self.observations.build(version) {
-            Ok(built) => {
-                self.versions.offered = version;
-                self.offered = Some(built.lookup.clone());
-                Taught::News(Box::new(built))
-            }
-            Err(why) => Taught::Refused(why.to_string()),
+        let built = match Built::of(cells, version) {
+            Ok(built) => built,
+            Err(why) => return Taught::Refused(why.to_string()),
+        };
+        let known = self.offered.as_ref();
+        if !whatever && known.is_some_and(|offered| !news::cells_differ(&built.lookup, offered)) {
+            return Taught::Known;
         }
+        self.versions.offered = version;
+        self.offered = Some(built.lookup.clone());
+        Taught::News(Box::new(built))
     }
+}
+
+/// Time of a window in seconds since its device was reset.
+fn time_s(window: &Window) -> f64 {
+    1e-9 * f64::from(window.half_cycle) * f64::from(window.half_cycle_ns)
 }

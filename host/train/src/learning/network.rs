@@ -1,12 +1,13 @@
 //! From a window to R(t) and L(t), and to R and L over current: the network on one half-cycle of the device.
 
-use ihd_identify::network::{informed, waveform};
-use ihd_link::Window;
-use ihd_pinn::{Config, Identified, PinnError, identify};
-use ihd_signal::Segment;
+use std::f64::consts::TAU;
 
-use crate::lookup::LoadCurve;
-use crate::lookup::curve::LoadPoint;
+use ihd_identify::network::{informed, waveform};
+use ihd_map::{Curve, MeasuredPoint};
+use ihd_pinn::{Config, Identified, PinnError, identify};
+use ihd_shared::lookup::grid::I_MAX_MA;
+use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 
 /// Trains the network on a window's segment; `on_step` hears of each step. Times of the result count from the
 /// window's mains zero crossing, in seconds.
@@ -23,27 +24,47 @@ pub fn identify_window(
     identify(&waveform, &config, on_step)
 }
 
-/// Largest standard deviation of R or L, relative to it, at which a point may teach: where the current
-/// goes to zero, noise leaves the network free.
-const SURE: f64 = 5e-3;
+/// Currents below this, in ampere, are left out: the network, weighted with the squared current, leaves what is there to
+/// its neighbours.
+const LOWEST_A: f64 = 1.0;
 
-/// The network's curve over current, where it is sure of R and L.
-pub fn load_curve(window: &Window, identified: &Identified) -> LoadCurve {
-    let sure = |k: &usize| {
-        let within = |sigma: &[f64], x: &[f64]| {
-            // A result without deviations is taken as it is.
-            sigma.get(*k).is_none_or(|s| *s <= SURE * x[*k])
-        };
-        within(&identified.r_sigma_ohm, &identified.r_ohm)
-            && within(&identified.l_sigma_h, &identified.l_h)
+/// Currents above this, in ampere, are left out: no hob has them, only a device that lies.
+const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
+
+/// Least noise that is assumed, relative to the largest current: what quantising to 12 bit leaves of a period's mean.
+const LEAST_NOISE: f64 = 1e-4;
+
+/// What the network found, over current, for the map; `t_s` is the window's time in seconds of the device.
+///
+/// The deviations are those that the samples behind each time allow, |Z| and the noise of both channels over the
+/// current, times what the model leaves: neighbours in time do not share them, so that sums over times and windows are
+/// right. The network's own say how far a whole stretch may be off, and would count as often as there are times.
+pub fn curve(segment: &Segment, identified: &Identified, t_s: f64) -> Curve {
+    let noise = WhiteNoise::measure(segment);
+    let per_time = segment.len() as f64 / identified.t_s.len().max(1) as f64;
+    let omega = TAU * segment.f_sw_hz;
+    let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
+    let point = |k: usize| {
+        let (i_a, r_ohm, l_h) = (
+            identified.i_amplitude_a[k],
+            identified.r_ohm[k],
+            identified.l_h[k],
+        );
+        let z2 = r_ohm * r_ohm + (omega * l_h).powi(2);
+        let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
+        let least = z2 * (LEAST_NOISE * most_a).powi(2);
+        let left = identified.chi2.get(k).copied().unwrap_or(1.0);
+        let sigma_v = (2.0 * (white * left + least) / per_time).sqrt();
+        MeasuredPoint {
+            i_a,
+            r_ohm,
+            l_h,
+            r_sigma_ohm: sigma_v / i_a,
+            l_sigma_h: sigma_v / (i_a * omega),
+        }
     };
-    let point = |k: usize| LoadPoint {
-        i_a: identified.i_amplitude_a[k],
-        r_ohm: identified.r_ohm[k],
-        l_h: identified.l_h[k],
-    };
-    LoadCurve::from_half_cycle(
-        f64::from(window.f_sw_hz),
-        (0..identified.r_ohm.len()).filter(sure).map(point),
-    )
+    let shown = (0..identified.t_s.len())
+        .map(point)
+        .filter(|p| (LOWEST_A..=HIGHEST_A).contains(&p.i_a));
+    Curve::new(segment.f_sw_hz, t_s, shown)
 }

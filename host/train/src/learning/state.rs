@@ -1,21 +1,20 @@
 //! What was learned, as bytes: JSON, every number exact.
 
+use ihd_map::{Kept, PotMap};
 use ihd_pinn::{Config, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::BlobError;
 use serde::{Deserialize, Serialize};
 
 use super::Learning;
-use super::observations::{MAX_CURVES, Observations};
+use super::lag::Lag;
 use super::sensors::Sensors;
 use super::version::Versions;
-use crate::lookup::LoadCurve;
-use crate::lookup::curve::MAX_POINTS;
 
 /// The layout of [`Saved`].
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
-/// The oldest one that is read: 1 knew nothing of the sensors.
+/// The oldest one that is read: 1 knew nothing of the sensors, 2 kept load curves without deviations, which teach no map.
 const OLDEST: u32 = 1;
 
 /// Why bytes are no state of [`Learning`].
@@ -34,8 +33,8 @@ pub enum DamagedState {
     #[error("what was learned of the sensors is damaged")]
     Sensors,
     /// Numbers that nothing could have taught.
-    #[error("what was learned holds {0}")]
-    Curves(&'static str),
+    #[error("what was learned holds a curve that is no load's")]
+    Curves,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -46,7 +45,10 @@ struct Saved {
     silence: u32,
     offered: Option<Vec<u8>>,
     warm: Option<Parameters>,
-    curves: Vec<LoadCurve>,
+    #[serde(default)]
+    map: Kept,
+    #[serde(default)]
+    lag: Lag,
     #[serde(default)]
     sensors: Sensors,
 }
@@ -61,7 +63,8 @@ impl Learning {
             silence: self.silence,
             offered: self.offered.as_ref().map(|l| l.to_bytes().to_vec()),
             warm: self.warm.clone(),
-            curves: self.observations.curves().to_vec(),
+            map: self.map.kept(),
+            lag: self.lag,
             sensors: self.sensors,
         };
         // Maps with text as keys and numbers: nothing of it can fail to be JSON.
@@ -89,7 +92,10 @@ impl Learning {
             .transpose()?;
         Ok(Self {
             warm: saved.warm.filter(|start| fits(start, &network)),
-            observations: Observations::from_curves(checked(saved.curves)?),
+            map: PotMap::from_kept(saved.map).ok_or(DamagedState::Curves)?,
+            lag: Some(saved.lag)
+                .filter(Lag::is_sound)
+                .ok_or(DamagedState::Curves)?,
             offered,
             sensors: Some(saved.sensors)
                 .filter(Sensors::is_sound)
@@ -110,23 +116,6 @@ fn fits(start: &Parameters, network: &Config) -> bool {
     config.validate().is_ok()
 }
 
-fn checked(curves: Vec<LoadCurve>) -> Result<Vec<LoadCurve>, DamagedState> {
-    if curves.len() > MAX_CURVES || curves.iter().any(|c| c.points.len() > MAX_POINTS) {
-        return Err(DamagedState::Curves("more curves than are kept"));
-    }
-    let positive = |x: f64| x.is_finite() && x > 0.0;
-    let sound = |c: &LoadCurve| {
-        let mut points = c.points.iter();
-        positive(c.f_sw_hz)
-            && points
-                .all(|p| p.i_a >= 0.0 && p.i_a.is_finite() && positive(p.r_ohm) && positive(p.l_h))
-    };
-    if !curves.iter().all(sound) {
-        return Err(DamagedState::Curves("a curve that is no load's"));
-    }
-    Ok(curves)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -139,10 +128,10 @@ mod tests {
         let text = String::from_utf8(good).unwrap();
         for (from, to, says) in [
             ("{", "", "cannot be read"),
-            ("\"format\":2", "\"format\":3", "format 3"),
+            ("\"format\":3", "\"format\":4", "format 4"),
             (
                 "\"curves\":[]",
-                "\"curves\":[{\"f_sw_hz\":0,\"points\":[]}]",
+                "\"curves\":[{\"f_sw_hz\":0,\"t_s\":0,\"windows\":1,\"bins\":[]}]",
                 "no load",
             ),
             ("\"offered\":null", "\"offered\":[1,2,3]", "damaged"),
@@ -153,12 +142,6 @@ mod tests {
             let why = Learning::from_bytes(lie.as_bytes(), config()).unwrap_err();
             assert!(why.to_string().contains(says), "{why}");
         }
-        let many = format!(
-            "\"curves\":[{}]",
-            ["{\"f_sw_hz\":1,\"points\":[]}"; MAX_CURVES + 1].join(",")
-        );
-        let lie = text.replacen("\"curves\":[]", &many, 1);
-        assert!(Learning::from_bytes(lie.as_bytes(), config()).is_err());
     }
 
     /// What a build before the sensors wrote.
@@ -166,7 +149,7 @@ mod tests {
     fn the_first_format_is_read_and_knows_nothing_of_the_sensors() {
         let text = String::from_utf8(Learning::new(Config::default()).to_bytes()).unwrap();
         let (before, _) = text.split_once(",\"sensors\"").unwrap();
-        let old = before.replacen("\"format\":2", "\"format\":1", 1) + "}";
+        let old = before.replacen("\"format\":3", "\"format\":1", 1) + "}";
         let restored = Learning::from_bytes(old.as_bytes(), Config::default()).unwrap();
         assert_eq!(*restored.sensors(), Sensors::default());
     }

@@ -40,6 +40,8 @@ pub struct Point {
     pub truth: Option<Load>,
     /// The network against the truth.
     pub pinn_errors: Option<Errors>,
+    /// What all windows of this pot say, the map at this window's currents, against the truth.
+    pub learned_errors: Option<Errors>,
     /// The firmware filter against the truth.
     pub ekf_errors: Option<Errors>,
     /// Time the network took, in seconds.
@@ -116,6 +118,7 @@ pub fn compare(
             .and_then(|t| t.at(crest_s))
             .map(|(r_ohm, l_h)| Load { r_ohm, l_h }),
         pinn_errors: truth.and_then(|t| errors(t, network, half_cycle_s)),
+        learned_errors: None,
         ekf_errors: truth.and_then(|t| errors(t, track.iter().copied(), half_cycle_s)),
         training_s: identified.elapsed_s,
         iterations: identified.iterations,

@@ -6,18 +6,20 @@ use std::time::Instant;
 
 use ihd_capture::mcap::SessionRecorder;
 use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
+use ihd_map::Seen;
 use ihd_pinn::{Config, Identified};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
-use ihd_signal::Severity;
-use ihd_signal::truth::Truth;
+use ihd_signal::truth::{MapTruth, Truth};
+use ihd_signal::{Remark, Severity};
 
 use super::device::{Device, TruthSource};
 use super::error::Failed;
 use super::point::{self, Point};
 use super::{OperatingPoint, Progress, Source, TrainerError, store};
+use crate::learning::SELF_CALIBRATED;
 use crate::learning::{Fit, Learning, Outcome, Taught};
-use crate::lookup::Built;
+use crate::lookup::{Built, MapError, judged};
 
 /// Windows tried at one operating point before it is given up.
 const TRIES: usize = 3;
@@ -36,6 +38,9 @@ pub struct Settings<'a> {
     pub stop: Option<&'a AtomicBool>,
     /// Makes the link again where it is cut while following; `None` ends the run then.
     pub reopen: Option<&'a dyn Fn() -> Result<Client, LinkError>>,
+    /// The truth of the lookup for the load at the end, from whoever knows it; it is asked once. `None` as on a
+    /// real hob.
+    pub map_truth: Option<&'a dyn Fn() -> Option<MapTruth>>,
 }
 
 /// What a run found.
@@ -60,6 +65,8 @@ pub struct Report {
     pub total_s: f64,
     /// The last window and its identification, for the figure.
     pub last: Option<(Box<Window>, Identified, Option<Truth>)>,
+    /// The last lookup against the truth, where somebody knows it.
+    pub map_error: Option<MapError>,
 }
 
 pub(super) struct Run<'s, 'p> {
@@ -104,6 +111,7 @@ pub fn run<'a>(
             first_lookup_s: None,
             total_s: 0.0,
             last: None,
+            map_error: None,
         },
         recordings: 0,
         not_kept: None,
@@ -193,6 +201,10 @@ impl Run<'_, '_> {
         }
         self.report.counters = self.device.counters();
         self.report.total_s = self.started.elapsed().as_secs_f64();
+        // Who asked to stop waits for no field model.
+        if outcome.is_ok() || !self.device.is_stopped() {
+            self.judge_map();
+        }
         let not_kept = self.not_kept.take().map_or(Ok(()), Err);
         match outcome.and(off).and(not_kept) {
             Ok(()) => Ok(self.report),
@@ -201,6 +213,17 @@ impl Run<'_, '_> {
                 error,
                 left_on,
             })),
+        }
+    }
+
+    /// The last lookup against the truth. The recorded load of a replay is not the one on the coil.
+    fn judge_map(&mut self) {
+        let (Some(truth), Some(built)) = (self.settings.map_truth, &self.report.built) else {
+            return;
+        };
+        if let Source::Powers(_) = self.settings.source {
+            let judge = |truth| MapError::of(&judged(built, &truth));
+            self.report.map_error = truth().map(judge);
         }
     }
 
@@ -270,6 +293,7 @@ impl Run<'_, '_> {
         let Fit {
             identified,
             findings,
+            seen,
             taught,
         } = match outcome {
             Outcome::Fit(fit) => *fit,
@@ -279,8 +303,17 @@ impl Run<'_, '_> {
                 return Ok(Err(why));
             }
         };
-        for finding in findings.iter().filter(|f| f.severity > Severity::Info) {
+        let told = |f: &&Remark| f.severity > Severity::Info || f.code == SELF_CALIBRATED;
+        for finding in findings.iter().filter(told) {
             let text = format!("window {seq}: {finding}");
+            self.device.report(Progress::Note { text: &text });
+        }
+        if let Seen::Another { r, l, .. } = seen {
+            let text = format!(
+                "window {seq}: another pot, or the same one moved: R is {:.1} % and L {:.1} % from what was known, which is forgotten",
+                100.0 * r,
+                100.0 * l
+            );
             self.device.report(Progress::Note { text: &text });
         }
         // The simulated hob knows nothing of a load that was recorded elsewhere.
@@ -290,6 +323,16 @@ impl Run<'_, '_> {
         let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
         let power = at.asked_w().zip(delivered_w);
         let mut point = point::compare(&window, &identified, truth.as_ref(), power);
+        point.learned_errors = truth.as_ref().and_then(|truth| {
+            let learned = self.learning.learned(&window, &identified);
+            let known = identified.t_s.iter().zip(&learned);
+            let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
+            point::errors(
+                truth,
+                known.map(|(t_s, p)| (*t_s, p.r_ohm, p.l_h)),
+                half_cycle_s,
+            )
+        });
         let (news, pushed) = match taught {
             Taught::Known => (false, Ok(())),
             Taught::News(built) => (true, self.push(*built)),

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ihd_map::Cell;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use serde::Serialize;
@@ -24,11 +25,23 @@ pub fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
         r_ohm: Vec<Vec<f64>>,
         l_h: Vec<Vec<f64>>,
         confidence: &'a [[f64; CURRENTS]],
+        /// Relative standard deviations.
+        r_sigma: Vec<Vec<f64>>,
+        l_sigma: Vec<Vec<f64>>,
+        /// Seconds since a cell was observed last; none where it never was.
+        age_s: Vec<Vec<Option<f64>>>,
     }
     let cells = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
         cells
             .iter()
             .map(|row| row.iter().map(|&c| f64::from(c) * unit).collect())
+            .collect()
+    };
+    let of = |number: fn(&Cell) -> f64| {
+        built
+            .cells
+            .iter()
+            .map(|row| row.iter().map(number).collect())
             .collect()
     };
     let lookup = &built.lookup;
@@ -39,7 +52,14 @@ pub fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
         i_a: (0..CURRENTS).map(current_a).collect(),
         r_ohm: cells(&lookup.r, OHM_PER_CODE),
         l_h: cells(&lookup.l, HENRY_PER_CODE),
-        confidence: &built.confidence,
+        confidence: &built.confidence(),
+        r_sigma: of(|cell| cell.value.r_sigma),
+        l_sigma: of(|cell| cell.value.l_sigma),
+        age_s: built
+            .cells
+            .iter()
+            .map(|row| row.iter().map(|c| c.age_s).collect())
+            .collect(),
     };
     let write = |name: String, bytes: &[u8]| {
         let path = store.join(name);

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::Config;
+use ihd_daemon::firmware::{updates_needed, usb_serial};
 use ihd_daemon::model::{
     Command, DeviceReport, DeviceState, Done, Identity, Live, LookupReport, WindowCounts,
 };
@@ -34,7 +35,7 @@ impl Direct {
     pub(super) fn open(mut config: Config, address: String, name: &str) -> Result<Self> {
         let open = opener(&mut config)?;
         let place = address_of(&config, &address)?;
-        let client = Client::connect(open(&place)?)?;
+        let client = Client::connect(open(&place)?.transport)?;
         Ok(Self {
             client,
             config,
@@ -73,6 +74,8 @@ impl Direct {
         Ok(DeviceReport {
             name: self.name.clone(),
             address: self.address.clone(),
+            serial: usb_serial(&self.address).unwrap_or(&self.name).to_owned(),
+            updates_needed: updates_needed(hello.protocol_minor),
             state: state(&status),
             since_s: 0,
             detail: "without a daemon".into(),
@@ -95,6 +98,8 @@ impl Direct {
             lease: None,
             sweep_left_w: Vec::new(),
             recording: None,
+            recording_now: None,
+            pot_temperature: None,
             connections: 1,
         })
     }
@@ -133,7 +138,12 @@ impl Direct {
                 "fault cleared".into()
             }
             Command::LookupPush { blob } => self.push(blob)?,
-            Command::LookupRollback => {
+            Command::LookupRollback { version: Some(_) } => {
+                return Err(anyhow!(
+                    "earlier versions are in the daemon's store: `ihd trainer --daemon`"
+                ));
+            }
+            Command::LookupRollback { version: None } => {
                 let lookup = self.before()?;
                 self.push(&lookup.to_bytes())?
             }
@@ -141,7 +151,7 @@ impl Direct {
                 self.client.reset_lookup()?;
                 "back to the built-in lookup".into()
             }
-            Command::Sweep { .. } | Command::RecordStart | Command::RecordStop => {
+            Command::Sweep { .. } | Command::RecordStart(_) | Command::RecordStop => {
                 return Err(anyhow!("this needs the daemon: `ihd trainer --daemon`"));
             }
         };

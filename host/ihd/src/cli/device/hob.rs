@@ -124,7 +124,7 @@ pub fn direct_opener(
     let open = opener(&mut config)?;
     // Marked by the opener, where it is a simulated hob.
     let place = address_of(&config, &address)?;
-    Ok(move || open(&place))
+    Ok(move || open(&place).map(|opened| opened.transport))
 }
 
 /// Whether somebody else commands the device now.

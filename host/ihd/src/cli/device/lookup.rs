@@ -95,7 +95,7 @@ fn table(lookup: &RlLookup) -> String {
         ""
     };
     let mut text = format!(
-        "version {}{built_in}, {} of {} cells observed (*)\n",
+        "version {}{built_in}, {} of {} cells known (*)\n",
         lookup.version,
         lookup.observed_cells(),
         FREQUENCIES * CURRENTS

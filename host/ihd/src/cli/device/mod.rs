@@ -7,6 +7,7 @@ mod list;
 mod lookup;
 mod recording;
 mod text;
+mod trigger;
 mod watch;
 
 use std::path::PathBuf;
@@ -14,7 +15,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use ihd_api::client::ClientError;
-use ihd_daemon::model::{Command, CommandError};
+use ihd_daemon::model::{Command, CommandError, RecordSettings, Trigger};
 use ihd_shared::hob::RATED_POWER_W;
 
 use super::simulate::quantity::quantity;
@@ -23,6 +24,8 @@ pub use heating::DoesNotHeat;
 use hob::Hob;
 #[cfg(feature = "log")]
 pub use hob::direct_opener;
+pub(in crate::cli) use text::{of_pot, one_line};
+pub(in crate::cli) use watch::words;
 
 /// Ask and command devices: through the daemon where one runs, directly where not.
 ///
@@ -37,7 +40,8 @@ pub use hob::direct_opener;
     ihd device bench power 1200 --for 60        (^C switches off)\n  \
     ihd device bench sweep --power 700,1000,1500\n  \
     ihd device tcp:127.0.0.1:4711 off\n  \
-    ihd device bench lookup show\n\n\
+    ihd device bench lookup show\n  \
+    ihd device bench record --trigger 'level:power>1000' --pre-trigger 5 --duration 30\n\n\
     Exit codes: 0 done, 1 failed or somebody else commands it, 2 wrong usage, 3 device or link, 4 the device does not heat"
 )]
 pub struct DeviceArgs {
@@ -88,14 +92,21 @@ enum Action {
             value_parser = clap::value_parser!(u16).range(1..=i64::from(RATED_POWER_W)))]
         power: Vec<u16>,
     },
-    /// Record everything that comes into an MCAP file, until ^C
+    /// Record everything that comes into an MCAP file, until ^C: now, or from when something happens
     Record {
-        /// The file; through the daemon it is one of the store's folder `recordings`, and copied
+        /// The file; through the daemon it is one of the store's folder `recordings`, and downloaded
         #[arg(long, short, value_name = "FILE")]
         out: Option<PathBuf>,
         /// End after this long, in s
         #[arg(long, value_name = "S", value_parser = quantity)]
         duration: Option<f64>,
+        /// What begins it: now, fault, or a level that is crossed, as level:power>1000 (W), level:current>40 (A),
+        /// level:resistance<2 (ohm), level:inductance<25 (µH), level:frequency<30 (kHz)
+        #[arg(long, value_name = "WHAT", default_value = "now", value_parser = trigger::trigger)]
+        trigger: Trigger,
+        /// Record what came in this time before the trigger too, in s, up to 60
+        #[arg(long, value_name = "S", default_value = "0", value_parser = quantity)]
+        pre_trigger: f64,
     },
     /// What happens, as it happens, until ^C
     Watch,
@@ -176,8 +187,18 @@ impl DeviceArgs {
             Action::ClearFault => self.once(&mut hob, &Command::ClearFault),
             Action::Lookup { action } => self.lookup(&mut hob, action),
             Action::Sweep { power } => heating::sweep(&mut hob, power, self.json),
-            Action::Record { out, duration } => {
-                recording::record(hob, out.as_deref(), *duration, self.json)
+            Action::Record {
+                out,
+                duration,
+                trigger,
+                pre_trigger,
+            } => {
+                let settings = RecordSettings {
+                    trigger: *trigger,
+                    pre_trigger_s: *pre_trigger,
+                    duration_s: *duration,
+                };
+                recording::record(hob, out.as_deref(), &settings, self.json)
             }
             Action::Watch => watch::watch(&mut hob, self.json),
         }
@@ -201,7 +222,7 @@ impl DeviceArgs {
                 let blob = lookup::read(file)?;
                 self.once(hob, &Command::LookupPush { blob })
             }
-            LookupAction::Rollback => self.once(hob, &Command::LookupRollback),
+            LookupAction::Rollback => self.once(hob, &Command::LookupRollback { version: None }),
             LookupAction::Reset => self.once(hob, &Command::LookupReset),
         }
     }

@@ -1,86 +1,265 @@
-//! `ihd device DEV record`: by the daemon into its store, or here.
+//! `ihd device DEV record`: by the daemon into its store, or here. Both ways with the daemon's recorder.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
-use ihd_daemon::model::Command;
+use anyhow::{Context, Result, bail};
+use ihd_api::ApiClient;
+use ihd_daemon::model::{Command, RecordSettings, RecordingPhase, Trigger};
+use ihd_daemon::recording::{Recorder, Told};
+use ihd_link::{Client, HEARD_EVERY};
+use ihd_train::WINDOWS_EVERY;
 use serde_json::json;
 
+use super::direct::Direct;
 use super::hob::Hob;
 use super::text::one_line;
 use crate::cli::{interrupt, output, record};
 
-/// Between two looks at ^C and the time.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Between two looks at ^C, the time and the daemon.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// How long a file that has ended may take to be complete.
+const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Records until ^C or the time is over.
 pub(super) fn record(
-    mut hob: Hob,
+    hob: Hob,
     out: Option<&Path>,
-    duration_s: Option<f64>,
+    settings: &RecordSettings,
     json: bool,
 ) -> Result<()> {
-    ensure_usage!(
-        duration_s.is_none_or(|s| s.is_finite() && s > 0.0),
-        "--duration must be more than 0 s"
-    );
-    if let Hob::Direct(direct) = hob {
-        let name = direct.name().to_owned();
-        let out = out.map_or_else(
-            || PathBuf::from(format!("{}.mcap", file_name(&name))),
-            Path::to_owned,
-        );
-        return record::RecordArgs::of_device(out, duration_s, json)?
-            .record_from(direct.into_client(), true);
+    if let Err(why) = settings.check() {
+        return Err(crate::cli::usage::Usage(why).into());
     }
+    match hob {
+        Hob::Daemon { client, name } => by_daemon(&client, &name, out, settings, json),
+        Hob::Direct(direct) => directly(*direct, out, settings, json),
+    }
+}
+
+fn by_daemon(
+    client: &ApiClient,
+    name: &str,
+    out: Option<&Path>,
+    settings: &RecordSettings,
+    json: bool,
+) -> Result<()> {
     if let Some(out) = out {
         ensure_usage!(!out.exists(), "{} is there already", out.display());
     }
     let stop = interrupt::flag().context("cannot catch ^C")?;
-    let began = hob.command(&Command::RecordStart)?;
-    if let (Some(file), false) = (&began.file, json) {
-        say!("recording into {}; ^C ends it", one_line(file))?;
-    }
-    wait(stop, duration_s);
-    let done = hob.command(&Command::RecordStop)?;
-    let file = done.file.or(began.file).unwrap_or_default();
-    let shown = match out {
-        None => file,
-        Some(out) => {
-            copy_new(Path::new(&file), out).with_context(|| {
-                format!(
-                    "{file} is recorded, but cannot be copied to {}",
-                    out.display()
-                )
-            })?;
-            out.display().to_string()
+    let before: BTreeSet<String> = files(client, name)?.into_iter().map(|f| f.0).collect();
+    let began = client.command(name, &Command::RecordStart(*settings))?;
+    if !json {
+        match &began.file {
+            Some(file) => say!("recording into {}; ^C ends it", one_line(file))?,
+            None => say!("{}; ^C ends it", one_line(&began.text))?,
         }
-    };
-    if json {
-        return output::json(&json!({"file": shown}));
     }
-    say!("recorded {}", one_line(&shown))
+    let mut known = began.file.is_some();
+    while !stop.load(Ordering::Relaxed) {
+        sleep(LOOK_EVERY);
+        let Some(now) = client.device(name)?.recording_now else {
+            break;
+        };
+        if let (Some(file), false) = (&now.file, std::mem::replace(&mut known, now.file.is_some()))
+            && !json
+        {
+            say!("its trigger came: recording into {}", one_line(file))?;
+        }
+    }
+    if stop.load(Ordering::Relaxed) {
+        // Where it has ended by itself meanwhile there is nothing to stop.
+        let _ = client.command(name, &Command::RecordStop);
+    }
+    let recorded = complete(client, name, &before)?;
+    let shown = match out {
+        None => {
+            let folder = began
+                .file
+                .as_deref()
+                .and_then(|file| Path::new(file).parent());
+            let at = |file: &String| folder.map_or_else(|| file.into(), |f| f.join(file));
+            recorded.iter().map(at).collect()
+        }
+        Some(out) => download(client, &recorded, out)?,
+    };
+    print(&shown, json)
 }
 
-fn wait(stop: &AtomicBool, duration_s: Option<f64>) {
+/// Recordings of a device, and whether each is complete.
+fn files(client: &ApiClient, device: &str) -> Result<Vec<(String, bool)>> {
+    let mut all = client.recordings()?;
+    all.retain(|recording| recording.device == device);
+    Ok(all.into_iter().map(|r| (r.file, !r.under_way)).collect())
+}
+
+/// The files that there are more than `before`, once they are complete; oldest first.
+fn complete(client: &ApiClient, device: &str, before: &BTreeSet<String>) -> Result<Vec<String>> {
     let began = Instant::now();
-    while !stop.load(Ordering::Relaxed)
-        && duration_s.is_none_or(|s| began.elapsed().as_secs_f64() < s)
-    {
+    loop {
+        let mut new = files(client, device)?;
+        new.retain(|(file, _)| !before.contains(file));
+        if new.iter().all(|(_, complete)| *complete) {
+            let mut names: Vec<String> = new.into_iter().map(|(file, _)| file).collect();
+            names.sort();
+            return Ok(names);
+        }
+        if began.elapsed() > COMPLETE_WITHIN {
+            bail!("{device}: its recording is still being written; the daemon's disk is slow");
+        }
         sleep(LOOK_EVERY);
     }
 }
 
-/// Copies to a file that is not there yet.
-fn copy_new(from: &Path, to: &Path) -> std::io::Result<()> {
-    let mut source = fs::File::open(from)?;
-    let mut target = fs::File::create_new(to)?;
-    std::io::copy(&mut source, &mut target)?;
-    target.sync_all()
+/// Brings recordings here: the first one under its name, the others with a number.
+fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<PathBuf>> {
+    let mut here = Vec::new();
+    for (k, file) in recorded.iter().enumerate() {
+        let path = numbered(out, k as u32 + 1);
+        let what = || {
+            format!(
+                "{file} is recorded, but cannot be copied to {}",
+                path.display()
+            )
+        };
+        let mut target = fs::File::create_new(&path).with_context(what)?;
+        client
+            .download_recording(file, &mut target)
+            .with_context(what)?;
+        target.sync_all().with_context(what)?;
+        here.push(path);
+    }
+    Ok(here)
+}
+
+fn print(files: &[PathBuf], json: bool) -> Result<()> {
+    if json {
+        return output::json(&json!({"file": files.first(), "files": files}));
+    }
+    if files.is_empty() {
+        return say!("its trigger did not come: nothing was recorded");
+    }
+    for file in files {
+        say!("recorded {}", one_line(&file.display().to_string()))?;
+    }
+    Ok(())
+}
+
+/// `a.mcap`, `a-2.mcap`, `a-3.mcap`.
+fn numbered(path: &Path, part: u32) -> PathBuf {
+    if part < 2 {
+        return path.to_owned();
+    }
+    let text =
+        |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, ending) = (text(path.file_stem()), text(path.extension()));
+    path.with_file_name(format!("{stem}-{part}.{ending}"))
+}
+
+fn directly(
+    direct: Direct,
+    out: Option<&Path>,
+    settings: &RecordSettings,
+    json: bool,
+) -> Result<()> {
+    let name = direct.name().to_owned();
+    let out = out.map_or_else(
+        || PathBuf::from(format!("{}.mcap", file_name(&name))),
+        Path::to_owned,
+    );
+    if settings.trigger == Trigger::Now {
+        ensure_usage!(
+            settings.pre_trigger_s == 0.0,
+            "without a daemon nobody has listened before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
+        );
+        return record::RecordArgs::of_device(out, settings.duration_s, json)?
+            .record_from(direct.into_client(), true);
+    }
+    ensure_usage!(!out.exists(), "{} is there already", out.display());
+    let stop = interrupt::flag().context("cannot catch ^C")?;
+    let (tell, told) = mpsc::channel();
+    let recorder = Recorder::new(
+        move |part| numbered(&out, part),
+        move |what: Told| drop(tell.send(what)),
+    );
+    let mut client = direct.into_client();
+    let at = client.clock();
+    let sink = recorder.connected(client.hello(), client.front_end(), at);
+    client.record_to(sink);
+    client.read_lookup()?;
+    client.stream(1, WINDOWS_EVERY)?;
+    let started = recorder.start(*settings, client.clock());
+    let started = started.map_err(anyhow::Error::msg)?;
+    if !json {
+        say!("{}; ^C ends it", started.text)?;
+    }
+    let mut heard = Heard::default();
+    let listened = listen(&mut client, &recorder, stop, || heard.take(&told, json));
+    // Where it has ended by itself there is nothing to stop.
+    let _ = recorder.stop("ended by hand");
+    let left = client.stream(0, 0);
+    let began = Instant::now();
+    while !recorder.incomplete().is_empty() && began.elapsed() < COMPLETE_WITHIN {
+        sleep(LOOK_EVERY);
+    }
+    heard.take(&told, true)?;
+    print(&heard.files, json)?;
+    listened?;
+    if let Some(why) = heard.failed {
+        bail!("{why}");
+    }
+    Ok(left?)
+}
+
+/// Listens until ^C, or until the recording has ended.
+fn listen(
+    client: &mut Client,
+    recorder: &Recorder,
+    stop: &AtomicBool,
+    mut look: impl FnMut() -> Result<()>,
+) -> Result<()> {
+    let mut heard = client.clock();
+    while !stop.load(Ordering::Relaxed) && recorder.now().is_some() {
+        client.next_event(LOOK_EVERY)?;
+        recorder.tick();
+        look()?;
+        if client.clock().saturating_sub(heard) >= HEARD_EVERY {
+            heard = client.clock();
+            client.status()?;
+        }
+    }
+    Ok(())
+}
+
+/// What the recorder has told.
+#[derive(Default)]
+struct Heard {
+    files: Vec<PathBuf>,
+    failed: Option<String>,
+}
+
+impl Heard {
+    fn take(&mut self, told: &mpsc::Receiver<Told>, silently: bool) -> Result<()> {
+        while let Ok(what) = told.try_recv() {
+            match (what.phase, what.file) {
+                (RecordingPhase::Ended, file) => self.files.extend(file),
+                (RecordingPhase::Failed, _) => self.failed = Some(what.text),
+                (RecordingPhase::Begun, Some(file)) if !silently => {
+                    let file = one_line(&file.display().to_string());
+                    say!("{}: recording into {file}", one_line(&what.text))?;
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
 }
 
 /// An address as the name of a file.

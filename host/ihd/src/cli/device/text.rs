@@ -1,7 +1,7 @@
 //! Devices in words. What a device or a daemon says is escaped where it is printed.
 
 use anyhow::Result;
-use ihd_daemon::model::{DeviceReport, Live};
+use ihd_daemon::model::{DeviceReport, Live, PotTemperature};
 
 use crate::cli::output;
 
@@ -33,6 +33,23 @@ pub(super) fn of_live(live: &Live) -> String {
     text
 }
 
+/// How warm a pot is, in some words.
+pub(in crate::cli) fn of_pot(pot: &PotTemperature) -> String {
+    let mut text = format!(
+        "{:+.0} ± {:.0} K since it was put on",
+        pot.rise_k, pot.sigma_k
+    );
+    let states = [
+        (pot.overheats, "overheats"),
+        (pot.boils, "boils"),
+        (pot.bubbles && !pot.boils, "bubbles at its base"),
+    ];
+    for (_, word) in states.iter().filter(|(is, _)| *is) {
+        text += &format!(", {word}");
+    }
+    text
+}
+
 fn of_report(r: &DeviceReport) -> String {
     let mut text = format!(
         "device     {} ({})\n",
@@ -58,14 +75,21 @@ fn of_report(r: &DeviceReport) -> String {
             ),
         );
     }
+    // Where that is why it is not connected, the state says it.
+    if !r.updates_needed.is_empty() && r.updates_needed != r.detail {
+        line("update", r.updates_needed.clone());
+    }
     if let Some(live) = &r.live {
         line("now", of_live(live));
+    }
+    if let Some(pot) = &r.pot_temperature {
+        line("pot", of_pot(pot));
     }
     let version = |version: Option<u32>| version.map_or("none".into(), |v| v.to_string());
     let lookup = match r.lookup.on_device {
         None => "not known yet".into(),
         Some(0) => "the built-in one".into(),
-        Some(v) => format!("version {v}, {} cells observed", r.lookup.observed_cells),
+        Some(v) => format!("version {v}, {} cells known", r.lookup.observed_cells),
     };
     let pending = match r.lookup.pending {
         None => String::new(),
@@ -103,14 +127,16 @@ fn of_report(r: &DeviceReport) -> String {
         let left: Vec<String> = r.sweep_left_w.iter().map(u16::to_string).collect();
         line("sweep", format!("{} W to come", left.join(", ")));
     }
-    if let Some(file) = &r.recording {
-        line("recording", file.clone());
+    match (&r.recording, &r.recording_now) {
+        (Some(file), _) => line("recording", file.clone()),
+        (None, Some(now)) => line("recording", format!("waits for {}", now.settings.trigger)),
+        (None, None) => {}
     }
     text
 }
 
 /// A line stays one, whatever it holds.
-pub(super) fn one_line(text: &str) -> String {
+pub(in crate::cli) fn one_line(text: &str) -> String {
     output::escaped(text)
         .replace('\n', "\\n")
         .replace('\t', "\\t")
@@ -123,11 +149,33 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_pots_temperature_is_a_rise_with_its_deviation() {
+        let mut pot = PotTemperature {
+            since_ms: 0,
+            rise_k: 62.6,
+            sigma_k: 7.8,
+            lift_mm: 0.0,
+            lift_sigma_mm: 0.1,
+            bubbles: true,
+            boils: false,
+            overheats: false,
+        };
+        assert_eq!(
+            of_pot(&pot),
+            "+63 ± 8 K since it was put on, bubbles at its base"
+        );
+        pot.boils = true;
+        assert_eq!(of_pot(&pot), "+63 ± 8 K since it was put on, boils");
+    }
+
+    #[test]
     fn what_a_daemon_says_commands_no_terminal_and_makes_no_line() {
         let evil = "a\u{1b}]0;owned\u{7}\nstate      idle";
         let report = DeviceReport {
             name: evil.into(),
             address: evil.into(),
+            serial: evil.into(),
+            updates_needed: evil.into(),
             state: DeviceState::Searching,
             since_s: 0,
             detail: evil.into(),
@@ -139,6 +187,8 @@ mod tests {
             lease: None,
             sweep_left_w: vec![],
             recording: Some(evil.into()),
+            recording_now: None,
+            pot_temperature: None,
             connections: 0,
         };
         let text = of_report(&report);

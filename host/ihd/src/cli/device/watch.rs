@@ -49,13 +49,22 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
 /// Half-cycles once a second, everything else at once.
 fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
     let text = match &notice.what {
-        What::State { state: now, detail } if detail.is_empty() => now.word().to_owned(),
-        What::State { state: now, detail } => format!("{}: {detail}", now.word()),
         What::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => return Ok(()),
         What::Telemetry { live } => {
             *shown_ms = notice.at_ms;
             of_live(live)
         }
+        what => words(what).unwrap_or_default(),
+    };
+    say!("{}", one_line(&text))
+}
+
+/// What happened, in words; none of a half-cycle, which is no event to a person.
+pub(in crate::cli) fn words(what: &What) -> Option<String> {
+    Some(match what {
+        What::Telemetry { .. } => return None,
+        What::State { state: now, detail } if detail.is_empty() => now.word().to_owned(),
+        What::State { state: now, detail } => format!("{}: {detail}", now.word()),
         What::WindowStored { seq, .. } => format!("window {seq} stored"),
         What::WindowRefused { seq, why } => format!("window {seq} refused: {why}"),
         What::ResultStored {
@@ -82,11 +91,12 @@ fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
             version,
             observed_cells,
         } => {
-            format!("lookup {version} active, {observed_cells} cells observed")
+            format!("lookup {version} active, {observed_cells} cells known")
         }
         What::LookupRefused { version, why } => format!("lookup {version} refused: {why}"),
         What::Fault { fault: 0, .. } => "fault cleared".to_owned(),
         What::Fault { fault, text } => format!("fault {fault}: {text}"),
+        What::Pot { text, .. } | What::PotTemperature { text, .. } => format!("pot {text}"),
         What::Lease { holder, .. } if holder.is_empty() => "nobody commands it now".to_owned(),
         What::Lease { holder, taken_from } if taken_from.is_empty() => {
             format!("{holder} commands it")
@@ -100,9 +110,14 @@ fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
                 if *ok { "" } else { ", not carried out" }
             )
         }
+        What::Recording {
+            text,
+            file: Some(file),
+            ..
+        } => format!("recording {file}: {text}"),
+        What::Recording { text, .. } => format!("recording: {text}"),
         What::Store { text, .. } => format!("store: {text}"),
-    };
-    say!("{}", one_line(&text))
+    })
 }
 
 fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {

@@ -63,7 +63,7 @@ impl Wanted {
                 address,
             } => {
                 let open = crate::cli::opener::opener(&mut config)?;
-                Ok(Client::connect(open(&address)?)?)
+                Ok(Client::connect(open(&address)?.transport)?)
             }
         }
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use ihd_gate::{Examined, Request, examine};
+use ihd_gate::{Examined, Reconstruct, Request, examine};
 use ihd_identify::pinn::preset_names;
 use ihd_identify::{Method, Settings};
 use ihd_signal::{Capture, Severity};
@@ -159,7 +159,11 @@ impl IdentifyArgs {
             sensors: self.sensors.ask()?,
             methods,
             settings,
-            reconstruct: true,
+            reconstruct: if self.plot.is_some() {
+                Reconstruct::Waveforms
+            } else {
+                Reconstruct::Errors
+            },
         };
         let bar = ProgressBar::no_length();
         bar.set_style(

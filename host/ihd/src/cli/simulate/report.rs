@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use ihd_field::approximation;
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_signal::truth::{ORDERS, PeriodTruth};
-use ihd_sim::field::approximation;
 use ihd_sim::recording::comparison;
 use ihd_sim::recording::prepared;
 use ihd_sim::recording::run::Recording;

@@ -3,7 +3,10 @@
 mod estimators;
 mod hostile;
 #[cfg(feature = "pinn")]
+mod map;
+#[cfg(feature = "pinn")]
 mod paper;
+mod temperature;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -13,6 +16,8 @@ use clap::{Args, Subcommand};
 #[command(after_help = "Examples:\n  \
     ihd study estimators --quick\n  \
     ihd study hostile --short\n  \
+    ihd study map --pot ferritic-18\n  \
+    ihd study temperature --runs 12\n  \
     ihd study paper --quick --out paper-study")]
 pub struct StudyArgs {
     #[command(subcommand)]
@@ -24,7 +29,10 @@ enum Study {
     Estimators(estimators::EstimatorsArgs),
     Hostile(hostile::HostileArgs),
     #[cfg(feature = "pinn")]
+    Map(map::MapArgs),
+    #[cfg(feature = "pinn")]
     Paper(paper::PaperArgs),
+    Temperature(temperature::TemperatureArgs),
 }
 
 impl StudyArgs {
@@ -34,7 +42,10 @@ impl StudyArgs {
             Study::Estimators(args) => args.run(),
             Study::Hostile(args) => args.run(),
             #[cfg(feature = "pinn")]
+            Study::Map(args) => args.run(),
+            #[cfg(feature = "pinn")]
             Study::Paper(args) => args.run(),
+            Study::Temperature(args) => args.run(),
         }
     }
 }

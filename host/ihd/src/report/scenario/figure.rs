@@ -3,19 +3,17 @@
 use std::path::Path;
 
 use ihd_sim::scenario::record::{HalfCycle, Record};
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use crate::report::FigureError;
+use crate::report::plot::legend::header;
+use crate::report::plot::two_axes::{self, Side, Trace, Under, Zero};
+use crate::report::plot::{
+    self, Area, Axis, BLUE, Curve, Drawn, Entry, GREY, Panel, Pen, RED, span,
+};
 
-const BLUE: RGBColor = RGBColor(31, 119, 180);
-const RED: RGBColor = RGBColor(214, 39, 40);
-const GREY: RGBColor = RGBColor(120, 120, 120);
-
-type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
-/// A curve: its name, its colour, and its value in a half-cycle.
-type Curve = (&'static str, RGBColor, fn(&HalfCycle) -> f64);
+/// What the crests' right axis takes, and what the others leave, so that the times of all panels stand below each other.
+const RIGHT_AXIS_PX: i32 = 54;
 
 /// Draws a record to an SVG file.
 ///
@@ -25,94 +23,121 @@ pub fn write(record: &Record, path: &Path) -> Result<(), FigureError> {
     if record.half_cycles.is_empty() {
         return Err(FigureError::Empty);
     }
-    let wrong = |e: String| FigureError::new(path, &e);
-    let root = SVGBackend::new(path, (1000, 760)).into_drawing_area();
-    root.fill(&WHITE).map_err(|e| wrong(e.to_string()))?;
-    let (curves, bands) = root.split_vertically(600);
+    draw(record, path).map_err(|why| FigureError::new(path, &why))
+}
+
+fn draw(record: &Record, path: &Path) -> Drawn {
+    let root = SVGBackend::new(path, (1000, 860)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let (curves, bands) = root.split_vertically(690);
     let panels = curves.split_evenly((3, 1));
-    let all: [(&str, &[Curve]); 3] = [
-        (
-            "Power / W",
-            &[
-                ("asked", GREY, |h| h.asked_w),
-                ("true", BLUE, |h| h.power_w),
-            ],
-        ),
-        ("f_sw / kHz", &[("f_sw", BLUE, |h| h.f_sw_hz * 1e-3)]),
-        (
-            "Crests: A, and V/10",
-            &[
-                ("i_peak / A", RED, |h| h.i_peak_a),
-                ("v_coil / 10 V", BLUE, |h| h.v_coil_peak_v * 0.1),
-            ],
-        ),
+    let curve = |name: &str, colour, value: fn(&HalfCycle) -> f64| {
+        let points = record.half_cycles.iter().map(|h| (h.t_s, value(h)));
+        Curve::new(name, colour, Pen::Line(1), points.collect())
+    };
+    let power = [
+        curve("asked", GREY, |h| h.asked_w),
+        curve("true", BLUE, |h| h.power_w),
     ];
-    for (panel, (title, curves)) in panels.iter().zip(all) {
-        chart(panel, title, record, curves).map_err(wrong)?;
-    }
-    draw_bands(&bands, record).map_err(wrong)?;
-    root.present().map_err(|e| wrong(e.to_string()))
+    chart(&panels[0], "Power", "P / W", record, &power)?;
+    let f_sw = [curve("", BLUE, |h| h.f_sw_hz * 1e-3)];
+    chart(
+        &panels[1],
+        "Switching frequency",
+        "f_sw / kHz",
+        record,
+        &f_sw,
+    )?;
+    crests(&panels[2], record)?;
+    draw_bands(&bands.margin(0, 0, 0, RIGHT_AXIS_PX), record).map_err(|why| why.into())
 }
 
 fn end_s(record: &Record) -> f64 {
     record.half_cycles.last().map_or(1.0, |h| h.t_s).max(1e-3)
 }
 
-fn chart(panel: &Panel<'_>, title: &str, record: &Record, curves: &[Curve]) -> Result<(), String> {
-    let text = |e: &dyn std::fmt::Display| e.to_string();
-    let values = || {
-        let of = |(_, _, value): &Curve| record.half_cycles.iter().map(*value).fold(0.0, f64::max);
-        curves.iter().map(of).fold(1.0, f64::max)
+/// What faults look like, where there is one.
+fn alarm(record: &Record) -> Option<Entry> {
+    let fault = Entry::line("fault", RED, Pen::Line(1));
+    (!record.faults.is_empty()).then_some(fault)
+}
+
+fn chart(area: &Area<'_>, title: &str, label: &str, record: &Record, curves: &[Curve]) -> Drawn {
+    let values = curves.iter().flat_map(Curve::points).map(|p| p.1);
+    // What rings back into the supply is a little below zero.
+    let (low, high) = span(values).unwrap_or((0.0, 1.0));
+    let (bottom, top) = (1.08 * low.min(0.0), 1.08 * high.max(1.0));
+    let panel = Panel {
+        x: Axis::linear("", 0.0..end_s(record)),
+        y: Axis::linear(label, bottom..top),
     };
-    let mut chart = ChartBuilder::on(panel)
-        .caption(title, ("sans-serif", 14))
-        .margin_right(12)
-        .x_label_area_size(18)
-        .y_label_area_size(52)
-        .build_cartesian_2d(0.0..end_s(record), 0.0..1.08 * values())
-        .map_err(|e| text(&e))?;
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .draw()
-        .map_err(|e| text(&e))?;
-    for &(name, colour, value) in curves {
-        let points = record.half_cycles.iter().map(|h| (h.t_s, value(h)));
-        chart
-            .draw_series(LineSeries::new(points, &colour))
-            .map_err(|e| text(&e))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
-    }
-    for fault in &record.faults {
-        let line = [(fault.t_s, 0.0), (fault.t_s, 1.08 * values())];
-        chart
-            .draw_series(LineSeries::new(line, RED.mix(0.5)))
-            .map_err(|e| text(&e))?;
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .draw()
-        .map_err(|e| text(&e))
+    let named = curves.iter().filter(|c| !c.name.is_empty());
+    let mut entries: Vec<Entry> = named.map(Curve::entry).collect();
+    entries.extend(alarm(record));
+    // Under the curves.
+    let alarms = record
+        .faults
+        .iter()
+        .map(|fault| vec![(fault.t_s, bottom), (fault.t_s, top)]);
+    let mut all = vec![Curve {
+        name: String::new(),
+        colour: RGBColor(235, 150, 150),
+        pen: Pen::Line(1),
+        runs: alarms.collect(),
+    }];
+    all.extend_from_slice(curves);
+    let below = header(area, title, &entries)?;
+    plot::draw(&below.margin(0, 0, 0, RIGHT_AXIS_PX), &panel, &all)?;
+    Ok(())
+}
+
+/// The largest current at the left axis, the coil's largest voltage at the right one.
+fn crests(area: &Area<'_>, record: &Record) -> Drawn {
+    let side = |label: &str, colour, value: fn(&HalfCycle) -> f64| Side {
+        label: label.into(),
+        colour,
+        trace: Trace::Line(
+            record
+                .half_cycles
+                .iter()
+                .map(|h| (h.t_s, value(h)))
+                .collect(),
+        ),
+    };
+    let sides = [
+        side("i / A", RED, |h| h.i_peak_a),
+        side("v / V", BLUE, |h| h.v_coil_peak_v),
+    ];
+    let entries = [
+        Entry::line("current (left)", RED, Pen::Line(1)),
+        Entry::line("coil voltage (right)", BLUE, Pen::Line(1)),
+    ];
+    let under = Under {
+        alarms: record.faults.iter().map(|fault| fault.t_s).collect(),
+        ..Under::default()
+    };
+    let below = header(area, "Largest of each half-cycle", &entries)?;
+    two_axes::draw(&below, "", Zero::Bottom, &sides, &under)
 }
 
 /// Three bands with names in them: state, pot, fault.
-fn draw_bands(area: &Panel<'_>, record: &Record) -> Result<(), String> {
+fn draw_bands(area: &Area<'_>, record: &Record) -> Result<(), String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let mut chart = ChartBuilder::on(area)
-        .margin_right(12)
-        .x_label_area_size(30)
-        .y_label_area_size(52)
+        .margin(8)
+        .margin_right(16)
+        .x_label_area_size(40)
+        .y_label_area_size(62)
         .build_cartesian_2d(0.0..end_s(record), 0.0..3.0)
         .map_err(|e| text(&e))?;
     chart
         .configure_mesh()
         .disable_mesh()
         .y_labels(0)
+        .x_labels(9)
         .x_desc("t / s")
+        .label_style(("sans-serif", 14))
+        .axis_desc_style(("sans-serif", 15))
         .draw()
         .map_err(|e| text(&e))?;
     let rows: [fn(&HalfCycle) -> &str; 3] = [|h| &h.fault, |h| &h.pot, |h| &h.state];
@@ -128,17 +153,17 @@ fn draw_bands(area: &Panel<'_>, record: &Record) -> Result<(), String> {
                 .draw_series([Rectangle::new(corners, fill.filled())])
                 .map_err(|e| text(&e))?;
             // A word needs room.
-            if share > 0.012 * word.len() as f64 {
+            if share > 0.013 * word.len() as f64 {
                 let at = (from_s + 0.004 * end_s(record), y + 0.68);
                 chart
-                    .draw_series([Text::new(word.to_owned(), at, ("sans-serif", 12))])
+                    .draw_series([Text::new(word.to_owned(), at, ("sans-serif", 14))])
                     .map_err(|e| text(&e))?;
             }
         }
     }
     for (row, title) in ["fault", "pot", "state"].into_iter().enumerate() {
         let (_, y) = chart.backend_coord(&(0.0, row as f64 + 0.65));
-        let style = ("sans-serif", 12).into_text_style(area);
+        let style = ("sans-serif", 14).into_text_style(area);
         area.draw_text(title, &style, (4, y - area.get_pixel_range().1.start))
             .map_err(|e| text(&e))?;
     }
@@ -150,8 +175,8 @@ fn shade(word: &str) -> RGBColor {
     match word {
         "None" | "Idle" | "Unknown" => RGBColor(235, 235, 235),
         "Heating" | "Ferromagnetic" => RGBColor(178, 223, 178),
-        "Probing" | "Small" => RGBColor(253, 224, 160),
-        "Absent" | "Unsuitable" | "Waiting" => RGBColor(198, 210, 240),
+        "Probing" | "Pausing" | "Small" => RGBColor(253, 224, 160),
+        "Absent" | "Unsuitable" | "WaitingForPot" => RGBColor(198, 210, 240),
         _ => RGBColor(246, 178, 178),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use ihd_gate::{Examined, Request, examine};
+use ihd_gate::{Examined, Reconstruct, Request, examine};
 use ihd_identify::{Method, Settings};
 use ihd_signal::{Capture, Remark, Severity};
 use ihd_sim::inverter::InverterError;
@@ -157,7 +157,7 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             capacitance_f: case.capacitance_f,
         },
         settings: &settings,
-        reconstruct: false,
+        reconstruct: Reconstruct::No,
     };
     let examined = examine(capture, &request, &mut |_, _, _| ());
     let of_method = |&method: &Method| {

@@ -206,8 +206,8 @@ mod tests {
             zero_crossing_s: 1e-3,
             t0_s: 0.0,
             dt_s: 1e-6,
-            v_v: vec![0.0; 20_000],
-            i_a: vec![0.0; 20_000],
+            v_v: vec![0.0; 20_000].into(),
+            i_a: vec![0.0; 20_000].into(),
         }
     }
 

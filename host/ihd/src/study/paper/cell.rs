@@ -147,7 +147,7 @@ fn network(
         source,
     })?;
     estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
-    let reconstruction = &found.reconstruction;
+    let reconstruction = found.reconstruction.waveforms();
     let samples: Vec<usize> = reconstruction.sample.iter().map(|n| from + n).collect();
     let (v, i) = (&reconstruction.v_volt, &reconstruction.i_ampere);
     Ok(Found {

@@ -1,34 +1,33 @@
 //! The study's figures: R(t) and L(t) against the truth (the paper's Figs. 5 and 6), and loss curves.
 
-use std::ops::Range;
 use std::path::Path;
 
 use ihd_sim::recording::settings::LoadKind;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::{Cell, Contender};
 use crate::report::FigureError;
+use crate::report::plot::legend::{column, header};
+use crate::report::plot::panel::beyond;
+use crate::report::plot::{self, Area, Axis, Curve, Drawn, Entry, GREY, Panel, Pen, span};
 
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+/// Width of the legend beside a panel, in pixels.
+const LEGEND_PX: u32 = 250;
 
-/// A named curve in the figure's units.
-struct Curve {
-    name: String,
-    points: Vec<(f64, f64)>,
-    style: Style,
-}
+/// Colours of the contenders in their order; of Okabe and Ito, that the colour-blind can tell apart.
+const COLOURS: [RGBColor; 8] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 0, 0),
+    RGBColor(146, 73, 0),
+];
 
-/// How a curve is drawn.
-#[derive(Clone, Copy)]
-enum Style {
-    /// What the others are held against: wide and grey.
-    Reference,
-    /// In the colour of the contender with this number.
-    Solid(usize),
-    /// The same, broken.
-    Broken(usize),
+fn colour(contender: usize) -> RGBColor {
+    COLOURS[contender % COLOURS.len()]
 }
 
 /// Draws all figures of the first seed into `folder`; returns their names.
@@ -87,142 +86,195 @@ fn draw(
 
 /// R above L over the half-cycle.
 fn load(path: &Path, cells: &[&Cell]) -> Drawn {
-    let root = SVGBackend::new(path, (900, 680)).into_drawing_area();
+    let root = SVGBackend::new(path, (1000, 800)).into_drawing_area();
     root.fill(&WHITE)?;
-    let root = root.titled(&point_name(cells[0]), ("sans-serif", 20))?;
-    let areas = root.split_evenly((2, 1));
+    let below = header(&root, &point_name(cells[0]), &[])?;
+    let areas = below.split_evenly((2, 1));
     type Value = fn(&(f64, f64, f64)) -> f64;
     let quantities: [(&str, Value); 2] = [("R / Ω", |p| p.1), ("L / µH", |p| p.2 * 1e6)];
     for (area, (label, value)) in areas.iter().zip(quantities) {
-        let start_s = cells[0].truth.first().map_or(0.0, |p| p.0);
-        let curve = |name: &str, trajectory: &[(f64, f64, f64)], style: Style| Curve {
-            style,
-            name: name.to_owned(),
-            points: trajectory
-                .iter()
-                .map(|p| ((p.0 - start_s) * 1e3, value(p)))
-                .collect(),
-        };
-        let mut curves = vec![curve("truth", &cells[0].truth, Style::Reference)];
-        for (k, cell) in cells.iter().enumerate() {
-            let name = cell.job.contender.name();
-            curves.push(curve(name, &cell.trajectory, Style::Solid(k)));
-        }
-        // What fails may be far off: the truth's range sets the axis.
-        let truth = curves[0].points.iter().map(|p| p.1);
-        let (low, high) = truth.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-        let air = 0.25 * (high - low).max(1e-3);
-        let axis = (low - air)..(high + air);
-        let titles = ["time in the half-cycle / ms", label];
-        let legend = SeriesLabelPosition::UpperMiddle;
-        lines(area, titles, axis, &curves, legend)?;
+        let (panel, curves) = load_panel(cells, label, value);
+        beside_legend(area, &panel, &curves)?;
     }
     root.present()?;
     Ok(())
 }
 
-/// Physics and data terms over the steps, both axes logarithmic: shown as powers of ten. With noise its
-/// part of the data term is there too: what the VI branch must not go below.
+/// One quantity over the half-cycle. What fails may be far off: the truth's range sets the axis.
+fn load_panel(
+    cells: &[&Cell],
+    label: &str,
+    value: impl Fn(&(f64, f64, f64)) -> f64,
+) -> (Panel, Vec<Curve>) {
+    let start_s = cells[0].truth.first().map_or(0.0, |p| p.0);
+    let points = |trajectory: &[(f64, f64, f64)]| {
+        let of = trajectory.iter();
+        of.map(|p| ((p.0 - start_s) * 1e3, value(p))).collect()
+    };
+    let mut curves = vec![Curve::new(
+        "truth",
+        GREY,
+        Pen::Line(6),
+        points(&cells[0].truth),
+    )];
+    for (k, cell) in cells.iter().enumerate() {
+        let name = cell.job.contender.name();
+        let points = points(&cell.trajectory);
+        curves.push(Curve::new(name, colour(k), Pen::Line(2), points));
+    }
+    let (low, high) = span(curves[0].points().map(|p| p.1)).unwrap_or((0.0, 1.0));
+    let air = 0.25 * (high - low).max(1e-3);
+    let times = span(curves.iter().flat_map(Curve::points).map(|p| p.0)).unwrap_or((0.0, 1.0));
+    let panel = Panel {
+        x: Axis::linear("time in the half-cycle / ms", times.0..times.1),
+        y: Axis::linear(label, low - air..high + air),
+    };
+    (panel, curves)
+}
+
+/// Physics and data terms over the steps, both axes in decades. With noise its part of the data term is there too: what the VI
+/// branch must not go below.
 fn losses(path: &Path, cells: &[&Cell]) -> Drawn {
-    let root = SVGBackend::new(path, (900, 480)).into_drawing_area();
+    let root = SVGBackend::new(path, (1000, 560)).into_drawing_area();
     root.fill(&WHITE)?;
-    let area = root.titled(
-        &format!("{}: loss", point_name(cells[0])),
-        ("sans-serif", 20),
-    )?;
-    let log = |x: f64| x.max(1e-16).log10();
+    let title = format!("{}: loss", point_name(cells[0]));
+    let below = header(&root, &title, &[])?;
+    let curves = loss_curves(cells);
+    let steps = span(curves.iter().flat_map(Curve::points).map(|p| p.0)).unwrap_or((1.0, 10.0));
+    let terms = span(curves.iter().flat_map(Curve::points).map(|p| p.1)).unwrap_or((1.0, 10.0));
+    let panel = Panel {
+        x: Axis::decades("step", steps.0..steps.1),
+        y: Axis::decades("loss term", terms.0 / 2.0..terms.1 * 2.0),
+    };
+    beside_legend(&below, &panel, &curves)?;
+    root.present()?;
+    Ok(())
+}
+
+/// A term that is zero has no place on an axis of decades: it is left out.
+fn loss_curves(cells: &[&Cell]) -> Vec<Curve> {
     let mut curves = Vec::new();
     let trained = |c: &&&Cell| matches!(c.job.contender, Contender::Pinn(_));
     for (k, cell) in cells.iter().filter(trained).enumerate() {
         let name = cell.job.contender.name();
-        let steps = || cell.losses.iter().map(|l| log(l.step as f64));
-        let l_f = steps()
-            .zip(cell.losses.iter().map(|l| log(l.l_f)))
-            .collect();
-        let l_i = steps()
-            .zip(cell.losses.iter().map(|l| log(l.l_i)))
-            .collect();
-        curves.push(Curve {
-            style: Style::Solid(k),
-            name: format!("{name}: physics L_f"),
-            points: l_f,
-        });
-        curves.push(Curve {
-            style: Style::Broken(k),
-            name: format!("{name}: data L_i"),
-            points: l_i,
-        });
-    }
-    let last = cells.iter().filter_map(|c| c.losses.last()).map(|l| l.step);
-    if let (Some(noise), Some(last)) = (cells[0].noise_in_samples, last.max()) {
-        let (from, to) = (0.0, log(last as f64));
-        // First, so that it lies under the others.
-        let noise = Curve {
-            style: Style::Reference,
-            name: "noise of the samples in L_i".to_owned(),
-            points: vec![(from, log(noise)), (to, log(noise))],
+        let mut add = |term: &str, pen, value: fn(&super::LossAt) -> f64| {
+            let points = cell.losses.iter().map(|l| (l.step as f64, value(l)));
+            let points = points.filter(|p| p.0 > 0.0 && p.1 > 0.0).collect();
+            curves.push(Curve::new(
+                &format!("{name}: {term}"),
+                colour(k),
+                pen,
+                points,
+            ));
         };
+        add("physics L_f", Pen::Line(2), |l| l.l_f);
+        add("data L_i", Pen::Broken(2), |l| l.l_i);
+    }
+    let steps = span(curves.iter().flat_map(Curve::points).map(|p| p.0));
+    if let (Some(noise), Some((first, last))) = (cells[0].noise_in_samples, steps)
+        && noise > 0.0
+    {
+        // First, so that it lies under the others.
+        let points = vec![(first, noise), (last, noise)];
+        let noise = Curve::new("noise of the samples in L_i", GREY, Pen::Line(5), points);
         curves.insert(0, noise);
     }
-    let values = curves.iter().flat_map(|c| c.points.iter().map(|p| p.1));
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-    let axis = (low - 0.3)..(high + 0.3);
-    let titles = ["log10 of the step", "log10 of the loss term"];
-    lines(
-        &area,
-        titles,
-        axis,
-        &curves,
-        SeriesLabelPosition::LowerRight,
-    )?;
-    root.present()?;
-    Ok(())
+    curves
 }
 
-fn lines(
-    area: &Area<'_>,
-    [x, y]: [&str; 2],
-    axis: Range<f64>,
-    curves: &[Curve],
-    legend: SeriesLabelPosition,
-) -> Drawn {
-    let times = curves.iter().flat_map(|c| c.points.iter().map(|p| p.0));
-    let (from, to) = times.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-    let mut chart = ChartBuilder::on(area)
-        .margin(12)
-        .x_label_area_size(36)
-        .y_label_area_size(56)
-        .build_cartesian_2d(from..to.max(from + 1e-6), axis.clone())?;
-    chart
-        .configure_mesh()
-        .x_desc(x)
-        .y_desc(y)
-        .light_line_style(WHITE)
-        .draw()?;
-    for curve in curves {
-        let inside = curve.points.iter();
-        let inside = inside.map(|p| (p.0, p.1.clamp(axis.start, axis.end)));
-        let style = match curve.style {
-            Style::Reference => RGBColor(120, 120, 120).stroke_width(5),
-            Style::Solid(k) | Style::Broken(k) => Palette99::pick(k).stroke_width(2),
+/// A panel with its legend at the right, which says of each curve how far it goes beyond the frame.
+fn beside_legend(area: &Area<'_>, panel: &Panel, curves: &[Curve]) -> Drawn {
+    let width = area.dim_in_pixel().0.saturating_sub(LEGEND_PX);
+    let (left, right) = area.split_horizontally(width);
+    let outside = plot::draw(&left, panel, curves)?;
+    let entry = |(curve, outside): (&Curve, &Vec<_>)| Entry {
+        note: beyond(outside),
+        ..curve.entry()
+    };
+    let entries: Vec<Entry> = curves.iter().zip(&outside).map(entry).collect();
+    column(&right, &entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_identify::Method;
+
+    use super::super::{Errors, Job, LossAt};
+    use super::*;
+    use crate::report::plot::svg::Picture;
+
+    fn cell(contender: Contender, r_ohm: f64, losses: Vec<LossAt>) -> Cell {
+        let trajectory = |r: f64| {
+            let at = (0..=100).map(|k| 1e-4 * f64::from(k));
+            at.map(|t| (t, r + 100.0 * t, 20e-6)).collect()
         };
-        let drawn = match curve.style {
-            Style::Broken(_) => chart.draw_series(DashedLineSeries::new(inside, 6, 4, style))?,
-            Style::Reference | Style::Solid(_) => {
-                chart.draw_series(LineSeries::new(inside, style))?
-            }
+        let errors = Errors {
+            r_pct: 0.0,
+            l_pct: 0.0,
         };
-        let mark = move |(x, y)| match curve.style {
-            Style::Broken(_) => PathElement::new([(x, y), (x + 7, y)], style),
-            Style::Reference | Style::Solid(_) => PathElement::new([(x, y), (x + 18, y)], style),
-        };
-        drawn.label(&curve.name).legend(mark);
+        Cell {
+            job: Job {
+                load: LoadKind::Behavioural,
+                f_sw_hz: 45e3,
+                snr_db: Some(30.0),
+                contender,
+                seed: 1,
+                epochs: None,
+            },
+            settings: None,
+            whole: errors,
+            middle: errors,
+            describing: None,
+            impedance_order: None,
+            nmse_pct: None,
+            nmse_filtered_pct: None,
+            nmse_both_filtered_pct: None,
+            nmse_unfiltered_itself_pct: None,
+            power_r_pct: None,
+            power_describing_pct: None,
+            elapsed_s: 0.0,
+            steps: 0,
+            stopped: String::new(),
+            trajectory: trajectory(r_ohm),
+            truth: trajectory(3.0),
+            noise_in_samples: Some(1e-3),
+            losses,
+        }
     }
-    chart
-        .configure_series_labels()
-        .position(legend)
-        .background_style(WHITE.mix(0.8))
-        .border_style(RGBColor(120, 120, 120))
-        .draw()?;
-    Ok(())
+
+    fn drawn(cells: &[Cell], name: &str) -> Picture {
+        let folder = tempfile::tempdir().unwrap();
+        let names = all(cells, folder.path()).unwrap();
+        assert!(names.contains(&name.to_owned()), "{names:?}");
+        Picture::read(&folder.path().join(name))
+    }
+
+    #[test]
+    fn a_contender_beyond_the_axis_has_arrows_and_its_number_and_no_line() {
+        let failed = cell(Contender::Pinn("paper-literal".into()), 7e5, vec![]);
+        let good = cell(Contender::Other(Method::Ekf), 3.01, vec![]);
+        let picture = drawn(&[failed, good], "load-behavioural-45kHz-30dB.svg");
+        // Of R there is none; of L, where it is right, there is one, and one in each of the two legends.
+        assert_eq!(picture.polylines("#0072B2").len(), 3);
+        assert_eq!(picture.polylines("#D55E00").len(), 4);
+        assert!(!picture.polygons("#0072B2").is_empty());
+        assert!(picture.polygons("#D55E00").is_empty());
+        assert!(picture.texts().contains(&"▲ to 7·10⁵".to_owned()));
+    }
+
+    #[test]
+    fn losses_are_drawn_over_decades_of_steps() {
+        let at = |step: usize, l_f: f64| LossAt {
+            step,
+            l_f,
+            l_i: 1e-3,
+        };
+        let losses = vec![at(1, 1e2), at(10, 1e-2), at(1000, 0.0), at(1000, 1e-6)];
+        let network = cell(Contender::Pinn("hybrid".into()), 3.0, losses);
+        let texts = drawn(&[network], "loss-behavioural-45kHz-30dB.svg").texts();
+        for label in ["10⁰", "10¹", "10²", "10³", "10⁻⁴", "step", "loss term"] {
+            assert!(texts.contains(&label.to_owned()), "{label}: {texts:?}");
+        }
+        assert!(!texts.iter().any(|t| t.contains("log10")));
+    }
 }

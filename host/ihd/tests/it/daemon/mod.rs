@@ -6,3 +6,5 @@ mod document;
 mod ends;
 mod processes;
 mod refusals;
+mod ui;
+mod watch;

@@ -62,7 +62,7 @@ impl Correction {
     /// Makes the channels of a segment alike.
     #[must_use]
     pub fn applied(&self, segment: &Segment) -> Segment {
-        let (mut v_v, mut i_a) = (segment.v_v.clone(), segment.i_a.clone());
+        let (mut v_v, mut i_a) = (segment.v_v.to_vec(), segment.i_a.to_vec());
         self.filter(&mut v_v, &mut i_a, segment.dt_s);
         let mut late: Vec<f32> = i_a.iter().map(|x| *x as f32).collect();
         if self.skew_s != 0.0 {

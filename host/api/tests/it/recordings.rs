@@ -1,0 +1,220 @@
+//! Recordings: listed, downloaded, made into tables; names that lead elsewhere, readers that take their time.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use ihd_api::ApiClient;
+use ihd_api::client::ClientError;
+use ihd_api::model::Problem;
+use ihd_capture::mcap::SessionRecorder;
+use ihd_capture::{OpenOptions, mcap, open};
+use ihd_link::Client;
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
+
+use crate::backend::Running;
+use crate::http::{ask, connect};
+
+const NAME: &str = "bench-2026-11-22T08-30-00.123.mcap";
+
+/// Half a second of a simulated hob, as a recording of the server's folder.
+fn recorded(server: &Running, power_w: u16) -> PathBuf {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = Client::connect(Box::new(hob)).unwrap();
+    client.set_power(power_w).unwrap();
+    client.stream(1, 20).unwrap();
+    let path = server.fake.recordings.path().join(NAME);
+    let recorder = SessionRecorder::create(&path, client.hello(), client.front_end()).unwrap();
+    client.record_to(recorder);
+    let until = client.clock() + Duration::from_millis(500);
+    while client.clock() < until {
+        client.next_event(until - client.clock()).unwrap();
+    }
+    client.finish_recording().unwrap();
+    path
+}
+
+/// A GET, whose answer may be anything: its head, and its body as bytes.
+fn get(server: &Running, path: &str) -> (String, Vec<u8>) {
+    let mut stream = connect(server.address);
+    let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).unwrap();
+    let head = bytes.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+    let body = bytes.split_off(head + 4);
+    (String::from_utf8(bytes).unwrap().to_lowercase(), body)
+}
+
+#[test]
+fn a_recording_is_listed_and_downloaded_as_it_is() {
+    let server = Running::start();
+    let path = recorded(&server, 1_000);
+    let client = ApiClient::new(&server.url, "Ada", None, None).unwrap();
+    let all = client.recordings().unwrap();
+    let bytes = fs::read(&path).unwrap();
+    assert_eq!(
+        (all[0].file.as_str(), all[0].bytes),
+        (NAME, bytes.len() as u64)
+    );
+    let mut here = Vec::new();
+    let length = client.download_recording(NAME, &mut here).unwrap();
+    assert!(here == bytes && length == bytes.len() as u64);
+    let (head, body) = get(&server, &format!("/api/v1/recordings/{NAME}"));
+    assert!(body == bytes, "{head}");
+    for line in [
+        "http/1.1 200",
+        &format!(
+            "content-disposition: attachment; filename=\"{}\"",
+            NAME.to_lowercase()
+        ),
+        &format!("content-length: {}", bytes.len()),
+        "x-content-type-options: nosniff",
+    ] {
+        assert!(head.contains(line), "{line} not in {head}");
+    }
+    match client
+        .download_recording("none.mcap", &mut here)
+        .unwrap_err()
+    {
+        ClientError::Refused {
+            status: 404,
+            problem,
+            ..
+        } => assert_eq!(problem.error, "no-recording"),
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn tables_hold_what_the_file_holds() {
+    let server = Running::start();
+    let path = recorded(&server, 1_000);
+    let capture = mcap::read(&path).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    for (format, ending) in [("csv", ".csv"), ("npz", ".npz")] {
+        let (head, body) = get(
+            &server,
+            &format!("/api/v1/recordings/{NAME}?format={format}"),
+        );
+        assert!(
+            head.contains("http/1.1 200") && head.contains(&format!("{ending}\"")),
+            "{head}"
+        );
+        assert!(
+            head.contains(&format!("content-length: {}", body.len())),
+            "{head}"
+        );
+        let here = dir.path().join(format!("a{ending}"));
+        fs::write(&here, body).unwrap();
+        let again = open(&here, &OpenOptions::default()).unwrap();
+        assert!(
+            again.v_v == capture.v_v && again.i_a == capture.i_a,
+            "{format}"
+        );
+    }
+    let (head, body) = get(
+        &server,
+        &format!("/api/v1/recordings/{NAME}?format=half-cycles"),
+    );
+    assert!(head.contains(".half-cycles.csv\""), "{head}");
+    let lines = body.iter().filter(|b| **b == b'\n').count();
+    assert!(lines.abs_diff(51) < 5, "{lines}");
+    // Nothing is left beside the recordings.
+    assert_eq!(
+        fs::read_dir(server.fake.recordings.path()).unwrap().count(),
+        1
+    );
+}
+
+#[test]
+fn what_cannot_be_had_says_why() {
+    let server = Running::start();
+    let path = recorded(&server, 0);
+    let refused = |path: &str, status: u16, error: &str| {
+        let (got, body) = ask(server.address, &format!("GET {path}"), &[], "");
+        assert_eq!(got, status, "{path}: {body}");
+        let problem: Problem = serde_json::from_str(&body).unwrap();
+        assert_eq!(problem.error, error, "{path}: {body}");
+    };
+    let of = |format: &str| format!("/api/v1/recordings/{NAME}?format={format}");
+    refused(&of("csv"), 409, "nothing");
+    refused(&of("xlsx"), 400, "query");
+    fs::write(&path, b"no recording at all").unwrap();
+    refused(&of("npz"), 409, "damaged");
+    // Names that lead elsewhere: the token file, the folder above, another file.
+    fs::write(server.fake.recordings.path().join("tokens"), "secret").unwrap();
+    fs::create_dir(server.fake.recordings.path().join("folder.mcap")).unwrap();
+    for name in [
+        "tokens",
+        "..%2Ftokens.mcap",
+        "%2Fetc%2Fpasswd",
+        "..",
+        ".mcap",
+        "folder.mcap",
+        "a%00.mcap",
+        "a.mcap%2F..%2Ftokens",
+    ] {
+        let (status, body) = ask(
+            server.address,
+            &format!("GET /api/v1/recordings/{name}"),
+            &[],
+            "",
+        );
+        assert_eq!(status, 404, "{name}: {body}");
+        assert!(!body.contains("secret"), "{name}");
+    }
+    #[cfg(unix)]
+    {
+        let outside = server.dir.path().join("outside");
+        fs::write(&outside, "secret").unwrap();
+        let link = server.fake.recordings.path().join("link.mcap");
+        std::os::unix::fs::symlink(outside, link).unwrap();
+        refused("/api/v1/recordings/link.mcap", 404, "no-recording");
+    }
+}
+
+fn sparse(path: &Path, bytes: u64) {
+    File::create(path).unwrap().set_len(bytes).unwrap();
+}
+
+#[test]
+fn a_download_that_takes_longer_than_a_request_may_is_not_cut() {
+    const BYTES: u64 = 64 << 20;
+    let server = Running::start();
+    sparse(&server.fake.recordings.path().join(NAME), BYTES);
+    let mut stream = connect(server.address);
+    let request = format!(
+        "GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).unwrap();
+    // Whatever grows meanwhile is not sent: its length was told.
+    let file = File::options()
+        .append(true)
+        .open(server.fake.recordings.path().join(NAME));
+    file.unwrap().write_all(&[1; 100]).unwrap();
+    let (mut taken, mut buffer) = (0_u64, vec![0; 1 << 20]);
+    let began = Instant::now();
+    loop {
+        let n = stream.read(&mut buffer).unwrap();
+        if n == 0 {
+            break;
+        }
+        taken += n as u64;
+        // A reader that takes more than the deadline of requests for the first half.
+        if began.elapsed() < Duration::from_secs(22) {
+            std::thread::sleep(Duration::from_millis(400));
+        }
+    }
+    assert!(
+        began.elapsed() > Duration::from_secs(21),
+        "{:?}",
+        began.elapsed()
+    );
+    assert!(
+        (BYTES..BYTES + 1_000).contains(&taken),
+        "{taken} of {BYTES}"
+    );
+}

@@ -1,0 +1,188 @@
+//! A browser's token: shown once, kept in a cookie that no script and no other site gets at.
+
+use std::sync::Arc;
+
+use ihd_api::access::{Role, tokens::Tokens};
+use rustls::crypto::ring;
+use ureq::Agent;
+use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
+
+use crate::backend::Running;
+use crate::http::{ask, header, whole};
+
+const JSON: &str = "Content-Type: application/json";
+const ME: &str = "ihd-holder: test";
+const OFF: &str = r#"{"command":"off"}"#;
+const COMMANDS: &str = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
+const SESSION: &str = "/api/v1/session";
+
+fn with_tokens() -> (Running, Tokens) {
+    let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
+    let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+    (server, tokens)
+}
+
+/// Shows a token; gives the header `Cookie` of a browser from then on.
+fn cookie(server: &Running, token: &str) -> String {
+    let body = format!("{{\"token\":\"{token}\"}}");
+    let line = format!("POST {SESSION}");
+    let (status, head, _) = whole(server.address, &line, &[JSON], &body);
+    assert_eq!(status, 204, "{head}");
+    let set = header(&head, "set-cookie").unwrap();
+    for attribute in ["httponly", "samesite=strict", "path=/"] {
+        assert!(set.split("; ").any(|a| a == attribute), "{set}");
+    }
+    assert!(!set.contains("domain"), "{set}");
+    format!("Cookie: a=b; {}", set.split(';').next().unwrap())
+}
+
+#[test]
+fn the_cookie_is_good_for_what_its_token_is() {
+    let (server, tokens) = with_tokens();
+    for role in Role::ALL {
+        let cookie = cookie(&server, tokens.at_least(role).unwrap());
+        let (status, body) = ask(server.address, &format!("GET {SESSION}"), &[&cookie], "");
+        assert_eq!(status, 200);
+        let expected = format!("{{\"role\":\"{}\",\"token_needed\":true}}", role.name());
+        assert_eq!(body, expected);
+        let (status, _) = ask(server.address, "GET /api/v1/devices", &[&cookie], "");
+        assert_eq!(status, 200);
+        let (status, _) = ask(server.address, COMMANDS, &[&cookie, JSON, ME], OFF);
+        assert_eq!(status, if role == Role::Read { 403 } else { 200 });
+    }
+}
+
+#[test]
+fn a_wrong_token_gets_no_cookie_and_is_not_told_again() {
+    let (server, tokens) = with_tokens();
+    let right = tokens.at_least(Role::Read).unwrap();
+    for wrong in ["", "x", &"0".repeat(64), &right[1..]] {
+        let body = format!("{{\"token\":\"{wrong}\"}}");
+        let line = format!("POST {SESSION}");
+        let (status, head, answer) = whole(server.address, &line, &[JSON], &body);
+        assert_eq!(status, 401, "{wrong}");
+        assert_eq!(header(&head, "set-cookie"), None);
+        let answer = String::from_utf8(answer).unwrap();
+        assert!(answer.contains("\"error\":\"token\""), "{answer}");
+        assert!(wrong.len() < 2 || !answer.contains(wrong), "{answer}");
+    }
+    let wrong = format!("Cookie: ihd-token={}", "0".repeat(64));
+    assert_eq!(
+        ask(server.address, "GET /api/v1/devices", &[&wrong], "").0,
+        401
+    );
+    assert_eq!(
+        ask(server.address, &format!("GET {SESSION}"), &[], "").0,
+        401
+    );
+    // Neither is a token a key of the address, where logs and histories would keep it.
+    let line = format!("GET /api/v1/devices?token={right}");
+    assert_eq!(ask(server.address, &line, &[], "").0, 401);
+}
+
+#[test]
+fn a_header_outranks_the_cookie() {
+    let (server, tokens) = with_tokens();
+    let cookie = cookie(&server, tokens.at_least(Role::Operate).unwrap());
+    let read = format!(
+        "Authorization: Bearer {}",
+        tokens.at_least(Role::Read).unwrap()
+    );
+    let (status, _) = ask(server.address, COMMANDS, &[&cookie, &read, JSON, ME], OFF);
+    assert_eq!(status, 403);
+    let wrong = format!("Authorization: Bearer {}", "0".repeat(64));
+    let (status, _) = ask(server.address, COMMANDS, &[&cookie, &wrong, JSON, ME], OFF);
+    assert_eq!(status, 401);
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+}
+
+#[test]
+fn forgetting_deletes_the_cookie() {
+    let (server, _) = with_tokens();
+    let line = format!("DELETE {SESSION}");
+    let (status, head, _) = whole(server.address, &line, &[], "");
+    assert_eq!(status, 204);
+    let set = header(&head, "set-cookie").unwrap();
+    assert!(set.starts_with("ihd-token=; max-age=0"), "{set}");
+}
+
+#[test]
+fn a_cookie_lets_another_sites_page_command_and_read_nothing() {
+    // A browser sends this one to no other site's requests; one that did it all the same is turned away.
+    let (server, tokens) = with_tokens();
+    let cookie = cookie(&server, tokens.at_least(Role::Operate).unwrap());
+    for foreign in [
+        "Origin: https://evil.example",
+        "Origin: null",
+        "Sec-Fetch-Site: cross-site",
+        // Another server on this machine is the same site: its page's requests bring the cookie.
+        "Sec-Fetch-Site: same-site",
+        "Origin: http://localhost:1",
+    ] {
+        for headers in [
+            vec![&cookie[..], JSON, ME, foreign],
+            vec![&cookie[..], foreign],
+        ] {
+            let (status, body) = ask(server.address, COMMANDS, &headers, OFF);
+            assert_eq!(status, 403, "{foreign}: {body}");
+        }
+        // Nor may it make this browser somebody else's.
+        let body = format!("{{\"token\":\"{}\"}}", tokens.at_least(Role::Read).unwrap());
+        let line = format!("POST {SESSION}");
+        assert_eq!(ask(server.address, &line, &[JSON, foreign], &body).0, 403);
+    }
+    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    for site in ["cross-site", "same-site"] {
+        for mode in ["cors", "no-cors", "same-origin"] {
+            let (site, mode) = (
+                format!("Sec-Fetch-Site: {site}"),
+                format!("Sec-Fetch-Mode: {mode}"),
+            );
+            for path in ["/api/v1/events", "/api/v1/live", "/api/v1/devices", SESSION] {
+                let headers = [&cookie[..], &site, &mode, "Accept: text/event-stream"];
+                let (status, body) = ask(server.address, &format!("GET {path}"), &headers, "");
+                assert_eq!(status, 403, "{path} {site} {mode}: {body}");
+            }
+        }
+    }
+}
+
+#[test]
+fn without_tokens_there_is_nothing_to_show() {
+    let server = Running::start();
+    let (status, body) = ask(server.address, &format!("GET {SESSION}"), &[], "");
+    assert_eq!(
+        (status, &*body),
+        (200, "{\"role\":\"operate\",\"token_needed\":false}")
+    );
+    let line = format!("POST {SESSION}");
+    let (status, head, _) = whole(server.address, &line, &[JSON], "{\"token\":\"x\"}");
+    assert_eq!((status, header(&head, "set-cookie")), (204, None));
+}
+
+#[test]
+fn under_tls_the_cookie_goes_nowhere_else() {
+    let server = Running::with(|settings, dir| {
+        settings.token_file = Some(dir.join("tokens"));
+        settings.tls = Some(ihd_api::tls::Certificate::Made {
+            folder: dir.join("tls"),
+        });
+    });
+    let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+    let token = tokens.at_least(Role::Read).unwrap();
+    let pem = std::fs::read(server.certificate.as_ref().unwrap()).unwrap();
+    let root = match parse_pem(&pem).next() {
+        Some(Ok(PemItem::Certificate(root))) => root,
+        _ => panic!("no certificate in {:?}", server.certificate),
+    };
+    let tls = TlsConfig::builder()
+        .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))
+        .root_certs(RootCerts::Specific(Arc::new(vec![root])));
+    let agent = Agent::config_builder().tls_config(tls.build()).proxy(None);
+    let agent = agent.build().new_agent();
+    let request = agent.post(format!("{}{SESSION}", server.url));
+    let answer = request.send_json(serde_json::json!({ "token": token }));
+    let answer = answer.unwrap();
+    let set = answer.headers()["set-cookie"].to_str().unwrap();
+    assert!(set.split("; ").any(|a| a == "Secure"), "{set}");
+}

@@ -1,0 +1,96 @@
+//! A recording as one table: the samples of all windows, or a line a half-cycle.
+
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::Path;
+
+use super::{Counted, Limits, Row, TableError, nothing, rows};
+use crate::mcap::topics::Telemetry;
+
+/// Columns of the samples; the last is the device's number of the window.
+const SAMPLES: &str = "time_s,v_V,i_A,window\n";
+
+/// Columns of half-cycles.
+const HALF_CYCLES: &str = "time_s,half_cycle,state,pot,fault,limit,asked_W,power_W,f_sw_Hz,i_crest_A,R_ohm,L_H,\
+    phase_deg,bus_peak_V,v_coil_peak_V,i_turn_off_min_A,lookup_version\n";
+
+/// Writes the samples of all windows, one after the other: time, voltage, current, number of the window.
+///
+/// # Errors
+/// [`TableError`]; what was written until then is no table.
+pub fn samples_csv(path: &Path, out: impl Write, limits: &Limits<'_>) -> Result<(), TableError> {
+    let mut out = Counted::new(out, limits);
+    let mut windows = 0;
+    let mut text = String::from(SAMPLES);
+    rows(path, limits, &mut |row| {
+        let Row::Window(number, _, _, pairs) = row else {
+            return Ok(());
+        };
+        windows += 1;
+        for (t_s, v_v, i_a) in pairs {
+            // Writing to a text cannot fail. A tenth of a nanosecond is a thousandth of a sample.
+            let _ = writeln!(text, "{t_s:.10},{v_v},{i_a},{number}");
+        }
+        out.put(text.as_bytes())?;
+        text.clear();
+        Ok(())
+    })?;
+    if windows == 0 {
+        let hint = "without heating there are none; half-cycles and the MCAP file have the rest";
+        return Err(nothing(path, "window of samples", hint));
+    }
+    Ok(out.out.flush()?)
+}
+
+/// Writes a line a half-cycle: what the device told of it.
+///
+/// # Errors
+/// As [`samples_csv`].
+pub fn half_cycles_csv(
+    path: &Path,
+    out: impl Write,
+    limits: &Limits<'_>,
+) -> Result<(), TableError> {
+    let mut out = Counted::new(out, limits);
+    let mut count = 0;
+    out.put(HALF_CYCLES.as_bytes())?;
+    rows(path, limits, &mut |row| {
+        let Row::HalfCycle(t_s, t) = row else {
+            return Ok(());
+        };
+        count += 1;
+        out.put(line(t_s, &t).as_bytes())
+    })?;
+    if count == 0 {
+        return Err(nothing(
+            path,
+            "half-cycle",
+            "the MCAP file has what it holds",
+        ));
+    }
+    Ok(out.out.flush()?)
+}
+
+fn line(t_s: f64, t: &Telemetry) -> String {
+    // Words of this program, made plain for files of others.
+    let word = |text: &str| -> String { text.chars().filter(|c| c.is_alphanumeric()).collect() };
+    let [state, pot, fault, limit] = [&t.state, &t.pot, &t.fault, &t.limit].map(|text| word(text));
+    // With the inverter off there is neither.
+    let (r, l) = match t.f_sw_hz {
+        0 => (String::new(), String::new()),
+        _ => (format!("{:.6}", t.r_ohm), format!("{:.12}", t.l_h)),
+    };
+    format!(
+        "{t_s:.6},{},{state},{pot},{fault},{limit},{},{:.3},{},{:.3},{r},{l},{:.3},{:.1},{:.1},{:.3},{}\n",
+        t.half_cycle,
+        t.asked_w,
+        t.power_w,
+        t.f_sw_hz,
+        t.i_crest_a,
+        t.phase_rad.to_degrees(),
+        t.bus_peak_v,
+        t.v_coil_peak_v,
+        t.i_turn_off_min_a,
+        t.lookup_version
+    )
+}

@@ -1,0 +1,202 @@
+//! Recordings of a device as tables and arrays, however long they are: one window is in memory at a time.
+//!
+//! Times count from the trigger where the recording had one, as on a scope: what came before is negative.
+
+mod csv;
+mod npz;
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::mcap::cdr::{Samples, read_samples};
+use crate::mcap::reader::{Item, Message};
+use crate::mcap::topics::{FaultNote, META_FREE, Telemetry, Topic, WholeWindow, WindowNote};
+use crate::mcap::{McapFileError, Reader};
+
+pub use csv::{half_cycles_csv, samples_csv};
+pub use npz::recording_npz;
+
+/// Pairs that may wait for their window's end: a device's windows have some 20 000.
+const MOST_PAIRS: usize = 1 << 18;
+
+/// Note of a recording: its trigger, in seconds after its beginning.
+const TRIGGER_S: &str = "trigger_s";
+
+/// What an export may take.
+#[derive(Debug)]
+pub struct Limits<'a> {
+    /// Most bytes that are written, before a ZIP packs them.
+    pub bytes: u64,
+    /// When it has to be done.
+    pub until: Instant,
+    /// Becomes true when nobody wants it any more.
+    pub stop: &'a AtomicBool,
+}
+
+/// Why a recording was not exported.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Recording(#[from] McapFileError),
+    /// The table cannot be written.
+    #[error("cannot write the table: {0}")]
+    Write(#[from] io::Error),
+    /// There is nothing of this kind in it.
+    #[error("{file} holds no {what}: {hint}")]
+    Nothing {
+        /// The recording.
+        file: String,
+        /// What it lacks.
+        what: &'static str,
+        /// What to do instead.
+        hint: &'static str,
+    },
+    /// It would become too large.
+    #[error("it would become larger than {} MB; download the MCAP file, and convert it with `ihd convert`", .bytes / 1_000_000)]
+    TooLarge {
+        /// The limit in bytes.
+        bytes: u64,
+    },
+    /// It takes too long.
+    #[error("it takes too long here; download the MCAP file, and convert it with `ihd convert`")]
+    TooLong,
+    /// Nobody wants it any more.
+    #[error("nobody waits for it any more")]
+    Stopped,
+}
+
+/// A thing of a recording, in the order of the file.
+enum Row<'a> {
+    /// What the file tells of itself.
+    Notes(&'a BTreeMap<String, String>),
+    /// A half-cycle that came at a time.
+    HalfCycle(f64, Box<Telemetry>),
+    /// A fault that tripped or was cleared.
+    Fault(f64, FaultNote),
+    /// A window, its beginning, and its pairs: time, voltage, current.
+    Window(u32, f64, Box<WholeWindow>, &'a [(f64, f32, f32)]),
+}
+
+type EachRow<'a> = &'a mut dyn FnMut(Row<'_>) -> Result<(), TableError>;
+
+/// Reads a recording, or what is whole of it: a damaged part costs itself.
+fn rows(path: &Path, limits: &Limits<'_>, each: EachRow<'_>) -> Result<(), TableError> {
+    let mut reader = Reader::open(path)?;
+    let mut table = Rows::default();
+    loop {
+        if limits.stop.load(Ordering::Relaxed) {
+            return Err(TableError::Stopped);
+        }
+        if Instant::now() > limits.until {
+            return Err(TableError::TooLong);
+        }
+        match reader.next_item() {
+            Ok(None) => return Ok(()),
+            Ok(Some(Item::Metadata { name, entries })) if name == META_FREE => {
+                let trigger_s = entries.get(TRIGGER_S).and_then(|s| s.parse().ok());
+                table.trigger_s = trigger_s.filter(|s: &f64| s.is_finite()).unwrap_or(0.0);
+                each(Row::Notes(&entries))?;
+            }
+            Ok(Some(Item::Metadata { .. })) => {}
+            Ok(Some(Item::Message(message))) => table.take(&message, each)?,
+            // Of the window that it cut, nothing is told.
+            Err(damage) if damage.is_damage() => table.pairs.clear(),
+            Err(other) => return Err(other.into()),
+        }
+    }
+}
+
+#[derive(Default)]
+struct Rows {
+    trigger_s: f64,
+    /// Of the window whose end has not come.
+    pairs: Vec<(f64, f32, f32)>,
+}
+
+impl Rows {
+    fn take(&mut self, m: &Message<'_>, each: EachRow<'_>) -> Result<(), TableError> {
+        let t_s = m.log_time_ns as f64 * 1e-9 - self.trigger_s;
+        match m.topic {
+            Topic::Samples => {
+                if let Ok(samples) = read_samples(m.data, m.as_codes)
+                    && self.pairs.len() + samples.len() <= MOST_PAIRS
+                {
+                    self.samples(&samples);
+                }
+            }
+            Topic::Window => {
+                let note: Option<WindowNote> = parsed(m);
+                if let Some(WindowNote {
+                    seq,
+                    whole: Some(whole),
+                    ..
+                }) = note
+                {
+                    let begins_s = whole.zero_crossing_s - self.trigger_s;
+                    each(Row::Window(seq, begins_s, Box::new(whole), &self.pairs))?;
+                    self.pairs.clear();
+                }
+            }
+            Topic::Telemetry => {
+                if let Some(half_cycle) = parsed(m) {
+                    each(Row::HalfCycle(t_s, half_cycle))?;
+                }
+            }
+            Topic::Fault => {
+                if let Some(fault) = parsed(m) {
+                    each(Row::Fault(t_s, fault))?;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn samples(&mut self, samples: &Samples) {
+        for k in 0..samples.len() {
+            if let Some((v, i)) = samples.pair(k) {
+                self.pairs.push((samples.at(k) - self.trigger_s, v, i));
+            }
+        }
+    }
+}
+
+/// A message in JSON; one that is none is passed over as every damage is.
+fn parsed<T: serde::de::DeserializeOwned>(m: &Message<'_>) -> Option<T> {
+    serde_json::from_slice(m.data).ok()
+}
+
+/// Counts bytes against the limit.
+struct Counted<'a, W> {
+    out: W,
+    left: u64,
+    limits: &'a Limits<'a>,
+}
+
+impl<'a, W: Write> Counted<'a, W> {
+    fn new(out: W, limits: &'a Limits<'a>) -> Self {
+        let left = limits.bytes;
+        Self { out, left, limits }
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<(), TableError> {
+        let left = self.left.checked_sub(bytes.len() as u64);
+        self.left = left.ok_or(TableError::TooLarge {
+            bytes: self.limits.bytes,
+        })?;
+        Ok(self.out.write_all(bytes)?)
+    }
+}
+
+fn nothing(path: &Path, what: &'static str, hint: &'static str) -> TableError {
+    let file = path.file_name().unwrap_or(path.as_os_str());
+    TableError::Nothing {
+        file: file.to_string_lossy().into_owned(),
+        what,
+        hint,
+    }
+}

@@ -1,0 +1,53 @@
+//! Whether a device's firmware fits this daemon, in words for whoever has to update one of them.
+
+use std::cmp::Ordering;
+
+use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
+
+/// What to update where a device speaks this minor version of the daemon's protocol; empty where it fits.
+pub fn updates_needed(minor: u16) -> String {
+    let theirs = format!("{PROTOCOL_MAJOR}.{minor}");
+    let ours = format!("{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}");
+    match minor.cmp(&PROTOCOL_MINOR) {
+        Ordering::Equal => String::new(),
+        Ordering::Less => format!(
+            "its firmware speaks protocol {theirs}, this daemon {ours}: part of what is asked finds no answer; `ihd flash` brings it up to date"
+        ),
+        Ordering::Greater => format!(
+            "its firmware speaks protocol {theirs}, this daemon {ours}: what is new in it is not shown; update ihd on this machine"
+        ),
+    }
+}
+
+/// The serial number of the USB device that an address names; none for other addresses, and for `usb`, which is any.
+pub fn usb_serial(address: &str) -> Option<&str> {
+    address
+        .strip_prefix("usb:")
+        .filter(|serial| !serial.is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_older_side_is_the_one_to_update() {
+        assert_eq!(updates_needed(PROTOCOL_MINOR), "");
+        assert!(updates_needed(PROTOCOL_MINOR - 1).contains("ihd flash"));
+        assert!(updates_needed(PROTOCOL_MINOR + 1).contains("update ihd"));
+    }
+
+    #[test]
+    fn an_address_on_usb_holds_its_serial_number() {
+        assert_eq!(usb_serial("usb:0123AB"), Some("0123AB"));
+        for other in [
+            "usb",
+            "usb:",
+            "sim",
+            "tcp:127.0.0.1:4711",
+            "serial:/dev/ttyACM0",
+        ] {
+            assert_eq!(usb_serial(other), None, "{other}");
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Writes seconds to the store, some at a time.
+
+use std::time::Duration;
+
+use crate::board::now_ms;
+use crate::device::Context;
+use crate::history::Seconds;
+use crate::store_thread::StoreThread;
+
+/// Between two writes: what a daemon that is killed loses of its history at most.
+const WRITE_EVERY: Duration = Duration::from_secs(5);
+
+/// Writes until the daemon stops.
+pub async fn keep(context: Context) {
+    let mut told = 0;
+    loop {
+        tokio::select! {
+            () = context.stopping() => return,
+            () = tokio::time::sleep(WRITE_EVERY) => {}
+        }
+        write(&context.seconds, &context.store, false).await;
+        let dropped = context.seconds.dropped();
+        if dropped > told {
+            let seconds = dropped - std::mem::replace(&mut told, dropped);
+            tracing::warn!(
+                seconds,
+                "the store cannot keep up: seconds of telemetry were dropped"
+            );
+        }
+    }
+}
+
+/// Writes what waits; with `all` the present seconds, too.
+pub async fn write(seconds: &Seconds, store: &StoreThread, all: bool) {
+    let batch = seconds.take(now_ms(), all);
+    if batch.is_empty() {
+        return;
+    }
+    let kept = store.run(move |store| store.keep_telemetry(&batch)).await;
+    match kept {
+        Ok(_) => seconds.written(),
+        // The store's trouble is told by its thread.
+        Err(_) => seconds.not_written(),
+    }
+}

@@ -1,0 +1,21 @@
+//! What every hob of this build has: the ratings, and what its controller keeps to.
+
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
+use ihd_train::limits;
+
+use crate::lease::LEASE_S;
+use crate::model::Hob;
+use crate::tank;
+
+/// The hob that this daemon knows; an incompatible device may have another one.
+pub fn hob() -> Hob {
+    Hob {
+        rated_power_w: RATED_POWER_W,
+        f_sw_min_hz: F_SW_MIN_HZ,
+        f_sw_max_hz: F_SW_MAX_HZ,
+        resonance_capacitance_f: tank::C_F,
+        resonance_margin: limits::resonance_margin(),
+        i_limit_a: limits::planned_current_a(),
+        lease_s: LEASE_S as u32,
+    }
+}

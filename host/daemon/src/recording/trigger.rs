@@ -1,0 +1,288 @@
+//! What begins a recording: judged on every half-cycle that the device tells of.
+
+use std::fmt;
+
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{FaultEvent, Telemetry};
+
+use crate::model::{Quantity, RecordSettings, Trigger};
+
+/// Longest time before the trigger that can be recorded, in seconds.
+pub const LONGEST_PRE_TRIGGER_S: f64 = 60.0;
+
+/// Longest recording that ends by itself: a week, in seconds.
+const LONGEST_S: f64 = 604_800.0;
+
+impl RecordSettings {
+    /// Whether a recording can be made like this.
+    ///
+    /// # Errors
+    /// The value that lies outside its range, in words.
+    pub fn check(&self) -> Result<(), String> {
+        if !(0.0..=LONGEST_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
+            return Err(format!(
+                "the pre-trigger is {} s, but must lie between 0 and {LONGEST_PRE_TRIGGER_S} s",
+                self.pre_trigger_s
+            ));
+        }
+        if let Some(s) = self.duration_s
+            && !(s > 0.0 && s <= LONGEST_S)
+        {
+            return Err(format!(
+                "the duration is {s} s, but must lie above 0 and up to {LONGEST_S} s"
+            ));
+        }
+        match self.trigger {
+            Trigger::Level { level, .. } if !level.is_finite() => Err(format!(
+                "the trigger's level is {level}, which is no number"
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Quantity {
+    /// Its word on command lines: that of the API.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Current => "current",
+            Self::Resistance => "resistance",
+            Self::Inductance => "inductance",
+            Self::Frequency => "frequency",
+        }
+    }
+
+    /// The unit of its levels.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Power => "W",
+            Self::Current => "A",
+            Self::Resistance => "ohm",
+            Self::Inductance => "µH",
+            Self::Frequency => "kHz",
+        }
+    }
+
+    /// Its value in a half-cycle, in [`Quantity::unit`]; none where the inverter is off, which has no R, L and frequency.
+    fn of(self, t: &Telemetry) -> Option<f64> {
+        let switches = t.f_sw_hz > 0;
+        match self {
+            Self::Power => Some(f64::from(t.power_mw) * 1e-3),
+            Self::Current => Some(f64::from(t.i_crest_ma) * 1e-3),
+            Self::Resistance => switches.then(|| t.r.ohm()),
+            Self::Inductance => switches.then(|| t.l.henry() * 1e6),
+            Self::Frequency => switches.then(|| f64::from(t.f_sw_hz) * 1e-3),
+        }
+    }
+}
+
+impl fmt::Display for Trigger {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Now => write!(f, "now"),
+            Self::Fault => write!(f, "a fault"),
+            Self::Level {
+                quantity,
+                level,
+                rising,
+            } => {
+                let way = if *rising { "above" } else { "below" };
+                write!(f, "{} {way} {level} {}", quantity.word(), quantity.unit())
+            }
+        }
+    }
+}
+
+/// What was known of the device last: a trigger is a change.
+#[derive(Clone, Debug, Default)]
+pub struct Known {
+    fault: Option<Fault>,
+    last: Option<Telemetry>,
+}
+
+impl Known {
+    /// Takes a half-cycle; what begins a recording with this trigger, in words.
+    ///
+    /// A fault that the device has already when it is first heard does not trip, nor does a level that is
+    /// exceeded already: it must be crossed, from one half-cycle to the next that has the quantity.
+    pub fn telemetry(&mut self, t: Telemetry, trigger: Option<&Trigger>) -> Option<String> {
+        let began = match trigger {
+            Some(Trigger::Fault) => self.tripped(t.fault, false),
+            Some(Trigger::Level {
+                quantity,
+                level,
+                rising,
+            }) => self.crossed(&t, *quantity, *level, *rising),
+            Some(Trigger::Now) | None => None,
+        };
+        self.fault = Some(t.fault);
+        self.last = Some(t);
+        began
+    }
+
+    /// Takes a fault that tripped or was cleared.
+    pub fn fault(&mut self, event: &FaultEvent, trigger: Option<&Trigger>) -> Option<String> {
+        let began = match trigger {
+            Some(Trigger::Fault) => self.tripped(event.fault, true),
+            _ => None,
+        };
+        self.fault = Some(event.fault);
+        began
+    }
+
+    fn tripped(&self, fault: Fault, is_news: bool) -> Option<String> {
+        let was_known = match self.fault {
+            Some(known) => known == fault,
+            None => !is_news,
+        };
+        let trips = fault != Fault::NONE && !was_known;
+        trips.then(|| format!("fault {}: {}", fault.number(), fault.text()))
+    }
+
+    fn crossed(&self, t: &Telemetry, of: Quantity, level: f64, rising: bool) -> Option<String> {
+        let (before, now) = (of.of(self.last.as_ref()?)?, of.of(t)?);
+        let crossed = match rising {
+            true => before < level && now >= level,
+            false => before > level && now <= level,
+        };
+        let way = if rising { "above" } else { "below" };
+        crossed.then(|| {
+            let (word, unit) = (of.word(), of.unit());
+            format!("{word} {way} {level} {unit}: from {before:.4} to {now:.4} {unit}")
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_shared::wire::messages::State;
+
+    use super::*;
+    use crate::states::tests::telemetry;
+
+    fn heating(power_w: f64) -> Telemetry {
+        let mut t = telemetry(State::Heating);
+        t.power_mw = (power_w * 1e3) as u32;
+        t.f_sw_hz = 40_000;
+        t
+    }
+
+    fn level(quantity: Quantity, level: f64, rising: bool) -> Trigger {
+        Trigger::Level {
+            quantity,
+            level,
+            rising,
+        }
+    }
+
+    /// Which of the half-cycles begin a recording.
+    fn begins(trigger: &Trigger, half_cycles: impl IntoIterator<Item = Telemetry>) -> Vec<usize> {
+        let mut known = Known::default();
+        let taken = half_cycles.into_iter().enumerate();
+        taken
+            .filter_map(|(k, t)| known.telemetry(t, Some(trigger)).map(|_| k))
+            .collect()
+    }
+
+    #[test]
+    fn a_level_is_crossed_in_its_direction_and_not_just_exceeded() {
+        let powers = [
+            1_200.0, 1_100.0, 900.0, 999.9, 1_000.0, 1_100.0, 1_000.0, 999.0, 1_500.0,
+        ];
+        let all = || powers.map(heating);
+        assert_eq!(begins(&level(Quantity::Power, 1e3, true), all()), [4, 8]);
+        assert_eq!(begins(&level(Quantity::Power, 1e3, false), all()), [2, 6]);
+    }
+
+    #[test]
+    fn off_has_no_resistance_that_could_fall_below_a_level() {
+        let r = |ohm: Option<i32>| {
+            let mut t = heating(500.0);
+            t.r = ihd_shared::units::MicroOhm(ohm.unwrap_or(0) * 1_000_000);
+            t.f_sw_hz = ohm.map_or(0, |_| 40_000);
+            t
+        };
+        let falls = level(Quantity::Resistance, 2.0, false);
+        // Switched off, and on with another pot: neither is a crossing. Then one is.
+        let all = [Some(3), None, Some(1), Some(3), Some(1)].map(r);
+        assert_eq!(begins(&falls, all), [4]);
+        let frequency = level(Quantity::Frequency, 30.0, false);
+        assert_eq!(begins(&frequency, [Some(3), None].map(r)), [0; 0]);
+    }
+
+    #[test]
+    fn units_are_those_that_are_said() {
+        let mut low = heating(0.0);
+        low.i_crest_ma = 9_000;
+        let mut high = heating(0.0);
+        (high.i_crest_ma, high.f_sw_hz) = (11_000, 60_000);
+        high.l = ihd_shared::units::PicoHenry(90_000_000);
+        for (quantity, between) in [
+            (Quantity::Current, 10.0),
+            (Quantity::Frequency, 50.0),
+            (Quantity::Inductance, 50.0),
+        ] {
+            let both = [low.clone(), high.clone()];
+            assert_eq!(
+                begins(&level(quantity, between, true), both),
+                [1],
+                "{quantity:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_fault_trips_and_one_that_is_there_does_not() {
+        let with = |fault| {
+            let mut t = telemetry(State::Idle);
+            t.fault = fault;
+            t
+        };
+        let (none, one, other) = (Fault::NONE, Fault::OVER_CURRENT, Fault::from_number(3));
+        // There at the start, cleared, tripped, still there, another one.
+        let all = [one, one, none, one, one, other].map(with);
+        assert_eq!(begins(&Trigger::Fault, all), [3, 5]);
+        // Its event comes first, and says it once.
+        let event = |fault| FaultEvent {
+            half_cycle: 1,
+            fault,
+        };
+        let mut known = Known::default();
+        assert!(known.fault(&event(one), Some(&Trigger::Fault)).is_some());
+        assert!(known.telemetry(with(one), Some(&Trigger::Fault)).is_none());
+        assert!(known.fault(&event(none), Some(&Trigger::Fault)).is_none());
+        assert!(known.telemetry(with(one), Some(&Trigger::Fault)).is_some());
+        assert!(known.fault(&event(one), Some(&Trigger::Fault)).is_none());
+    }
+
+    #[test]
+    fn settings_outside_their_ranges_are_refused() {
+        let base = RecordSettings::default();
+        base.check().unwrap();
+        let longest = RecordSettings {
+            pre_trigger_s: 60.0,
+            duration_s: Some(604_800.0),
+            ..base
+        };
+        longest.check().unwrap();
+        for pre_trigger_s in [-0.1, 60.1, f64::NAN, f64::INFINITY] {
+            let why = RecordSettings {
+                pre_trigger_s,
+                ..base
+            }
+            .check()
+            .unwrap_err();
+            assert!(why.contains("between 0 and 60"), "{why}");
+        }
+        for s in [0.0, -1.0, f64::NAN, 604_801.0] {
+            let duration_s = Some(s);
+            assert!(
+                RecordSettings { duration_s, ..base }.check().is_err(),
+                "{s}"
+            );
+        }
+        let trigger = level(Quantity::Power, f64::NAN, true);
+        assert!(RecordSettings { trigger, ..base }.check().is_err());
+    }
+}

@@ -1,0 +1,289 @@
+//! What a page looks at: history, scope, training, map and journal of a hob that heats.
+
+use std::time::Duration;
+
+use ihd_daemon::model::{Command, DeviceState, What, WindowWanted};
+use ihd_daemon::{Daemon, DaemonError, JournalFilter};
+use ihd_sim::behavioural::PotKind;
+
+use super::rig::{Rig, hear, power, until, until_state};
+
+/// The end of time, for who wants all.
+const WHOLE: WindowWanted = WindowWanted {
+    which: None,
+    from_s: 0.0,
+    to_s: f64::INFINITY,
+    columns: 1_200,
+};
+
+fn now_ms() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.unwrap().as_millis() as i64
+}
+
+async fn kinds(daemon: &Daemon, kind: &str) -> Vec<String> {
+    let filter = JournalFilter {
+        device: Some("bench".to_owned()),
+        kind: Some(kind.to_owned()),
+        ..JournalFilter::default()
+    };
+    let entries = daemon.journal(filter).await.unwrap();
+    entries.into_iter().map(|entry| entry.text).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    let began_ms = now_ms();
+    until_state(&daemon, DeviceState::Idle).await;
+    let mut notices = daemon.watch();
+    power(&daemon, "me", 1_200).await.unwrap();
+    hear(&mut notices, |what| {
+        matches!(what, What::LookupActive { .. }).then_some(())
+    })
+    .await;
+    let report = until(&daemon, |r| {
+        r.windows.learned >= 3 && r.lookup.on_device == r.lookup.active
+    })
+    .await;
+    let live = report.live.unwrap();
+
+    // The scope: samples, the device's own filter, the network and the truth.
+    let windows = daemon.windows("bench", 100).await.unwrap();
+    assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
+    let mut judged = Vec::new();
+    for window in &windows {
+        let which = Some((window.boot, window.seq));
+        let scope = daemon.scope("bench", WindowWanted { which, ..WHOLE }).await;
+        let scope = scope.unwrap().expect("its samples are kept");
+        if scope.pass == Some(true) {
+            judged.push(scope);
+        }
+    }
+    let scope = judged.first().expect("one that passed");
+    assert_eq!(scope.t_s.len(), 1_200);
+    let m = &scope.measured;
+    assert!(m.periods > 300, "{m:?}");
+    // A burst or a step of the power control may lie between the two.
+    assert!(
+        (m.power_w.unwrap() / live.power_w - 1.0).abs() < 0.2,
+        "{m:?} {live:?}"
+    );
+    assert!(m.phase_deg.unwrap() > 5.0 && m.phase_deg.unwrap() < 90.0);
+    let error = |x: Option<f64>, truth: Option<f64>| (x.unwrap() / truth.unwrap() - 1.0).abs();
+    assert!(
+        error(scope.r_mean_ohm, scope.r_true_mean_ohm) < 0.01,
+        "R of {}",
+        scope.seq
+    );
+    assert!(
+        error(scope.l_mean_h, scope.l_true_mean_h) < 0.01,
+        "L of {}",
+        scope.seq
+    );
+    let (network, truth) = (
+        scope.network.as_ref().unwrap(),
+        scope.truth.as_ref().unwrap(),
+    );
+    assert_eq!((network.t_s.len(), truth.t_s.len()), (128, 128));
+    assert_eq!(network.r_sigma_ohm.len(), 128);
+    assert!(truth.t_s[0].abs() < 1e-9, "from the first pair on");
+    assert!(scope.ekf.t_s.len() > 100 && scope.ekf.r_ohm.len() == scope.ekf.t_s.len());
+    // In the middle, where the current is large, filter, network and truth agree.
+    let near = |t_s: &[f64], x: &[f64]| {
+        let k = t_s.partition_point(|t| *t < scope.duration_s / 2.0);
+        x[k.min(x.len() - 1)]
+    };
+    let crest_ohm = near(&truth.t_s, &truth.r_ohm);
+    for (of, t_s, r_ohm) in [
+        ("network", &network.t_s, &network.r_ohm),
+        ("filter", &scope.ekf.t_s, &scope.ekf.r_ohm),
+    ] {
+        let r_ohm = near(t_s, r_ohm);
+        assert!(
+            (r_ohm / crest_ohm - 1.0).abs() < 0.03,
+            "{of}: {r_ohm} {crest_ohm}"
+        );
+    }
+    let nobody = WindowWanted {
+        which: Some((1, 4_000_000)),
+        ..WHOLE
+    };
+    assert!(daemon.scope("bench", nobody).await.unwrap().is_none());
+
+    // How the network came to it.
+    let fits = daemon.training("bench", 50).await.unwrap();
+    let fit = fits.iter().find(|fit| fit.pass).unwrap();
+    assert!(!fit.steps.is_empty() && fit.seconds.unwrap() > 0.0);
+    assert_eq!(fit.steps.last().unwrap().step, fit.iterations);
+    assert!(fit.r_error_pct.unwrap().abs() < 1.0 && fit.l_error_pct.unwrap().abs() < 1.0);
+    assert_eq!(daemon.training("bench", 1).await.unwrap().len(), 1);
+
+    // The map.
+    let map = daemon.map("bench", None).await.unwrap().unwrap();
+    let confidence = map.confidence.as_ref().expect("built by this daemon");
+    let known: Vec<bool> = map.observed.iter().flatten().copied().collect();
+    let seen: Vec<bool> = confidence.iter().flatten().map(|c| *c > 0.4999).collect();
+    // Known is what has a small deviation: more than one row where the physics fits, of this load of formulas some of what
+    // one window showed.
+    let count = |cells: &[bool]| cells.iter().filter(|is| **is).count();
+    assert!(count(&seen) > 5 && count(&known) > 5);
+    assert!(
+        known
+            .iter()
+            .zip(&seen)
+            .filter(|(known, seen)| **known && **seen)
+            .count()
+            > 5
+    );
+    let ages = map.age_s.iter().flatten().flatten();
+    assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age < 60.0));
+    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    assert_eq!((prior.state.as_str(), prior.confidence), ("prior", None));
+    assert!(
+        daemon
+            .map("bench", Some(4_000_000))
+            .await
+            .unwrap()
+            .is_none()
+    );
+
+    // A pot that is lifted, after some whole seconds of heating for the history to show.
+    tokio::time::sleep(Duration::from_millis(1_500)).await;
+    rig.bench().hob().set_pot(PotKind::None).unwrap();
+    until_state(&daemon, DeviceState::WaitingForPot).await;
+    daemon.command("bench", "me", Command::Off).await.unwrap();
+    until_state(&daemon, DeviceState::Idle).await;
+    // What happened is in the store within a second.
+    tokio::time::sleep(Duration::from_millis(1_500)).await;
+    assert!(
+        kinds(&daemon, "pot")
+            .await
+            .iter()
+            .any(|text| text == "lifted")
+    );
+    let states = kinds(&daemon, "state").await;
+    assert!(
+        states
+            .iter()
+            .any(|text| text.starts_with("waiting-for-pot")),
+        "{states:?}"
+    );
+    assert!(
+        kinds(&daemon, "lookup")
+            .await
+            .iter()
+            .any(|text| text.contains("is active"))
+    );
+    assert!(
+        kinds(&daemon, "lease")
+            .await
+            .iter()
+            .any(|text| text == "me commands it")
+    );
+    assert_eq!(kinds(&daemon, "command").await[0], "off: off");
+
+    // The past: while it runs, and after a restart.
+    let history = |daemon: Daemon| async move {
+        daemon
+            .history("bench", began_ms, now_ms(), 600)
+            .await
+            .unwrap()
+    };
+    let before = history(daemon.clone()).await;
+    // Results stand where their windows came, whenever the network had time for them.
+    let came: Vec<_> = daemon.windows("bench", 1_000).await.unwrap();
+    let came: Vec<_> = came.iter().map(|window| window.at_ms).collect();
+    assert!(before.results.at_ms.len() >= 3);
+    for at_ms in &before.results.at_ms {
+        assert!(came.contains(at_ms), "{at_ms} of {came:?}");
+    }
+    let last = before.at_ms.len() - 1;
+    assert!(
+        now_ms() - before.at_ms[last] < 3_000,
+        "the last seconds, not written yet, too"
+    );
+    let largest_w = before
+        .power_w
+        .max
+        .iter()
+        .flatten()
+        .copied()
+        .fold(0.0, f64::max);
+    assert!(largest_w > 1_000.0, "{largest_w}");
+    let heated: Vec<_> = (0..=last)
+        .filter(|k| before.r_ohm.mean[*k].is_some())
+        .collect();
+    assert!(heated.len() >= 2 && heated.len() < before.at_ms.len());
+    assert!(before.phase_deg[heated[1]].is_some());
+    assert_eq!(before.state[last], "Idle");
+    assert!(before.results.of >= 3 && before.results.at_ms.len() as u64 == before.results.of);
+    let nobody = daemon.history("nobody", 0, 1, 1).await;
+    assert!(matches!(nobody, Err(DaemonError::NoDevice(_))));
+    daemon.stop().await;
+
+    let daemon = rig.daemon().await;
+    let after = history(daemon.clone()).await;
+    let common = before.at_ms.len() - 1;
+    assert_eq!(
+        after.at_ms[..common],
+        before.at_ms[..common],
+        "nothing is lost by a stop"
+    );
+    assert_eq!(after.half_cycles[..common], before.half_cycles[..common]);
+    assert!(after.results.of >= before.results.of);
+    let scope = daemon.scope("bench", WHOLE).await.unwrap().unwrap();
+    assert!(scope.truth.is_some());
+    let fits = daemon.training("bench", 50).await.unwrap();
+    assert!(
+        fits.iter().any(|f| f.pass && f.steps.is_empty()),
+        "as the store has them"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn any_earlier_version_can_be_gone_back_to() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let cells = |version| {
+        let mut lookup = ihd_shared::lookup::prior::prior();
+        lookup.version = version;
+        lookup.r[3][5] += version as u16;
+        lookup.mark_observed(3, 5);
+        lookup
+    };
+    for version in [1, 2, 3] {
+        let blob = cells(version).to_bytes().to_vec();
+        let push = Command::LookupPush { blob };
+        daemon.command("bench", "me", push).await.unwrap();
+    }
+    let back = |version| Command::LookupRollback {
+        version: Some(version),
+    };
+    daemon.command("bench", "me", back(1)).await.unwrap();
+    let report = until(&daemon, |r| r.lookup.active == Some(4)).await;
+    assert_eq!(report.lookup.on_device, Some(4));
+    let map = daemon.map("bench", None).await.unwrap().unwrap();
+    let first = daemon.map("bench", Some(1)).await.unwrap().unwrap();
+    assert_eq!(
+        (map.version, &map.why, &map.r_ohm),
+        (4, &"rolled back to version 1".to_owned(), &first.r_ohm)
+    );
+    let refused = daemon.command("bench", "me", back(77)).await.unwrap_err();
+    assert!(
+        refused.to_string().contains("no lookup of version 77"),
+        "{refused}"
+    );
+    // The cells that were built in, under a new number.
+    daemon.command("bench", "me", back(0)).await.unwrap();
+    until(&daemon, |r| r.lookup.active == Some(5)).await;
+    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    assert_eq!(
+        daemon.map("bench", Some(5)).await.unwrap().unwrap().l_h,
+        prior.l_h
+    );
+    daemon.stop().await;
+}

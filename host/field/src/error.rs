@@ -1,0 +1,71 @@
+//! What can be wrong with a field model's inputs.
+
+use thiserror::Error;
+
+/// Refused input of the field model; the message names the field and what is allowed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum FieldError {
+    /// A number is NaN, infinite or outside its range.
+    #[error("{field} is {value}: must be {allowed}")]
+    OutOfRange {
+        /// Name of the input, with its unit.
+        field: &'static str,
+        /// What was given.
+        value: f64,
+        /// The allowed range, in words.
+        allowed: &'static str,
+    },
+    /// Two lengths contradict each other.
+    #[error(
+        "impossible geometry: {smaller} ({smaller_m} m) must be less than {larger} ({larger_m} m)"
+    )]
+    Order {
+        /// Name of the length that must be smaller.
+        smaller: &'static str,
+        /// Its value in metre.
+        smaller_m: f64,
+        /// Name of the length that must be larger.
+        larger: &'static str,
+        /// Its value in metre.
+        larger_m: f64,
+    },
+    /// The gap's linear system could not be factored.
+    #[error("the gap's field equations are singular ({nodes} nodes): check the geometry")]
+    Singular {
+        /// Unknowns of the system.
+        nodes: usize,
+    },
+    /// The harmonic iteration did not settle.
+    #[error(
+        "harmonic balance at {f_hz} Hz, {i_a} A did not settle: relative change {change:e} after {iterations} iterations"
+    )]
+    NotSettled {
+        /// Frequency in hertz.
+        f_hz: f64,
+        /// Current amplitude in ampere.
+        i_a: f64,
+        /// Relative change in the last iteration.
+        change: f64,
+        /// Iterations done.
+        iterations: usize,
+    },
+}
+
+/// Passes a finite number inside `min..=max`, refuses anything else.
+pub fn in_range(
+    field: &'static str,
+    value: f64,
+    min: f64,
+    max: f64,
+    allowed: &'static str,
+) -> Result<(), FieldError> {
+    if value.is_finite() && (min..=max).contains(&value) {
+        Ok(())
+    } else {
+        Err(FieldError::OutOfRange {
+            field,
+            value,
+            allowed,
+        })
+    }
+}

@@ -1,0 +1,134 @@
+//! `ihd watch`: the dashboard in a terminal, through the daemon.
+//!
+//! ```text
+//! feed (threads: reports, events, off) ── News ─► Seen (what is known) ─► screen (one frame)
+//! ```
+
+mod feed;
+mod screen;
+mod seen;
+mod trend;
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use ihd_api::client::ClientError;
+use ihd_daemon::board::now_ms;
+use ihd_daemon::model::CommandError;
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event};
+
+use self::feed::{Feed, News};
+use self::seen::{Act, Seen};
+use super::usage::Usage;
+use super::{configured, interrupt};
+
+/// Between two frames at least: a terminal over ssh is slow.
+const FRAME: Duration = Duration::from_millis(100);
+
+/// Between two looks at keys and news.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Watch devices in a terminal: power, R and L over the last minutes, states, faults, events.
+///
+/// Through the daemon; it goes on when the daemon is restarted. Keys: arrows or 1 to 9 choose a device, o or Escape switches
+/// it off (that needs no lease), p stops and resumes drawing, q ends.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd watch\n  \
+    ihd watch bench --config ihd.toml\n  \
+    ssh lab ihd watch\n\n\
+    For programs: `ihd device DEV watch --json`. Exit codes: 0 ended, 1 no such device, 2 not a terminal, 3 no daemon")]
+pub struct WatchArgs {
+    /// The device; without one, all that the daemon has
+    #[arg(value_name = "DEV")]
+    device: Option<String>,
+    /// The daemon's configuration; without one ihd.toml of this folder, or what is built in
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+impl WatchArgs {
+    /// Draws until q, ^C or a signal.
+    ///
+    /// # Errors
+    /// When this is no terminal, no daemon answers at the beginning, or it has no such device.
+    pub fn run(&self) -> Result<()> {
+        if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
+            let device = self.device.as_deref().unwrap_or("DEV");
+            return Err(Usage(format!(
+                "`ihd watch` draws on a terminal, and this is none: `ihd device {device} watch --json` writes lines"
+            ))
+            .into());
+        }
+        let config = configured::config(self.config.as_deref())?;
+        let client = configured::daemon(&config)?.ok_or_else(|| ClientError::Unreachable {
+            url: config.listen.to_string(),
+            why: "start one with `ihd trainer --daemon`, or look at a device itself: `ihd device DEV watch`".into(),
+        })?;
+        let devices = client.devices()?;
+        if let Some(name) = &self.device
+            && !devices.iter().any(|d| d.name == *name)
+        {
+            let name = name.clone();
+            return Err(CommandError::NoDevice { name }.into());
+        }
+        let stop = interrupt::flag().context("cannot catch ^C")?;
+        let mut seen = Seen::new(client.url(), self.device.clone());
+        seen.hear(News::Devices(devices), now_ms());
+        let (feed, news) = Feed::start(client, self.device.clone());
+        // From here on a panic restores the terminal before it is told.
+        let mut terminal = ratatui::try_init().context("cannot set up this terminal")?;
+        let ended = watch(&mut terminal, &mut seen, &feed, &news, stop);
+        ratatui::try_restore().context("cannot restore this terminal")?;
+        ended
+    }
+}
+
+fn watch(
+    terminal: &mut DefaultTerminal,
+    seen: &mut Seen,
+    feed: &Feed,
+    news: &Receiver<News>,
+    stop: &AtomicBool,
+) -> Result<()> {
+    let (mut due, mut drawn) = (true, None::<Instant>);
+    let mut second = 0;
+    while !stop.load(Ordering::Relaxed) {
+        if event::poll(LOOK).context("the terminal is gone")? {
+            match event::read().context("the terminal is gone")? {
+                Event::Key(key) => match seen.key(key) {
+                    Act::Nothing => {}
+                    Act::Draw => due = true,
+                    Act::Off(device) => {
+                        feed.switch_off(device);
+                        due = true;
+                    }
+                    Act::End => return Ok(()),
+                },
+                Event::Resize(..) => due = true,
+                _ => {}
+            }
+        }
+        let now_ms = now_ms();
+        let mut heard = now_ms / 1000 != second;
+        second = now_ms / 1000;
+        while let Ok(news) = news.try_recv() {
+            seen.hear(news, now_ms);
+            heard = true;
+        }
+        due |= heard && !seen.paused();
+        if due && drawn.is_none_or(|at| at.elapsed() >= FRAME) {
+            terminal
+                .draw(|frame| screen::draw(frame, seen, now_ms))
+                .context("cannot draw on this terminal")?;
+            (due, drawn) = (false, Some(Instant::now()));
+        }
+    }
+    Ok(())
+}

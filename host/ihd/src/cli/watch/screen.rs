@@ -1,0 +1,635 @@
+//! A frame: devices, the chosen one in full, its last minutes, what happened. What does not fit is left out, from below.
+
+use ihd_daemon::model::{DeviceReport, DeviceState, Live};
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{
+    Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph, Row, Sparkline, Table,
+};
+
+use super::seen::{Grade, Seen};
+use super::trend::{Quantity, SPAN_S, Trend};
+use crate::cli::device::{of_pot, one_line};
+
+/// Devices in the list at most; of more, those around the chosen one are shown.
+const LISTED: usize = 9;
+
+/// From this width on the three trends stand beside each other.
+const WIDE: u16 = 110;
+
+/// From this height on a trend has axes; below it is a line of bars.
+const CHART_ROWS: u16 = 5;
+
+/// Steps of a bar: eight to a row.
+const BAR_STEPS: f64 = 64.0;
+
+/// Draws everything.
+pub(super) fn draw(frame: &mut Frame<'_>, seen: &Seen, now_ms: i64) {
+    let [title, list, detail, trends, events, footer] = places(frame.area(), seen);
+    frame.render_widget(title_line(seen, now_ms), title);
+    frame.render_widget(footer_line(seen), footer);
+    let stale = seen.stale_ms(now_ms).is_some();
+    device_list(frame, list, seen, stale);
+    if let Some(device) = seen.chosen() {
+        frame.render_widget(Paragraph::new(details(device, stale)), detail);
+        if let Some(trend) = seen.trends.get(&device.name) {
+            draw_trends(frame, trends, trend, now_ms);
+        }
+    } else if seen.devices.is_empty() {
+        let text = "the daemon has no device: plug one in, or name one in its configuration";
+        frame.render_widget(Paragraph::new(text), detail);
+    }
+    draw_events(frame, events, seen);
+}
+
+/// Title, list, details, trends, events, footer: what comes first has its room first.
+fn places(area: Rect, seen: &Seen) -> [Rect; 6] {
+    let mut left = area.height;
+    let mut take = |wanted: u16| {
+        let rows = wanted.min(left);
+        left -= rows;
+        rows
+    };
+    let title = take(1);
+    let footer = take(1);
+    let list = take(1 + seen.devices.len().clamp(1, LISTED) as u16);
+    let detail = take(5);
+    let rest = take(u16::MAX);
+    let events = if rest >= 6 {
+        (rest / 3).clamp(3, 12)
+    } else {
+        0
+    };
+    let heights = [title, list, detail, rest - events, events, footer];
+    Layout::vertical(heights.map(Constraint::Length)).areas(area)
+}
+
+fn title_line(seen: &Seen, now_ms: i64) -> Line<'static> {
+    let bold = Style::new().add_modifier(Modifier::BOLD);
+    let mut spans = vec![Span::styled(
+        format!("ihd watch  {}  ", clock(now_ms)),
+        bold,
+    )];
+    let alarm = Style::new()
+        .fg(Color::Red)
+        .add_modifier(Modifier::BOLD | Modifier::REVERSED);
+    if seen.paused() {
+        let style = Style::new().add_modifier(Modifier::REVERSED);
+        spans.push(Span::styled(" PAUSED ", style));
+        spans.push(" ".into());
+    }
+    if let Some(silent_ms) = seen.stale_ms(now_ms) {
+        let text = match &seen.gone {
+            Some(why) => format!(" NO DAEMON for {} s: {why} ", silent_ms / 1000),
+            None => format!(" STALE: nothing heard for {} s ", silent_ms / 1000),
+        };
+        spans.push(Span::styled(text, alarm));
+    } else {
+        spans.push(seen.url.clone().into());
+        if seen.missed > 0 {
+            spans.push(format!("  {} events missed", seen.missed).into());
+        }
+    }
+    Line::from(spans)
+}
+
+fn footer_line(seen: &Seen) -> Line<'static> {
+    if let Some((text, ok)) = &seen.answer {
+        let style = if *ok {
+            Style::new().add_modifier(Modifier::BOLD)
+        } else {
+            graded(Grade::Alarm)
+        };
+        let keys = Span::styled("  q ends, o off", Style::new().add_modifier(Modifier::DIM));
+        return Line::from(vec![Span::styled(text.clone(), style), keys]);
+    }
+    let chosen = seen.chosen().map_or("it".into(), |d| one_line(&d.name));
+    Line::styled(
+        format!("o or Esc: {chosen} off   arrows, 1-9: choose   p: pause   q: end"),
+        Style::new().add_modifier(Modifier::DIM),
+    )
+}
+
+fn device_list(frame: &mut Frame<'_>, area: Rect, seen: &Seen, stale: bool) {
+    let head = [
+        "  device",
+        "state",
+        "W",
+        "of W",
+        "kHz",
+        "R Ω",
+        "L µH",
+        "pot, fault",
+    ];
+    let bold = Style::new().add_modifier(Modifier::BOLD);
+    let chosen = seen.place();
+    // The list scrolls so that the chosen one is in it.
+    let shown = usize::from(area.height.saturating_sub(1)).max(1);
+    let first = chosen.map_or(0, |place| (place + 1).saturating_sub(shown));
+    let listed = seen.devices.iter().enumerate().skip(first).take(shown);
+    let rows = listed.map(|(k, device)| device_row(k, device, chosen == Some(k), stale));
+    let widths = [
+        Constraint::Length(16),
+        Constraint::Length(15),
+        Constraint::Length(5),
+        Constraint::Length(5),
+        Constraint::Length(6),
+        Constraint::Length(6),
+        Constraint::Length(6),
+        Constraint::Min(0),
+    ];
+    let table = Table::new(rows, widths).header(Row::new(head).style(bold));
+    frame.render_widget(table, area);
+}
+
+fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) -> Row<'static> {
+    let mark = if chosen { '>' } else { ' ' };
+    let number = if place < 9 {
+        (place + 1).to_string()
+    } else {
+        " ".into()
+    };
+    let name = format!("{mark}{number} {}", one_line(&device.name));
+    let known = device.live.as_ref().filter(|_| is_heard(device.state));
+    let of = |text: &dyn Fn(&Live) -> String| known.map_or("–".to_owned(), text);
+    let heats = known.filter(|live| live.f_sw_hz > 0);
+    let heating = |text: &dyn Fn(&Live) -> String| heats.map_or("–".to_owned(), text);
+    let finite = |x: f64, text: String| if x.is_finite() { text } else { "–".into() };
+    let last = match known {
+        Some(live) if live.fault != 0 => {
+            format!("fault {}: {}", live.fault, one_line(&live.fault_text))
+        }
+        Some(live) => one_line(&live.pot),
+        None => one_line(&device.detail),
+    };
+    let row = Row::new([
+        name,
+        device.state.word().to_owned(),
+        of(&|l| format!("{:.0}", l.power_w)),
+        of(&|l| l.asked_w.to_string()),
+        heating(&|l| format!("{:.2}", f64::from(l.f_sw_hz) * 1e-3)),
+        heating(&|l| finite(l.r_ohm, format!("{:.3}", l.r_ohm))),
+        heating(&|l| finite(l.l_h, format!("{:.2}", l.l_h * 1e6))),
+        last,
+    ]);
+    let mut style = state_style(device, known);
+    if chosen {
+        style = style.add_modifier(Modifier::BOLD);
+    }
+    if stale {
+        style = Style::new().add_modifier(Modifier::DIM);
+    }
+    row.style(style)
+}
+
+/// Whether what it said last is still so.
+fn is_heard(state: DeviceState) -> bool {
+    !matches!(
+        state,
+        DeviceState::Searching | DeviceState::Suspended | DeviceState::Incompatible
+    )
+}
+
+/// A colour beside the word, never instead of it.
+fn state_style(device: &DeviceReport, known: Option<&Live>) -> Style {
+    let faulted = known.is_some_and(|live| live.fault != 0);
+    match device.state {
+        DeviceState::Faulted => Style::new().fg(Color::Red),
+        _ if faulted => Style::new().fg(Color::Red),
+        DeviceState::Learning => Style::new().fg(Color::Green),
+        DeviceState::WaitingForPot | DeviceState::Incompatible => Style::new().fg(Color::Yellow),
+        DeviceState::Searching | DeviceState::Suspended => Style::new().add_modifier(Modifier::DIM),
+        DeviceState::Connected | DeviceState::Idle => Style::new(),
+    }
+}
+
+/// The chosen device in five lines.
+fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
+    let mut state = format!(
+        "{}: {} for {}",
+        device.name,
+        device.state.word(),
+        duration(device.since_s)
+    );
+    if !device.detail.is_empty() {
+        state += &format!(": {}", device.detail);
+    }
+    let known = device.live.as_ref().filter(|_| is_heard(device.state));
+    let now = match known {
+        None => Line::from("not heard now"),
+        Some(live) => Line::from(now_words(live)),
+    };
+    let fault = match known {
+        Some(live) if live.fault != 0 => {
+            let text = format!("fault {}: {}", live.fault, one_line(&live.fault_text));
+            Line::styled(text, graded(Grade::Alarm))
+        }
+        Some(live) => Line::from(format!(
+            "controller {}, pot {}, limit {}; no fault",
+            one_line(&live.state),
+            one_line(&live.pot),
+            one_line(&live.limit)
+        )),
+        None => Line::default(),
+    };
+    let lines = vec![
+        Line::from(one_line(&state)),
+        now,
+        fault,
+        Line::from(format!("{}{}", pot_words(device), lookup_words(device))),
+        Line::from(one_line(&command_words(device))),
+    ];
+    if stale {
+        let dim = Style::new().add_modifier(Modifier::DIM);
+        return lines
+            .into_iter()
+            .map(|line| line.patch_style(dim))
+            .collect();
+    }
+    lines
+}
+
+fn now_words(live: &Live) -> String {
+    let mut text = format!("{:.0} W of {} W asked", live.power_w, live.asked_w);
+    if live.f_sw_hz > 0 {
+        let khz = f64::from(live.f_sw_hz) * 1e-3;
+        text += &format!(" at {khz:.2} kHz, crest {:.1} A", live.i_crest_a);
+        if live.r_ohm.is_finite() && live.l_h.is_finite() {
+            text += &format!(", R {:.3} Ω, L {:.2} µH", live.r_ohm, live.l_h * 1e6);
+        }
+    }
+    text
+}
+
+/// How warm its pot is, before what else is said.
+fn pot_words(device: &DeviceReport) -> String {
+    let pot = device.pot_temperature.as_ref();
+    pot.map_or(String::new(), |pot| format!("pot {}; ", of_pot(pot)))
+}
+
+fn lookup_words(device: &DeviceReport) -> String {
+    let lookup = &device.lookup;
+    let version = match lookup.on_device {
+        None => "lookup not known yet".into(),
+        Some(0) => "built-in lookup".into(),
+        Some(v) => format!("lookup {v}, {} cells known", lookup.observed_cells),
+    };
+    let pending = lookup
+        .pending
+        .map_or(String::new(), |v| format!(" ({v} pending)"));
+    let w = &device.windows;
+    let mut windows = format!("windows: {} stored, {} learned", w.stored, w.learned);
+    let bad = [
+        (w.unfit, "unfit"),
+        (w.refused, "refused"),
+        (w.lost, "lost"),
+        (w.dropped_by_device, "dropped"),
+        (w.not_stored, "not stored"),
+    ];
+    for (count, word) in bad.into_iter().filter(|(count, _)| *count > 0) {
+        windows += &format!(", {count} {word}");
+    }
+    format!("{version}{pending}; {windows}")
+}
+
+fn command_words(device: &DeviceReport) -> String {
+    let mut text = match &device.lease {
+        None => "nobody commands it".to_owned(),
+        Some(lease) => format!(
+            "{} commands it, {} s more",
+            lease.holder, lease.expires_in_s
+        ),
+    };
+    if !device.sweep_left_w.is_empty() {
+        let left: Vec<String> = device.sweep_left_w.iter().map(u16::to_string).collect();
+        text += &format!("; sweep, to come: {} W", left.join(", "));
+    }
+    if let Some(file) = &device.recording {
+        text += &format!("; records {file}");
+    }
+    text
+}
+
+fn draw_trends(frame: &mut Frame<'_>, area: Rect, trend: &Trend, now_ms: i64) {
+    if area.height == 0 {
+        return;
+    }
+    let thirds = [Constraint::Ratio(1, 3); 3];
+    let panes: [Rect; 3] = if area.width >= WIDE {
+        Layout::horizontal(thirds).areas(area)
+    } else if area.height >= 3 {
+        Layout::vertical(thirds).areas(area)
+    } else {
+        // Power alone.
+        Layout::vertical([
+            Constraint::Length(1),
+            Constraint::Length(0),
+            Constraint::Length(0),
+        ])
+        .areas(area)
+    };
+    for (quantity, pane) in Quantity::ALL.into_iter().zip(panes) {
+        if pane.height >= CHART_ROWS {
+            chart(frame, pane, trend, quantity, now_ms);
+        } else {
+            bars(frame, pane, trend, quantity, now_ms);
+        }
+    }
+}
+
+/// The ends of the axis: power from 0, R and L with a little air.
+fn ends(quantity: Quantity, (low, high): (f64, f64)) -> (f64, f64) {
+    match quantity {
+        Quantity::Power => (0.0, (1.05 * high).max(1.0)),
+        Quantity::R | Quantity::L => {
+            let air = (0.1 * (high - low)).max(0.002 * high.abs()).max(1e-9);
+            (low - air, high + air)
+        }
+    }
+}
+
+fn chart(frame: &mut Frame<'_>, area: Rect, trend: &Trend, quantity: Quantity, now_ms: i64) {
+    let title = format!("{} over {} min", quantity.letter(), SPAN_S / 60);
+    let block = Block::new().borders(Borders::TOP).title(title);
+    let Some(range) = trend.range(quantity, now_ms) else {
+        frame.render_widget(Paragraph::new("not known").block(block), area);
+        return;
+    };
+    let (low, high) = ends(quantity, range);
+    let runs = trend.runs(quantity, now_ms);
+    let sets = runs.iter().map(|run| {
+        Dataset::default()
+            .marker(Marker::Braille)
+            .graph_type(GraphType::Line)
+            .style(Style::new().fg(Color::Cyan))
+            .data(run)
+    });
+    let x = Axis::default()
+        .bounds([-(SPAN_S as f64), 0.0])
+        .labels([format!("-{} min", SPAN_S / 60), "now".into()]);
+    let y = Axis::default()
+        .bounds([low, high])
+        .labels([quantity.text(low), quantity.text(high)]);
+    let chart = Chart::new(sets.collect()).block(block).x_axis(x).y_axis(y);
+    frame.render_widget(chart, area);
+}
+
+fn bars(frame: &mut Frame<'_>, area: Rect, trend: &Trend, quantity: Quantity, now_ms: i64) {
+    let range = trend.range(quantity, now_ms);
+    let text = range.map_or(format!("{} not known", quantity.letter()), |(low, high)| {
+        let (low, high) = (quantity.text(low), quantity.text(high));
+        format!("{} {low} to {high}", quantity.letter())
+    });
+    let [words, bars] =
+        Layout::horizontal([Constraint::Length(25), Constraint::Min(0)]).areas(area);
+    frame.render_widget(Paragraph::new(text), words);
+    let Some(range) = range else { return };
+    let (low, high) = ends(quantity, range);
+    let columns = trend.columns(quantity, usize::from(bars.width), now_ms);
+    let step = |x: f64| ((x - low) / (high - low) * BAR_STEPS).round().max(1.0) as u64;
+    let data: Vec<Option<u64>> = columns.into_iter().map(|x| x.map(step)).collect();
+    let line = Sparkline::default()
+        .data(data)
+        .max(BAR_STEPS as u64)
+        .absent_value_symbol(" ")
+        .style(Style::new().fg(Color::Cyan));
+    frame.render_widget(line, bars);
+}
+
+fn draw_events(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
+    if area.height == 0 {
+        return;
+    }
+    let rows = usize::from(area.height.saturating_sub(1));
+    let skipped = seen.events.len().saturating_sub(rows);
+    let lines = seen.events.iter().skip(skipped).map(|event| {
+        let who = if event.device.is_empty() {
+            "daemon"
+        } else {
+            &event.device
+        };
+        let text = format!("{} {who}: {}", clock(event.at_ms), event.text);
+        Line::styled(text, graded(event.grade))
+    });
+    let block = Block::new().borders(Borders::TOP).title("events");
+    frame.render_widget(Paragraph::new(lines.collect::<Vec<_>>()).block(block), area);
+}
+
+fn graded(grade: Grade) -> Style {
+    match grade {
+        Grade::Plain => Style::new(),
+        Grade::Warning => Style::new().fg(Color::Yellow),
+        Grade::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+    }
+}
+
+/// The time of day, UTC.
+fn clock(at_ms: i64) -> String {
+    let s = at_ms.div_euclid(1000).rem_euclid(86_400);
+    format!("{:02}:{:02}:{:02} UTC", s / 3600, s / 60 % 60, s % 60)
+}
+
+/// A duration with the units that it needs.
+fn duration(s: u64) -> String {
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        _ => format!("{} h {} min", s / 3600, s / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_daemon::model::What;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    use super::super::feed::News;
+    use super::super::seen::tests::{notice, report};
+    use super::*;
+
+    const NOW_MS: i64 = 43_200_000;
+
+    /// Five minutes of a bench that heats with 1200 W from the second minute on, and a lab that is gone.
+    fn seen() -> Seen {
+        let mut seen = Seen::new("http://127.0.0.1:8731", None);
+        let mut bench = report("bench", "learning");
+        bench.detail = "heats with 1200 W".into();
+        let mut lab = report("lab", "searching");
+        lab.detail = "no answer at tcp:10.0.0.7:4711".into();
+        lab.lease = None;
+        seen.hear(News::Devices(vec![bench.clone(), lab]), NOW_MS);
+        let live = bench.live.unwrap();
+        for s in 0..=300_i64 {
+            let mut live = live.clone();
+            let on = s >= 60;
+            live.power_w = if on { 1200.0 + (s % 7) as f64 } else { 0.0 };
+            live.f_sw_hz = if on { 51_020 } else { 0 };
+            live.r_ohm = 3.27 - 0.001 * (s as f64 - 60.0);
+            let what = What::Telemetry { live };
+            seen.hear(notice(NOW_MS - 300_000 + s * 1000, "bench", what), NOW_MS);
+        }
+        let fault = What::Fault {
+            fault: 4,
+            text: "current beyond the limit".into(),
+        };
+        let active = What::LookupActive {
+            version: 5,
+            observed_cells: 47,
+        };
+        seen.hear(notice(NOW_MS - 90_000, "lab", fault), NOW_MS);
+        seen.hear(notice(NOW_MS - 2_000, "bench", active), NOW_MS);
+        seen
+    }
+
+    fn drawn(width: u16, height: u16, seen: &Seen, now_ms: i64) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, seen, now_ms)).unwrap();
+        terminal.backend().to_string()
+    }
+
+    fn all_of(text: &str, words: &[&str]) {
+        for word in words {
+            assert!(text.contains(word), "{word:?} is not in\n{text}");
+        }
+    }
+
+    #[test]
+    fn a_device_in_five_lines() {
+        let lines = details(&report("bench", "learning"), false);
+        let text: Vec<String> = lines.iter().map(ToString::to_string).collect();
+        insta::assert_snapshot!(text.join("\n"), @r"
+        bench: learning for 1 min 23 s
+        1203 W of 1200 W asked at 51.02 kHz, crest 44.8 A, R 3.274 Ω, L 19.10 µH
+        controller Heating, pot Ferromagnetic, limit None; no fault
+        lookup 5, 47 cells known; windows: 127 stored, 120 learned, 3 unfit, 1 refused, 2 lost
+        ada (ihd device, process 7) commands it, 8 s more
+        ");
+    }
+
+    #[test]
+    fn a_bench_and_a_lab_at_80_by_24() {
+        let text = drawn(80, 24, &seen(), NOW_MS);
+        all_of(
+            &text,
+            &[
+                "ihd watch  12:00:00 UTC  http://127.0.0.1:8731",
+                ">1 bench         learning        1206  1200  51.02  3.030  19.10  Ferromagnetic",
+                " 2 lab           searching       –     –     –      –      –      no answer at",
+                "bench: learning for 1 min 23 s: heats with 1200 W",
+                "1206 W of 1200 W asked at 51.02 kHz, crest 44.8 A, R 3.030 Ω, L 19.10 µH",
+                "P 0 W to 1206 W",
+                "R 3.030 Ω to 3.270 Ω",
+                "11:58:30 UTC lab: fault 4: current beyond the limit",
+                "11:59:58 UTC bench: lookup 5 active, 47 cells known",
+                "o or Esc: bench off   arrows, 1-9: choose   p: pause   q: end",
+            ],
+        );
+        // Power was 0 in the first minute, a fifth of the bars, and there was no R.
+        let bars = |letter: &str| {
+            let rows = text.lines().skip_while(|l| !l.contains(letter)).take(3);
+            let full = rows.map(|l| l.matches('█').count());
+            full.max().unwrap_or(0)
+        };
+        let heating = (80 - 25) * 4 / 5;
+        assert!(
+            (heating - 2..=heating + 2).contains(&bars("P 0 W")),
+            "{text}"
+        );
+        assert!(bars("R 3.030 Ω to") < heating, "{text}");
+    }
+
+    #[test]
+    fn the_same_with_room_at_160_by_45_has_axes() {
+        let text = drawn(160, 45, &seen(), NOW_MS);
+        let axes = ["-5 min", "now", "1266 W", "0 W", "3.006 Ω", "3.294 Ω"];
+        all_of(&text, &axes);
+        all_of(&text, &["P over 5 min", "R over 5 min", "L over 5 min"]);
+    }
+
+    #[test]
+    fn a_daemon_that_is_gone_and_a_faulted_device() {
+        let mut seen = seen();
+        let mut bench = report("bench", "faulted");
+        let live = bench.live.as_mut().unwrap();
+        (live.fault, live.fault_text) = (4, "current beyond the limit".into());
+        (live.f_sw_hz, live.power_w, live.r_ohm) = (0, 0.0, f64::NAN);
+        bench.lease = None;
+        seen.hear(News::Devices(vec![bench]), NOW_MS);
+        seen.hear(News::Gone("connection refused".into()), NOW_MS + 2_000);
+        seen.hear(News::Answer("bench: off".into(), true), NOW_MS);
+        let text = drawn(80, 24, &seen, NOW_MS + 12_000);
+        all_of(
+            &text,
+            &[
+                "NO DAEMON for 12 s: connection refused",
+                ">1 bench         faulted         0     1200  –      –      –      fault 4",
+                "fault 4: current beyond the limit",
+                "0 W of 1200 W asked",
+                "nobody commands it",
+                "12:00:02 UTC daemon: the daemon is gone",
+                "bench: off  q ends, o off",
+            ],
+        );
+    }
+
+    #[test]
+    fn any_size_is_drawn_without_a_panic_and_the_first_lines_first() {
+        let mut all = vec![seen(), Seen::new("http://127.0.0.1:8731", None)];
+        let mut many = Seen::new("http://x", None);
+        let crowd = (0..40).map(|k| report(&format!("dev-{k}"), "idle"));
+        many.hear(News::Devices(crowd.collect()), NOW_MS);
+        all.push(many);
+        for seen in &all {
+            for width in [1, 2, 7, 20, 40, 79, 80, 109, 110, 300] {
+                for height in [1, 2, 3, 4, 5, 8, 11, 13, 16, 24, 30, 90] {
+                    drawn(width, height, seen, NOW_MS);
+                }
+            }
+        }
+        let small = drawn(70, 4, &all[0], NOW_MS);
+        assert!(small.contains("ihd watch") && small.contains("bench"));
+        assert!(small.contains("q: end"));
+    }
+
+    #[test]
+    fn the_chosen_one_of_many_is_in_the_list() {
+        let mut seen = Seen::new("http://x", None);
+        let crowd = (0..40).map(|k| report(&format!("dev-{k}"), "idle"));
+        seen.hear(News::Devices(crowd.collect()), NOW_MS);
+        use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+        seen.key(KeyEvent::new(KeyCode::Up, KeyModifiers::NONE));
+        assert!(drawn(80, 24, &seen, NOW_MS).contains("dev-39: idle"));
+        assert!(drawn(80, 24, &seen, NOW_MS).contains(">  dev-39"));
+    }
+
+    /// Beyond what a device says of itself nothing may reach the terminal raw.
+    #[test]
+    fn what_devices_say_is_escaped() {
+        let mut seen = seen();
+        let evil = "\u{1b}]0;owned\u{7}\u{202e}";
+        let mut device = report("bench", "faulted");
+        device.detail = evil.into();
+        device.recording = Some(evil.into());
+        device.lease.as_mut().unwrap().holder = evil.into();
+        let live = device.live.as_mut().unwrap();
+        (live.fault, live.fault_text) = (9, evil.into());
+        (live.pot, live.state) = (evil.into(), evil.into());
+        seen.hear(News::Devices(vec![device]), NOW_MS);
+        let text = drawn(200, 40, &seen, NOW_MS);
+        assert!(text.chars().all(|c| c == '\n' || !c.is_control()));
+        assert!(!text.contains('\u{202e}'));
+    }
+
+    #[test]
+    fn times_have_the_units_that_they_need() {
+        assert_eq!(clock(43_200_000 + 3_661_000), "13:01:01 UTC");
+        assert_eq!(
+            [5, 83, 7_320].map(duration),
+            ["5 s", "1 min 23 s", "2 h 2 min"]
+        );
+    }
+}

@@ -1,0 +1,52 @@
+//! What a drawn figure holds, for tests: its lines, its polygons, its words.
+
+/// An SVG as plotters writes it: one element a line, but for texts.
+pub(crate) struct Picture {
+    text: String,
+}
+
+impl Picture {
+    pub(crate) fn of(text: &str) -> Self {
+        Self { text: text.into() }
+    }
+
+    pub(crate) fn read(path: &std::path::Path) -> Self {
+        Self::of(&std::fs::read_to_string(path).unwrap())
+    }
+
+    /// Points of all polylines drawn in a colour (`#1F77B4`).
+    pub(crate) fn polylines(&self, colour: &str) -> Vec<Vec<(i32, i32)>> {
+        let paint = format!("stroke=\"{colour}\"");
+        self.of_kind("<polyline ", &paint)
+    }
+
+    /// Points of all polygons filled with a colour.
+    pub(crate) fn polygons(&self, colour: &str) -> Vec<Vec<(i32, i32)>> {
+        self.of_kind("<polygon ", &format!("fill=\"{colour}\""))
+    }
+
+    /// Everything that is written.
+    pub(crate) fn texts(&self) -> Vec<String> {
+        let parts = self.text.split("<text ").skip(1);
+        let words = parts.filter_map(|part| {
+            let (_, rest) = part.split_once('>')?;
+            Some(rest.split_once("</text>")?.0.trim().to_owned())
+        });
+        words.collect()
+    }
+
+    fn of_kind(&self, element: &str, paint: &str) -> Vec<Vec<(i32, i32)>> {
+        let parts = self.text.split(element).skip(1);
+        let parts = parts.filter_map(|part| part.split_once('>').map(|(head, _)| head));
+        let points = parts.filter(|head| head.contains(paint)).map(|head| {
+            let (_, rest) = head.split_once("points=\"").unwrap();
+            let (points, _) = rest.split_once('"').unwrap();
+            let pair = |pair: &str| {
+                let (x, y) = pair.split_once(',').unwrap();
+                (x.parse().unwrap(), y.parse().unwrap())
+            };
+            points.split_whitespace().map(pair).collect()
+        });
+        points.collect()
+    }
+}

@@ -1,0 +1,234 @@
+//! What windows showed at one switching frequency: R and L at currents, with their deviations; windows of one frequency
+//! are fused.
+
+use serde::{Deserialize, Serialize};
+
+use crate::misfit::current_knots;
+
+/// Bins a knot of the lookup's current axis.
+const PER_KNOT: f64 = 1.5;
+
+/// Bins of a curve at most: up to twice the highest current of the lookup.
+pub const MOST_BINS: usize = 32;
+
+/// Share of what is known that stays when another window comes: fifty windows count, ten seconds of them.
+const KEPT: f64 = 0.98;
+
+/// Relative deviations of R and L at the largest current that no number of windows takes away; they grow as the current falls: what
+/// the network, the bins and the sensors are off by every time (.05 % of R over a half-cycle without noise, docs/pinn.md).
+const LEAST_SIGMA: [f64; 2] = [2e-4, 1e-4];
+
+/// Switching frequencies of hobs in hertz, with much to spare.
+const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
+
+/// One value of R and L, with independent errors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredPoint {
+    /// Amplitude of the current's fundamental in ampere.
+    pub i_a: f64,
+    /// Resistance in ohm.
+    pub r_ohm: f64,
+    /// Inductance in henry.
+    pub l_h: f64,
+    /// Deviation of R in ohm, as if no other point shared its error.
+    pub r_sigma_ohm: f64,
+    /// Deviation of L in henry.
+    pub l_sigma_h: f64,
+}
+
+/// Means of R and L over a bin of currents.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Bin {
+    /// Σ 1/σ² of R in 1/Ω².
+    r_weight: f64,
+    r_weighted: f64,
+    /// Σ 1/σ² of L in 1/H².
+    l_weight: f64,
+    l_weighted: f64,
+    i_weighted: f64,
+}
+
+impl Bin {
+    fn add(&mut self, p: &MeasuredPoint) {
+        let (r, l) = (p.r_sigma_ohm.powi(-2), p.l_sigma_h.powi(-2));
+        self.r_weight += r;
+        self.r_weighted += r * p.r_ohm;
+        self.l_weight += l;
+        self.l_weighted += l * p.l_h;
+        self.i_weighted += r * p.i_a;
+    }
+
+    fn fuse(&mut self, other: &Self, kept: f64) {
+        let mix = |a: &mut f64, b: f64| *a = kept * *a + b;
+        mix(&mut self.r_weight, other.r_weight);
+        mix(&mut self.r_weighted, other.r_weighted);
+        mix(&mut self.l_weight, other.l_weight);
+        mix(&mut self.l_weighted, other.l_weighted);
+        mix(&mut self.i_weighted, other.i_weighted);
+    }
+
+    /// The bin's mean; `None` where nothing was seen, or no load.
+    fn mean(&self, most_a: f64) -> Option<Mean> {
+        let (r_ohm, l_h) = (
+            self.r_weighted / self.r_weight,
+            self.l_weighted / self.l_weight,
+        );
+        let sound = r_ohm > 0.0 && l_h > 0.0 && r_ohm.is_finite() && l_h.is_finite();
+        let i_a = self.i_a();
+        let relative = |weight: f64, x: f64, least: f64| {
+            1.0 / (weight * x * x) + (least * most_a / i_a.max(1e-3)).powi(2)
+        };
+        sound.then(|| Mean {
+            i_a,
+            ln: [r_ohm.ln(), l_h.ln()],
+            variance: [
+                relative(self.r_weight, r_ohm, LEAST_SIGMA[0]),
+                relative(self.l_weight, l_h, LEAST_SIGMA[1]),
+            ],
+        })
+    }
+
+    /// Mean amplitude of the current in ampere; not a number where nothing was seen.
+    fn i_a(&self) -> f64 {
+        self.i_weighted / self.r_weight
+    }
+
+    fn scale(&mut self, r: f64, l: f64) {
+        self.r_weighted *= r;
+        self.l_weighted *= l;
+    }
+
+    fn is_sound(&self) -> bool {
+        let all = [
+            self.r_weight,
+            self.r_weighted,
+            self.l_weight,
+            self.l_weighted,
+            self.i_weighted,
+        ];
+        all.iter().all(|x| x.is_finite()) && self.r_weight >= 0.0 && self.l_weight >= 0.0
+    }
+}
+
+/// A bin's mean.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mean {
+    /// Amplitude of the current in ampere.
+    pub i_a: f64,
+    /// ln R in ohm, ln L in henry.
+    pub ln: [f64; 2],
+    /// Their variances.
+    pub variance: [f64; 2],
+}
+
+/// R and L over current at one switching frequency.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Switching frequency in hertz.
+    pub f_sw_hz: f64,
+    /// When it was seen last, in seconds of the device.
+    pub t_s: f64,
+    /// Windows in it.
+    pub windows: u32,
+    bins: Vec<Bin>,
+}
+
+impl Curve {
+    /// Of one window; points that are not numbers, or whose deviations are none, are left out.
+    pub fn new(f_sw_hz: f64, t_s: f64, points: impl Iterator<Item = MeasuredPoint>) -> Self {
+        let mut bins = vec![Bin::default(); MOST_BINS];
+        for p in points {
+            let at = (current_knots(p.i_a) * PER_KNOT) as usize;
+            let all = [p.i_a, p.r_ohm, p.l_h, p.r_sigma_ohm, p.l_sigma_h];
+            let positive = p.r_sigma_ohm > 0.0 && p.l_sigma_h > 0.0;
+            if let (Some(bin), true, true) = (
+                bins.get_mut(at),
+                all.iter().all(|x| x.is_finite()),
+                positive,
+            ) {
+                bin.add(&p);
+            }
+        }
+        Self {
+            f_sw_hz,
+            t_s,
+            windows: 1,
+            bins,
+        }
+    }
+
+    /// Takes another window in; `ratio` are R and L here over those at its frequency.
+    pub(crate) fn fuse(&mut self, other: &Self, ratio: [f64; 2]) {
+        for (bin, other) in self.bins.iter_mut().zip(&other.bins) {
+            let mut other = *other;
+            other.scale(ratio[0], ratio[1]);
+            bin.fuse(&other, KEPT);
+        }
+        self.t_s = self.t_s.max(other.t_s);
+        self.windows = self.windows.saturating_add(other.windows);
+    }
+
+    /// What was seen, at rising currents.
+    pub fn means(&self) -> impl Iterator<Item = Mean> + '_ {
+        let most_a = self.bins.iter().map(Bin::i_a).fold(0.0, f64::max);
+        self.bins.iter().filter_map(move |bin| bin.mean(most_a))
+    }
+
+    /// Numbers that a window can have taught.
+    pub fn is_sound(&self) -> bool {
+        let known = FREQUENCIES_HZ.contains(&self.f_sw_hz) && self.t_s.is_finite();
+        known && self.bins.len() == MOST_BINS && self.bins.iter().all(Bin::is_sound)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(i_a: f64, r_ohm: f64) -> MeasuredPoint {
+        MeasuredPoint {
+            i_a,
+            r_ohm,
+            l_h: 20e-6,
+            r_sigma_ohm: 0.01,
+            l_sigma_h: 1e-7,
+        }
+    }
+
+    #[test]
+    fn windows_of_one_frequency_average_and_know_it() {
+        let mut curve = Curve::new(45e3, 0.0, [point(20.0, 3.98)].into_iter());
+        for k in 1..16 {
+            let r_ohm = if k % 2 == 0 { 3.98 } else { 4.02 };
+            curve.fuse(
+                &Curve::new(45e3, f64::from(k), [point(20.0, r_ohm)].into_iter()),
+                [1.0; 2],
+            );
+        }
+        let mean = curve.means().next().unwrap();
+        assert!((mean.ln[0].exp() - 4.0).abs() < 2e-3);
+        // Sixteen windows: a quarter of one window's deviation, .01/4, a little more for what is forgotten.
+        assert!((2.4e-3 / 4.0..3e-3 / 4.0).contains(&mean.variance[0].sqrt()));
+        assert_eq!((curve.t_s, curve.windows), (15.0, 16));
+    }
+
+    #[test]
+    fn what_is_no_number_is_left_out() {
+        let bad = [f64::NAN, f64::INFINITY].map(|x| point(20.0, x));
+        let nothing = Curve::new(
+            45e3,
+            0.0,
+            bad.into_iter().chain([MeasuredPoint {
+                r_sigma_ohm: 0.0,
+                ..point(3.0, 4.0)
+            }]),
+        );
+        assert_eq!(nothing.means().count(), 0);
+        assert!(
+            Curve::new(45e3, 0.0, [point(-3.0, 4.0), point(1e9, 4.0)].into_iter())
+                .means()
+                .count()
+                <= 1
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! A pot's numbers from what windows showed: least squares with the misfit of the physics as correlated noise, and with
+//! what is believed of pots as a prior.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use crate::PotModel;
+use crate::misfit::Place;
+use crate::parameters::{self, CENTRED, COUNT, Vector};
+
+/// Steps of a descent at most.
+const MOST_STEPS: usize = 12;
+
+/// Fall of the cost at which it ends: far below what a number's deviation is.
+const SETTLED: f64 = 1e-3;
+
+/// Step of the derivatives, in spreads.
+const STEP: f64 = 1e-3;
+
+/// Something seen: ln R and ln L at a place, with variances.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Datum {
+    pub f_hz: f64,
+    pub i_a: f64,
+    pub ln: [f64; 2],
+    pub variance: [f64; 2],
+    /// How long ago, in seconds.
+    pub age_s: f64,
+}
+
+impl Datum {
+    pub fn place(&self) -> Place {
+        Place::of(self.f_hz, self.i_a)
+    }
+}
+
+/// ln R and ln L of a model at each datum, R of all and then L of all; data of one frequency lie together.
+pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
+    let count = data.len();
+    let mut all = DVector::zeros(2 * count);
+    let mut first = 0;
+    for same in data.chunk_by(|a, b| a.f_hz == b.f_hz) {
+        let mut at = model.at_frequency(same[0].f_hz);
+        for (k, datum) in same.iter().enumerate() {
+            let load = at.impedance(datum.i_a);
+            all[first + k] = load.r_ohm.max(1e-6).ln();
+            all[count + first + k] = load.l_h.max(1e-9).ln();
+        }
+        first += same.len();
+    }
+    all
+}
+
+/// Derivatives of [`predicted`] by the numbers, in spreads; `used` of them.
+pub(crate) fn derivatives(
+    from: &PotModel,
+    steps: &Vector,
+    data: &[Datum],
+    used: usize,
+) -> DMatrix<f64> {
+    let mut all = DMatrix::zeros(2 * data.len(), used);
+    let at = |k: usize, step: f64| {
+        let mut there = *steps;
+        there[k] += step;
+        predicted(&parameters::moved(from, &there), data)
+    };
+    let here = predicted(&parameters::moved(from, steps), data);
+    for k in 0..used {
+        let up = at(k, STEP);
+        // At the end of a range only one side is there.
+        let slope = if up == here {
+            (here.clone() - at(k, -STEP)) / STEP
+        } else {
+            (up - &here) / STEP
+        };
+        all.set_column(k, &slope);
+    }
+    all
+}
+
+/// Covariance of what is seen around the physics: errors of measurement, and the misfit of deviations `tau`.
+pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
+    let count = data.len();
+    let places: Vec<Place> = data.iter().map(Datum::place).collect();
+    let mut all = DMatrix::zeros(2 * count, 2 * count);
+    for m in 0..count {
+        for n in 0..=m {
+            let correlation = places[m].correlation(places[n]);
+            for (x, tau) in tau.iter().enumerate() {
+                let (row, column) = (x * count + m, x * count + n);
+                all[(row, column)] = tau * tau * correlation;
+                all[(column, row)] = all[(row, column)];
+            }
+        }
+        for x in 0..2 {
+            all[(x * count + m, x * count + m)] += data[m].variance[x];
+        }
+    }
+    all
+}
+
+/// A fitted pot.
+#[derive(Clone, Debug)]
+pub(crate) struct Fitted {
+    /// Where the descent began: the middle of the prior.
+    pub from: PotModel,
+    /// Where it ended, in spreads.
+    pub steps: Vector,
+    /// How many of the numbers were free.
+    pub used: usize,
+    /// Half of the squares that are left.
+    pub cost: f64,
+}
+
+impl Fitted {
+    /// The model.
+    pub fn model(&self) -> PotModel {
+        parameters::moved(&self.from, &self.steps)
+    }
+}
+
+/// Descends from `from`; `used` numbers are free. `None` where the covariance is singular.
+pub(crate) fn fit(
+    data: &[Datum],
+    (from, begin): (&PotModel, Vector),
+    used: usize,
+    tau: [f64; 2],
+    most_steps: usize,
+) -> Option<Fitted> {
+    let white: Cholesky<f64, Dyn> = covariance(data, tau).cholesky()?;
+    let seen = seen(data);
+    let cost = |steps: &Vector| {
+        let left = &seen - predicted(&parameters::moved(from, steps), data);
+        let whitened = white.l_dirty().solve_lower_triangular(&left)?;
+        let prior: f64 = steps.iter().map(|s| s * s).sum();
+        Some(0.5 * (whitened.norm_squared() + prior))
+    };
+    let mut steps = begin;
+    let mut best = cost(&steps)?;
+    let mut damping = 1e-2;
+    for _ in 0..most_steps.min(MOST_STEPS) {
+        let slopes = derivatives(from, &steps, data, used);
+        let left = &seen - predicted(&parameters::moved(from, &steps), data);
+        let slopes = white.l_dirty().solve_lower_triangular(&slopes)?;
+        let left = white.l_dirty().solve_lower_triangular(&left)?;
+        let normal = slopes.tr_mul(&slopes);
+        let mut right = slopes.tr_mul(&left);
+        for k in 0..used {
+            right[k] -= steps[k];
+        }
+        let before = best;
+        for _ in 0..6 {
+            let mut damped = normal.clone();
+            for k in 0..used {
+                damped[(k, k)] += 1.0 + damping * (1.0 + normal[(k, k)]);
+            }
+            let change = damped.cholesky()?.solve(&right);
+            let mut there = steps;
+            for k in 0..used {
+                there[k] += change[k];
+            }
+            // Within what there is, so that the prior pays for what was moved.
+            there = parameters::steps(from, &parameters::moved(from, &there));
+            let found = cost(&there)?;
+            if found < best {
+                (steps, best) = (there, found);
+                damping = (damping * 0.2).max(1e-6);
+                break;
+            }
+            damping *= 8.0;
+        }
+        if before - best < SETTLED {
+            break;
+        }
+    }
+    Some(Fitted {
+        from: *from,
+        steps,
+        used,
+        cost: best,
+    })
+}
+
+/// ln R of all, then ln L of all.
+pub(crate) fn seen(data: &[Datum]) -> DVector<f64> {
+    let count = data.len();
+    DVector::from_fn(2 * count, |k, _| data[k % count].ln[k / count])
+}
+
+/// The best of all classes of pots, off centre only where that explains what nothing else does.
+pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Fitted> {
+    /// First look at each class.
+    const LOOKS: usize = 3;
+    let begin = [0.0; COUNT];
+    let looks =
+        parameters::classes().filter_map(|class| fit(data, (&class, begin), CENTRED, tau, LOOKS));
+    let best = looks.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+    fit(data, (&best.from, best.steps), CENTRED, tau, MOST_STEPS)
+}
+
+/// The same pot off centre; `None` where that is no better by more than chance.
+pub(crate) fn fit_off_centre(data: &[Datum], centred: &Fitted, tau: [f64; 2]) -> Option<Fitted> {
+    /// Fall of the cost that is worth another number.
+    const WORTH: f64 = 4.0;
+    let mut begin = centred.steps;
+    begin[CENTRED] = 1.0;
+    let shifted = fit(data, (&centred.from, begin), COUNT, tau, MOST_STEPS)?;
+    (shifted.cost + WORTH < centred.cost).then_some(shifted)
+}

@@ -1,0 +1,71 @@
+//! What the physics leaves: a smooth normal process over ln f and the lookup's current axis, one of ln R and one of ln L.
+
+use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
+
+/// Over so much of ln f the misfit loses its memory: half the way from 30 to 80 kHz. Harmonics of the current and
+/// shapes of B(H), which the physics does not have, act on R by a few percent that change this slowly.
+const REACH_LN_F: f64 = 0.5;
+
+/// Over so many knots of the current's axis: half of it.
+const REACH_KNOTS: f64 = 8.0;
+
+/// Share of the misfit's variance that is rougher over frequency, and how many times: a process that is smooth without end
+/// claims to know between two frequencies, and beside one, what it only guesses.
+const ROUGH: f64 = 1e-3;
+const FINER: f64 = 4.0;
+
+/// Coordinate of a current's amplitude in ampere on the lookup's axis, in knots.
+pub fn current_knots(i_a: f64) -> f64 {
+    let bend_a = f64::from(I_BEND_MA) * 1e-3;
+    let whole = (1.0 + f64::from(I_MAX_MA) * 1e-3 / bend_a).ln();
+    (1.0 + i_a.max(0.0) / bend_a).ln() / whole * (CURRENTS - 1) as f64
+}
+
+/// Current's amplitude in ampere at a coordinate in knots.
+pub fn current_of_knots(knots: f64) -> f64 {
+    let bend_a = f64::from(I_BEND_MA) * 1e-3;
+    let whole = (1.0 + f64::from(I_MAX_MA) * 1e-3 / bend_a).ln();
+    bend_a * ((knots / (CURRENTS - 1) as f64 * whole).exp() - 1.0)
+}
+
+/// A place of the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Place {
+    pub ln_f: f64,
+    pub knots: f64,
+}
+
+impl Place {
+    pub fn of(f_hz: f64, i_a: f64) -> Self {
+        Self {
+            ln_f: f_hz.ln(),
+            knots: current_knots(i_a),
+        }
+    }
+
+    /// Correlation of the misfits at two places.
+    pub fn correlation(self, other: Self) -> f64 {
+        let f = (self.ln_f - other.ln_f) / REACH_LN_F;
+        let i = (self.knots - other.knots) / REACH_KNOTS;
+        let rough = (FINER * f).powi(2) + i * i;
+        (1.0 - ROUGH) * (-0.5 * (f * f + i * i)).exp() + ROUGH * (-0.5 * rough).exp()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_shared::lookup::grid::{current_a, current_coordinate};
+
+    use super::*;
+
+    #[test]
+    fn knots_are_the_lookups() {
+        for k in 0..CURRENTS {
+            assert!((current_knots(current_a(k)) - k as f64).abs() < 1e-9);
+            assert!((current_of_knots(k as f64) - current_a(k)).abs() < 1e-9);
+        }
+        let fixed = current_coordinate(12_345) as f64 / 65_536.0;
+        assert!((current_knots(12.345) - fixed).abs() < 1e-3);
+        assert_eq!(current_knots(-1.0), 0.0);
+    }
+}

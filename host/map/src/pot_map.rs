@@ -1,0 +1,390 @@
+//! The map of one pot: what windows showed, fused, and what follows from it for every cell of a lookup.
+
+use ihd_shared::lookup::grid::{
+    CURRENTS, FREQUENCIES, ONE, current_a, frequency_coordinate, frequency_hz, split,
+};
+use serde::{Deserialize, Serialize};
+
+use crate::PotModel;
+use crate::curve::Curve;
+use crate::fit::Datum;
+use crate::knowledge::{Ended, Knowledge, Predicted, UNDESCRIBED};
+use crate::misfit::{current_knots, current_of_knots};
+use crate::surface_table::lagrange;
+
+/// Relative difference below which two switching frequencies are one: R and L are carried over by the pot's own law.
+const SAME_FREQUENCY: f64 = 5e-3;
+
+/// Curves that are kept: more than eight rows of a lookup can tell apart.
+pub const MOST_CURVES: usize = 10;
+
+/// Squares a number, in means of what is expected, from which a window is another pot's: chance makes 2 once in a million
+/// for the forty numbers of a window.
+const ANOTHER: f64 = 3.0;
+
+/// Relative difference of R or L, in the mean of the squares, below which a pot is never another one: power control does
+/// not notice it.
+const NEVER_ANOTHER: f64 = 3e-3;
+
+/// Squares a number from which a window is worth another fit.
+const WORTH_FITTING: f64 = 1.6;
+
+/// Currents in ampere from which a difference counts: below, little is known of R and L.
+const COUNTS_FROM_A: f64 = 3.0;
+
+/// Confidence from which a cell counts as observed: a curve within three quarters of a step.
+const OBSERVED_FROM: f64 = 0.5;
+
+/// Weight of a curve at which confidence is one half.
+const HALF_CONFIDENT: f64 = 0.25;
+
+/// What became of a window's curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Seen {
+    /// Nothing: no frequency of a hob, or no load at it.
+    Nothing,
+    /// The first one of a pot.
+    First,
+    /// It is the pot that is known; squares a number of what was expected.
+    Same {
+        /// About 1 where all deviations are honest.
+        chi2: f64,
+    },
+    /// It is another pot, or the same one moved: everything else was forgotten.
+    Another {
+        /// Squares a number of what was expected of the known pot.
+        chi2: f64,
+        /// How far R was from what was expected, relative, in the mean.
+        r: f64,
+        /// How far L was.
+        l: f64,
+    },
+}
+
+/// One cell of a lookup.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cell {
+    /// R and L, with relative deviations.
+    pub value: Predicted,
+    /// 0, never observed, to 1.
+    pub confidence: f64,
+    /// Seconds since it was observed last; `None` where it never was.
+    pub age_s: Option<f64>,
+}
+
+impl Cell {
+    /// Whether it rests on observations, not on the pot's physics alone.
+    pub fn is_observed(&self) -> bool {
+        self.confidence >= OBSERVED_FROM
+    }
+}
+
+/// All cells, `[frequency][current]`.
+pub type Cells = [[Cell; CURRENTS]; FREQUENCIES];
+
+/// What is known of the pot that stands on the coil now.
+#[derive(Clone, Debug, Default)]
+pub struct PotMap {
+    curves: Vec<Curve>,
+    learned: Option<Learned>,
+}
+
+/// What was fitted, from what, and when.
+#[derive(Clone, Debug)]
+struct Learned {
+    known: Knowledge,
+    curves: Vec<Curve>,
+    at_s: f64,
+}
+
+/// What of a map is kept over a restart: all that follows from it is the same, bit for bit.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Kept {
+    curves: Vec<Curve>,
+    learned: Option<KeptLearned>,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct KeptLearned {
+    ended: Ended,
+    curves: Vec<Curve>,
+    at_s: f64,
+}
+
+impl PotMap {
+    /// What is to be kept.
+    pub fn kept(&self) -> Kept {
+        Kept {
+            curves: self.curves.clone(),
+            learned: self.learned.as_ref().map(|l| KeptLearned {
+                ended: *l.known.ended(),
+                curves: l.curves.clone(),
+                at_s: l.at_s,
+            }),
+        }
+    }
+
+    /// From what was kept; `None` where nothing could have taught it.
+    pub fn from_kept(kept: Kept) -> Option<Self> {
+        let sound =
+            |curves: &[Curve]| curves.len() <= MOST_CURVES && curves.iter().all(Curve::is_sound);
+        if !sound(&kept.curves) {
+            return None;
+        }
+        let learned = match kept.learned {
+            None => None,
+            Some(l) if sound(&l.curves) && l.ended.is_sound() && l.at_s.is_finite() => {
+                Some(Learned {
+                    known: Knowledge::conditioned(l.ended, data(&l.curves, l.at_s))?,
+                    curves: l.curves,
+                    at_s: l.at_s,
+                })
+            }
+            Some(_) => return None,
+        };
+        Some(Self {
+            curves: kept.curves,
+            learned,
+        })
+    }
+
+    /// Curves, one a switching frequency.
+    pub fn curves(&self) -> &[Curve] {
+        &self.curves
+    }
+
+    /// Takes a window's curve in. What follows from it is fitted again where it is new: another pot, a frequency that was
+    /// not seen, twice the windows, or more than chance off; else [`Self::refresh`] does.
+    pub fn observe(&mut self, curve: Curve) -> Seen {
+        if !curve.is_sound() || curve.means().next().is_none() {
+            return Seen::Nothing;
+        }
+        let seen = self.compare(&curve);
+        if let Seen::Another { .. } = seen {
+            self.curves.clear();
+        }
+        let now_s = curve.t_s;
+        let windows = self.take(curve);
+        let off = !matches!(seen, Seen::Same { chi2 } if chi2 < WORTH_FITTING);
+        if off || windows.is_power_of_two() {
+            self.refresh(now_s);
+        }
+        seen
+    }
+
+    fn compare(&self, curve: &Curve) -> Seen {
+        let Some(learned) = &self.learned else {
+            return Seen::First;
+        };
+        let means: Vec<_> = curve.means().filter(|m| m.i_a >= COUNTS_FROM_A).collect();
+        if means.is_empty() {
+            return Seen::Same { chi2: 1.0 };
+        }
+        let places: Vec<_> = means.iter().map(|m| (curve.f_sw_hz, m.i_a)).collect();
+        let (expected, mut covariance) = learned.known.joint(&places, curve.t_s - learned.at_s);
+        let count = means.len();
+        let off = nalgebra::DVector::from_fn(2 * count, |k, _| {
+            means[k % count].ln[k / count] - expected[k]
+        });
+        for k in 0..2 * count {
+            covariance[(k, k)] += means[k % count].variance[k / count];
+        }
+        let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
+        let (r, l) = (mean_square(0).sqrt(), mean_square(1).sqrt());
+        let chi2 = match covariance.cholesky() {
+            Some(factor) => off.dot(&factor.solve(&off)) / (2 * count) as f64,
+            None => return Seen::Same { chi2: 1.0 },
+        };
+        if chi2 > ANOTHER && r.max(l) > NEVER_ANOTHER {
+            Seen::Another { chi2, r, l }
+        } else {
+            Seen::Same { chi2 }
+        }
+    }
+
+    /// Windows that the curve of this frequency now holds.
+    fn take(&mut self, curve: Curve) -> u32 {
+        let away = |c: &Curve| (c.f_sw_hz / curve.f_sw_hz - 1.0).abs();
+        let ratio_to = |f_hz| carried(self.learned.as_ref().map(|l| &l.known), curve.f_sw_hz, f_hz);
+        let nearest = (0..self.curves.len())
+            .filter(|k| away(&self.curves[*k]) < SAME_FREQUENCY)
+            .min_by(|a, b| away(&self.curves[*a]).total_cmp(&away(&self.curves[*b])));
+        if let Some(k) = nearest {
+            let ratio = ratio_to(self.curves[k].f_sw_hz);
+            self.curves[k].fuse(&curve, ratio);
+            return self.curves[k].windows;
+        }
+        if self.curves.len() == MOST_CURVES {
+            let oldest = |a: &usize, b: &usize| self.curves[*a].t_s.total_cmp(&self.curves[*b].t_s);
+            if let Some(oldest) = (0..self.curves.len()).min_by(oldest) {
+                self.curves.remove(oldest);
+            }
+        }
+        self.curves.push(curve);
+        1
+    }
+
+    /// What was seen moves so that nothing of it lies after `now_s`: a device that was reset counts its time anew.
+    pub fn rebase(&mut self, now_s: f64) {
+        let newest_s = self
+            .curves
+            .iter()
+            .map(|c| c.t_s)
+            .fold(f64::NEG_INFINITY, f64::max);
+        if newest_s <= now_s {
+            return;
+        }
+        let shift_s = now_s - newest_s;
+        self.curves.iter_mut().for_each(|c| c.t_s += shift_s);
+        if let Some(learned) = &mut self.learned {
+            learned.curves.iter_mut().for_each(|c| c.t_s += shift_s);
+            learned.at_s += shift_s;
+        }
+    }
+
+    /// Fits what has come until now, a time in seconds of the device.
+    pub fn refresh(&mut self, now_s: f64) {
+        let start = self.learned.as_ref().map(|l| *l.known.ended());
+        let known = Knowledge::of(data(&self.curves, now_s), start.as_ref());
+        self.learned = known.map(|known| Learned {
+            known,
+            curves: self.curves.clone(),
+            at_s: now_s,
+        });
+    }
+
+    /// The pot's physics; `None` before a window came.
+    pub fn model(&self) -> Option<PotModel> {
+        self.learned.as_ref().map(|l| l.known.ended().model())
+    }
+
+    /// Whether the physics describes the pot: one that stands far off centre, or that is made of parts, it may not.
+    /// `None` before a window came.
+    pub fn is_described(&self) -> Option<bool> {
+        let misfit = self.learned.as_ref()?.known.misfit();
+        Some(
+            misfit
+                .iter()
+                .zip(UNDESCRIBED)
+                .all(|(found, most)| *found < most),
+        )
+    }
+
+    /// R and L at a switching frequency in hertz and many currents in ampere, interpolated between some: what is known of a
+    /// half-cycle whose current is known. Empty before a window came.
+    pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
+        /// Points a knot of the lookup's current axis: a cubic through them is within 1e-5 of R and L.
+        const PER_KNOT: f64 = 1.5;
+        let most_a = currents_a.iter().copied().fold(0.0, f64::max);
+        let count = ((current_knots(most_a) * PER_KNOT).ceil() as usize + 1).max(4);
+        let nodes_a: Vec<f64> = (0..count)
+            .map(|k| current_of_knots(k as f64 / PER_KNOT))
+            .collect();
+        let nodes = self.at(f_hz, &nodes_a, now_s);
+        if nodes.is_empty() {
+            return nodes;
+        }
+        let between = |i_a: &f64| {
+            let x = current_knots(*i_a) * PER_KNOT;
+            let first = (x as usize).saturating_sub(1).min(count - 4);
+            let weights = lagrange([0.0, 1.0, 2.0, 3.0], x - first as f64);
+            let mix = |of: fn(&Predicted) -> f64| {
+                (0..4).map(|k| weights[k] * of(&nodes[first + k])).sum()
+            };
+            Predicted {
+                r_ohm: mix(|p| p.r_ohm),
+                l_h: mix(|p| p.l_h),
+                r_sigma: f64::max(mix(|p| p.r_sigma), 0.0),
+                l_sigma: f64::max(mix(|p| p.l_sigma), 0.0),
+            }
+        };
+        currents_a.iter().map(between).collect()
+    }
+
+    /// R and L at a switching frequency in hertz and currents in ampere, with deviations; empty before a window came.
+    pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
+        let places: Vec<_> = currents_a.iter().map(|i| (f_hz, *i)).collect();
+        let of = |l: &Learned| l.known.at(&places, now_s - l.at_s);
+        self.learned.as_ref().map(of).unwrap_or_default()
+    }
+
+    /// Every cell; `None` before a window came.
+    pub fn cells(&self, now_s: f64) -> Option<Cells> {
+        let learned = self.learned.as_ref()?;
+        let places: Vec<_> = (0..FREQUENCIES)
+            .flat_map(|f| (0..CURRENTS).map(move |i| (frequency_hz(f), current_a(i))))
+            .collect();
+        let values = learned.known.at(&places, now_s - learned.at_s);
+        let (mass, last_s) = self.mass();
+        Some(std::array::from_fn(|f| {
+            std::array::from_fn(|i| Cell {
+                value: values[f * CURRENTS + i],
+                confidence: mass[f][i] / (mass[f][i] + HALF_CONFIDENT),
+                age_s: last_s[f][i].map(|t_s| (now_s - t_s).max(0.0)),
+            })
+        }))
+    }
+
+    /// How many curves went through each cell, and when the last one did: each counts for the cells that a lookup would
+    /// interpolate it from.
+    fn mass(
+        &self,
+    ) -> (
+        [[f64; CURRENTS]; FREQUENCIES],
+        [[Option<f64>; CURRENTS]; FREQUENCIES],
+    ) {
+        let mut mass = [[0.0; CURRENTS]; FREQUENCIES];
+        let mut last_s = [[None; CURRENTS]; FREQUENCIES];
+        for curve in &self.curves {
+            let (row, above) = split(
+                frequency_coordinate(curve.f_sw_hz.round() as u32),
+                FREQUENCIES,
+            );
+            let above = above as f64 / ONE as f64;
+            let reaches = curve
+                .means()
+                .map(|m| current_knots(m.i_a))
+                .fold(-1.0, f64::max);
+            for i in 0..CURRENTS {
+                let within = (reaches + 1.0 - i as f64).clamp(0.0, 1.0);
+                for (f, share) in [(row, 1.0 - above), (row + 1, above)] {
+                    let weight = share * within;
+                    mass[f][i] += weight;
+                    if weight / (weight + HALF_CONFIDENT) >= OBSERVED_FROM {
+                        let last: &mut Option<f64> = &mut last_s[f][i];
+                        *last = Some(last.map_or(curve.t_s, |t_s| t_s.max(curve.t_s)));
+                    }
+                }
+            }
+        }
+        (mass, last_s)
+    }
+}
+
+/// What curves say at a time in seconds of the device.
+fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
+    let of = |curve: &Curve| {
+        let (f_hz, age_s) = (curve.f_sw_hz, now_s - curve.t_s);
+        let datum = |m: crate::curve::Mean| Datum {
+            f_hz,
+            i_a: m.i_a,
+            ln: m.ln,
+            variance: m.variance,
+            age_s,
+        };
+        curve.means().map(datum).collect::<Vec<_>>()
+    };
+    curves.iter().flat_map(of).collect()
+}
+
+/// R and L at one frequency over those at another that is near, by the pot's law at a middling current.
+fn carried(known: Option<&Knowledge>, from_hz: f64, to_hz: f64) -> [f64; 2] {
+    const I_A: f64 = 15.0;
+    let Some(known) = known else {
+        // R as the skin effect's root.
+        return [(to_hz / from_hz).sqrt(), 1.0];
+    };
+    let model = known.ended().model();
+    let (from, to) = (model.impedance(from_hz, I_A), model.impedance(to_hz, I_A));
+    [to.r_ohm / from.r_ohm, to.l_h / from.l_h]
+}

@@ -1,0 +1,59 @@
+//! F(h) of [`ihd_field::surface`] as a table: what a metal's surface lets through, one number pair for all metals.
+
+use std::sync::LazyLock;
+
+use ihd_field::surface::{LARGEST_FIELD, flux_of_field};
+use nalgebra::Complex;
+
+/// Points of the table, even in ln(1 + h): F bends little there, and four points a cubic leave 1e-6 of it.
+const POINTS: usize = 64;
+
+static TABLE: LazyLock<Vec<Complex<f64>>> = LazyLock::new(|| {
+    let last = (1.0 + LARGEST_FIELD).ln();
+    (0..POINTS)
+        .map(|k| {
+            let h = (k as f64 / (POINTS - 1) as f64 * last).exp() - 1.0;
+            // Within its range it settles (tests of host/field); a half-space without saturation stands in.
+            flux_of_field(h.min(LARGEST_FIELD)).unwrap_or(Complex::new(0.5, -0.5))
+        })
+        .collect()
+});
+
+/// F at an amplitude of the surface field over α; held beyond [`LARGEST_FIELD`], which no coil of a hob reaches.
+pub(crate) fn flux_of(h: f64) -> Complex<f64> {
+    let table = &*TABLE;
+    let scale = (POINTS - 1) as f64 / (1.0 + LARGEST_FIELD).ln();
+    let x = ((1.0 + h.max(0.0)).ln() * scale).min((POINTS - 1) as f64);
+    let first = (x as usize).saturating_sub(1).min(POINTS - 4);
+    let weights = lagrange([0.0, 1.0, 2.0, 3.0], x - first as f64);
+    (0..4).fold(Complex::new(0.0, 0.0), |sum, k| {
+        sum + table[first + k] * weights[k]
+    })
+}
+
+/// Weights of four nodes in the cubic through them, at `x`.
+pub(crate) fn lagrange(nodes: [f64; 4], x: f64) -> [f64; 4] {
+    std::array::from_fn(|k| {
+        (0..4)
+            .filter(|n| *n != k)
+            .map(|n| (x - nodes[n]) / (nodes[k] - nodes[n]))
+            .product()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_its_points_the_table_follows_the_half_space() {
+        for h in [0.0, 0.013, 0.4, 1.7, 6.1, 23.0, 58.0] {
+            let (table, exact) = (flux_of(h), flux_of_field(h).unwrap());
+            assert!(
+                (table - exact).norm() < 2e-5 * exact.norm(),
+                "{h}: {table} {exact}"
+            );
+        }
+        assert_eq!(flux_of(1e9), flux_of(LARGEST_FIELD));
+    }
+}

@@ -1,0 +1,274 @@
+//! The RL-MLP by own code, at all slow times at once: values and derivatives in plain double precision.
+//!
+//! A value of all times stands side by side, so that every loop runs along the times; loops are compiled for the
+//! instruction set that `pulp` finds, with explicit fused multiply-adds, so the digits do not depend on it.
+
+use ihd_signal::vectorised::vectorised;
+use nalgebra::DMatrix;
+
+use crate::parameters::{OUTPUTS, Parameters, softplus};
+
+/// The RL-MLP's inputs at some times.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct OwnNetwork {
+    times: usize,
+    /// Feature by feature, of all times.
+    features: Vec<f64>,
+}
+
+/// What goes into each layer at all times, and what comes out of the last.
+pub(crate) struct Activations<'a> {
+    network: &'a OwnNetwork,
+    /// Of each hidden layer: unit by unit, after the tanh.
+    hidden: Vec<Vec<f64>>,
+    /// Before the softplus, output by output.
+    sums: Vec<f64>,
+}
+
+impl OwnNetwork {
+    /// For the inputs that `parameters` makes of these times, in seconds after a mains zero crossing.
+    pub fn at(parameters: &Parameters, t_s: impl Iterator<Item = f64>) -> Self {
+        let rows: Vec<Vec<f64>> = t_s.map(|t_s| parameters.features(t_s)).collect();
+        let column = |k: usize| rows.iter().map(move |row| row[k]);
+        Self {
+            times: rows.len(),
+            features: (0..parameters.width()).flat_map(column).collect(),
+        }
+    }
+
+    /// All layers' values with the weights of `parameters`.
+    pub fn forward(&self, parameters: &Parameters) -> Activations<'_> {
+        let mut found = Activations {
+            network: self,
+            hidden: Vec::with_capacity(parameters.layers.len()),
+            sums: Vec::new(),
+        };
+        for (index, layer) in parameters.layers.iter().enumerate() {
+            let input = found.input(index);
+            let mut sums = vec![0.0; layer.outputs * self.times];
+            let hidden = index + 1 < parameters.layers.len();
+            vectorised(
+                #[inline(always)]
+                || {
+                    let units = sums.chunks_exact_mut(self.times.max(1));
+                    for (o, (sums, bias)) in units.zip(&layer.biases).enumerate() {
+                        sums.fill(*bias);
+                        let weights = layer.weights.chunks_exact(layer.outputs);
+                        for (x, weights) in input.chunks_exact(self.times.max(1)).zip(weights) {
+                            add_times(sums, x, weights[o]);
+                        }
+                        if hidden {
+                            sums.iter_mut().for_each(|x| *x = tanh(*x));
+                        }
+                    }
+                },
+            );
+            if hidden {
+                found.hidden.push(sums);
+            } else {
+                found.sums = sums;
+            }
+        }
+        found
+    }
+}
+
+impl Activations<'_> {
+    /// What goes into a layer.
+    fn input(&self, layer: usize) -> &[f64] {
+        match layer.checked_sub(1) {
+            None => &self.network.features,
+            Some(before) => &self.hidden[before],
+        }
+    }
+
+    /// R / r_scale and L / l_scale at each time.
+    pub fn outputs(&self) -> Vec<[f64; OUTPUTS]> {
+        let times = self.network.times;
+        let at = |k: usize| std::array::from_fn(|o| softplus(self.sums[o * times + k]));
+        (0..times).map(at).collect()
+    }
+
+    /// Derivatives by all parameters, in the order of `Parameters::flat`, of sums over the outputs: a row each time for
+    /// each of `factors`, which hold what the two outputs count at each time.
+    pub fn derivatives(
+        &self,
+        parameters: &Parameters,
+        factors: &[[Vec<f64>; OUTPUTS]],
+    ) -> DMatrix<f64> {
+        let times = self.network.times;
+        let rows = factors.len() * times;
+        let mut all = DMatrix::zeros(rows, parameters.flat_len());
+        // softplus' = 1 / (1 + e^-x).
+        let slopes: Vec<f64> = self.sums.iter().map(|x| 1.0 / (1.0 + (-x).exp())).collect();
+        let of_output = |o: usize| {
+            let slopes = &slopes[o * times..(o + 1) * times];
+            let factors = factors.iter().flat_map(move |by| &by[o]);
+            factors.zip(slopes.iter().cycle()).map(|(f, s)| f * s)
+        };
+        let mut delta: Vec<f64> = (0..OUTPUTS).flat_map(of_output).collect();
+        let mut end = parameters.flat_len();
+        for (index, layer) in parameters.layers.iter().enumerate().rev() {
+            let start = end - layer.weights.len() - layer.biases.len();
+            let input = self.input(index);
+            let columns = &mut all.as_mut_slice()[start * rows..end * rows];
+            let (by_weights, by_biases) = columns.split_at_mut(layer.weights.len() * rows);
+            by_biases.copy_from_slice(&delta);
+            let mut before = vec![0.0; layer.inputs * rows];
+            vectorised(
+                #[inline(always)]
+                || {
+                    let units = input.chunks_exact(times.max(1));
+                    let by_unit = by_weights.chunks_exact_mut((layer.outputs * rows).max(1));
+                    for (x, by_weights) in units.zip(by_unit) {
+                        times_each(by_weights, &delta, x);
+                    }
+                    // d tanh = 1 - tanh², and the input is that tanh; the first layer's is the features, and unused.
+                    if index == 0 {
+                        return;
+                    }
+                    let weights = layer.weights.chunks_exact(layer.outputs);
+                    let units = input.chunks_exact(times.max(1));
+                    let of_unit = before.chunks_exact_mut(rows.max(1));
+                    for ((before, weights), x) in of_unit.zip(weights).zip(units) {
+                        for (delta, weight) in delta.chunks_exact(rows.max(1)).zip(weights) {
+                            add_times(before, delta, *weight);
+                        }
+                        for before in before.chunks_exact_mut(times.max(1)) {
+                            for (d, a) in before.iter_mut().zip(x) {
+                                *d *= (-a).mul_add(*a, 1.0);
+                            }
+                        }
+                    }
+                },
+            );
+            delta = before;
+            end = start;
+        }
+        all
+    }
+}
+
+/// `sums += weight · x`.
+#[inline(always)]
+fn add_times(sums: &mut [f64], x: &[f64], weight: f64) {
+    for (sum, x) in sums.iter_mut().zip(x) {
+        *sum = weight.mul_add(*x, *sum);
+    }
+}
+
+/// Every stretch of `a` as long as `x`, times `x`.
+#[inline(always)]
+fn times_each(out: &mut [f64], a: &[f64], x: &[f64]) {
+    let length = x.len().max(1);
+    for (out, a) in out.chunks_exact_mut(length).zip(a.chunks_exact(length)) {
+        for ((out, a), x) in out.iter_mut().zip(a).zip(x) {
+            *out = a * x;
+        }
+    }
+}
+
+/// tanh x to 3e-16, without branches.
+#[inline(always)]
+fn tanh(x: f64) -> f64 {
+    let e = exp_negative(-2.0 * x.abs());
+    ((1.0 - e) / (1.0 + e)).copysign(x)
+}
+
+/// e^x for x ≤ 0; below −700 that of −700. NaN stays NaN.
+#[inline(always)]
+fn exp_negative(x: f64) -> f64 {
+    /// ln 2 in two parts, the first with 21 zeros at its end.
+    const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
+    /// Added to a small number, it leaves its whole part in the last bits.
+    const WHOLE: f64 = 6_755_399_441_055_744.0;
+    /// 1/k! from k = 13 down to 2: what is left out is below 2e-17.
+    const TAYLOR: [f64; 12] = [
+        1.605_904_383_682_161_3e-10,
+        2.087_675_698_786_81e-9,
+        2.505_210_838_544_172e-8,
+        2.755_731_922_398_589e-7,
+        2.755_731_922_398_589_3e-6,
+        2.480_158_730_158_73e-5,
+        1.984_126_984_126_984e-4,
+        1.388_888_888_888_889e-3,
+        8.333_333_333_333_333e-3,
+        4.166_666_666_666_666_4e-2,
+        1.666_666_666_666_666_6e-1,
+        0.5,
+    ];
+    // `max` would take NaN for −700.
+    let x = if x < -700.0 { -700.0 } else { x };
+    let shifted = x.mul_add(std::f64::consts::LOG2_E, WHOLE);
+    let whole = shifted - WHOLE;
+    let rest = (-whole).mul_add(LN_2.1, (-whole).mul_add(LN_2.0, x));
+    let mut sum = TAYLOR[0];
+    for term in &TAYLOR[1..] {
+        sum = sum.mul_add(rest, *term);
+    }
+    let power = (rest * rest).mul_add(sum, rest) + 1.0;
+    power * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trial;
+
+    #[test]
+    fn tanh_is_tanh_and_carries_what_is_no_number() {
+        for k in -4000..4000 {
+            let x = f64::from(k) * 0.01 + 1e-3;
+            assert!((tanh(x) - x.tanh()).abs() < 4e-16, "{x}");
+        }
+        for x in [0.0, -0.0, 1e-300, 1e300, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!((tanh(x) - x.tanh()).abs() < 4e-16, "{x}");
+        }
+        assert!(tanh(f64::NAN).is_nan());
+        for x in [-0.1, -1.0, -17.3, -345.6, -699.0] {
+            assert!((exp_negative(x) / x.exp() - 1.0).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn values_are_those_of_the_parameters_one_by_one() {
+        let network = trial::network();
+        let times = [1e-3, 2.7e-3, 9.9e-3];
+        let all = OwnNetwork::at(&network, times.into_iter());
+        for (t_s, found) in times.iter().zip(all.forward(&network).outputs()) {
+            let right = network.outputs(&network.features(*t_s));
+            assert!((found[0] - right[0]).abs() + (found[1] - right[1]).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn the_derivatives_are_finite_differences() {
+        let network = trial::network();
+        let times = [0.4e-3, 2.7e-3];
+        let all = OwnNetwork::at(&network, times.into_iter());
+        // R alone, and a mixture that differs from time to time.
+        let factors = [
+            [vec![1.0; 2], vec![0.0; 2]],
+            [vec![-0.5, 2.0], vec![0.25, 3.0]],
+        ];
+        let found = all.forward(&network).derivatives(&network, &factors);
+        let flat = network.flat();
+        assert_eq!(found.shape(), (4, flat.len()));
+        let step = 1e-6;
+        for p in 0..flat.len() {
+            let at = |shift: f64| {
+                let mut moved = flat.clone();
+                moved[p] += shift;
+                all.forward(&network.with_flat(&moved)).outputs()
+            };
+            let (after, before) = (at(step), at(-step));
+            for (block, factors) in factors.iter().enumerate() {
+                for k in 0..2 {
+                    let sum = |y: &[[f64; 2]]| factors[0][k] * y[k][0] + factors[1][k] * y[k][1];
+                    let numeric = (sum(&after) - sum(&before)) / (2.0 * step);
+                    assert!((numeric - found[(2 * block + k, p)]).abs() < 1e-8);
+                }
+            }
+        }
+    }
+}

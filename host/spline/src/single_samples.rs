@@ -1,0 +1,221 @@
+//! Sums over single samples, each with its own splines: what is exact, and what a few ten thousand points take.
+//!
+//! e^(−jkωt) of a sample is that of a stretch's first sample times a table's; all multiples of the fundamental stand side
+//! by side, so that the sums run along whole registers.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::vectorised::vectorised;
+use nalgebra::Complex;
+
+use crate::CubicSpline;
+
+/// Samples of a stretch, which share a sine and a cosine of every multiple.
+const STRETCH: usize = 64;
+
+/// Multiples are padded to so many.
+const LANES: usize = 4;
+
+/// Pairs of the four splines that are not zero at a time.
+const PAIRS: usize = 10;
+
+/// Complex numbers side by side, real and imaginary parts apart.
+#[derive(Clone, Debug)]
+struct Parts {
+    re: Vec<[f64; LANES]>,
+    im: Vec<[f64; LANES]>,
+}
+
+impl Parts {
+    fn zeros(numbers: usize) -> Self {
+        let zeros = vec![[0.0; LANES]; numbers.div_ceil(LANES)];
+        Self {
+            re: zeros.clone(),
+            im: zeros,
+        }
+    }
+
+    /// e^(−j·multiple·2π·turns) of each multiple.
+    fn turned(multiples: &[u32], turns: f64) -> Self {
+        let mut parts = Self::zeros(multiples.len());
+        for (k, multiple) in multiples.iter().enumerate() {
+            let (sin, cos) = libm::sincos(TAU * (f64::from(*multiple) * turns).fract());
+            parts.re[k / LANES][k % LANES] = cos;
+            parts.im[k / LANES][k % LANES] = -sin;
+        }
+        parts
+    }
+
+    fn clear(&mut self) {
+        self.re.fill([0.0; LANES]);
+        self.im.fill([0.0; LANES]);
+    }
+
+    fn get(&self, k: usize) -> Complex<f64> {
+        Complex::new(self.re[k / LANES][k % LANES], self.im[k / LANES][k % LANES])
+    }
+
+    /// The product of two, number by number.
+    #[inline(always)]
+    fn set_product(&mut self, a: &Self, b: &Self) {
+        let re = self.re.iter_mut().zip(a.re.iter().zip(&b.re));
+        let im = self.im.iter_mut().zip(a.im.iter().zip(&b.im));
+        for ((re, (a_re, b_re)), (im, (a_im, b_im))) in re.zip(im) {
+            for k in 0..LANES {
+                re[k] = a_re[k] * b_re[k] - a_im[k] * b_im[k];
+                im[k] = a_re[k] * b_im[k] + a_im[k] * b_re[k];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn add_times(&mut self, other: &Self, weight: f64) {
+        for (sums, x) in [(&mut self.re, &other.re), (&mut self.im, &other.im)] {
+            for (sums, x) in sums.iter_mut().zip(x) {
+                for k in 0..LANES {
+                    sums[k] = weight.mul_add(x[k], sums[k]);
+                }
+            }
+        }
+    }
+}
+
+/// Samples of voltage and current, and where they lie.
+pub(crate) struct Samples<'a> {
+    pub spline: &'a CubicSpline,
+    pub periods_per_sample: f64,
+    pub dt_s: f64,
+    /// Where within a sample its splines are taken.
+    pub centre: f64,
+    pub v: &'a [f64],
+    pub i: &'a [f64],
+}
+
+impl Samples<'_> {
+    /// Index of the first spline that is not zero at a sample, and four splines' values.
+    pub fn splines_at(&self, n: usize) -> (usize, [f64; 4]) {
+        self.spline.values_at((n as f64 + self.centre) * self.dt_s)
+    }
+}
+
+/// Sums of one interval of the spline.
+pub(crate) struct Sums {
+    /// Index of the interval's first spline.
+    pub first: usize,
+    multiples: Vec<u32>,
+    orders: Vec<u32>,
+    /// Of each sample of a stretch.
+    multiple_table: Vec<Parts>,
+    order_table: Vec<Parts>,
+    /// Pair by pair of splines, of each multiple.
+    products: Vec<Parts>,
+    /// Spline by spline, of each order.
+    v: Vec<Parts>,
+    i: Vec<Parts>,
+    turned: [Parts; 2],
+}
+
+impl Sums {
+    /// For products that have these multiples of the fundamental, and signals of these orders.
+    pub fn new(multiples: Vec<u32>, orders: &[u32], periods_per_sample: f64) -> Self {
+        let table = |of: &[u32]| -> Vec<Parts> {
+            let at = |n: usize| Parts::turned(of, n as f64 * periods_per_sample);
+            (0..STRETCH).map(at).collect()
+        };
+        Self {
+            first: 0,
+            multiple_table: table(&multiples),
+            order_table: table(orders),
+            products: vec![Parts::zeros(multiples.len()); PAIRS],
+            v: vec![Parts::zeros(orders.len()); 4],
+            i: vec![Parts::zeros(orders.len()); 4],
+            turned: [Parts::zeros(multiples.len()), Parts::zeros(orders.len())],
+            multiples,
+            orders: orders.to_vec(),
+        }
+    }
+
+    /// Begins another interval.
+    pub fn clear(&mut self, first: usize) {
+        self.first = first;
+        let all = self
+            .products
+            .iter_mut()
+            .chain(&mut self.v)
+            .chain(&mut self.i);
+        all.for_each(Parts::clear);
+    }
+
+    /// Adds samples from index `from` on, up to the interval's last; the index after it.
+    pub fn add(&mut self, samples: &Samples<'_>, from: usize) -> usize {
+        let mut at = from;
+        while at < samples.v.len() {
+            let stretch = at - at % STRETCH;
+            let turns = stretch as f64 * samples.periods_per_sample;
+            let bases = [
+                Parts::turned(&self.multiples, turns),
+                Parts::turned(&self.orders, turns),
+            ];
+            let end = (stretch + STRETCH).min(samples.v.len());
+            let reached = vectorised(
+                #[inline(always)]
+                || self.add_stretch(samples, &bases, stretch, at..end),
+            );
+            at = reached;
+            if reached < end {
+                break;
+            }
+        }
+        at
+    }
+
+    #[inline(always)]
+    fn add_stretch(
+        &mut self,
+        samples: &Samples<'_>,
+        bases: &[Parts; 2],
+        stretch: usize,
+        range: std::ops::Range<usize>,
+    ) -> usize {
+        let [multiples, orders] = &mut self.turned;
+        for n in range.clone() {
+            let (first, values) = samples.splines_at(n);
+            if first != self.first {
+                return n;
+            }
+            multiples.set_product(&bases[0], &self.multiple_table[n - stretch]);
+            orders.set_product(&bases[1], &self.order_table[n - stretch]);
+            let mut pair = 0;
+            for m in 0..4 {
+                self.v[m].add_times(orders, values[m] * samples.v[n]);
+                self.i[m].add_times(orders, values[m] * samples.i[n]);
+                for other in 0..=m {
+                    self.products[pair].add_times(multiples, values[m] * values[other]);
+                    pair += 1;
+                }
+            }
+        }
+        range.end
+    }
+
+    /// Pair by pair, Σ b·b'·e^(−jkωt) of each multiple.
+    pub fn products(&self) -> Vec<Complex<f64>> {
+        listed(&self.products, self.multiples.len())
+    }
+
+    /// Spline by spline, Σ b·v·e^(−jhωt) of each order.
+    pub fn v(&self) -> Vec<Complex<f64>> {
+        listed(&self.v, self.orders.len())
+    }
+
+    /// The same of the current.
+    pub fn i(&self) -> Vec<Complex<f64>> {
+        listed(&self.i, self.orders.len())
+    }
+}
+
+fn listed(parts: &[Parts], count: usize) -> Vec<Complex<f64>> {
+    let all = parts.iter();
+    all.flat_map(|parts| (0..count).map(|k| parts.get(k)))
+        .collect()
+}

@@ -1,0 +1,172 @@
+//! Half-cycles at one operating point, averaged.
+
+/// What telemetry says of a half-cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HalfCycle {
+    /// When it ended, in seconds from any start.
+    pub t_s: f64,
+    /// Switching frequency in hertz.
+    pub f_hz: f64,
+    /// Amplitude of the current at its crest, in ampere.
+    pub i_a: f64,
+    /// R at the crest, in ohm.
+    pub r_ohm: f64,
+    /// L at the crest, in henry.
+    pub l_h: f64,
+    /// Mean power in watt.
+    pub power_w: f64,
+    /// It heats: R and L are those of a pot in operation.
+    pub heats: bool,
+}
+
+/// Half-cycles of a batch: half a second at 50 Hz, in which no base warms by more than 3 K.
+const HALF_CYCLES: usize = 50;
+
+/// A batch of fewer than these tells nothing, and is dropped when the operating point moves on.
+const FEWEST: usize = 8;
+
+/// Relative change of frequency or current that begins another batch.
+const MOVED: f64 = 0.02;
+
+/// Half-cycles that are left out after it, in which the device's filter settles.
+const SETTLING: usize = 3;
+
+/// What white noise does not explain, relative, of R and of L: aliasing that changes with the frequency within a batch.
+const FLOOR: (f64, f64) = (3e-4, 1.5e-4);
+
+/// Half-cycles at one operating point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Batch {
+    /// Its middle, in seconds.
+    pub t_s: f64,
+    /// Mean switching frequency in hertz.
+    pub f_hz: f64,
+    /// Mean crest current in ampere.
+    pub i_a: f64,
+    /// Mean of ln R, R in ohm.
+    pub ln_r: f64,
+    /// Mean of ln L, L in henry.
+    pub ln_l: f64,
+    /// Standard deviation of `ln_r`.
+    pub r_sigma: f64,
+    /// Standard deviation of `ln_l`.
+    pub l_sigma: f64,
+}
+
+/// Gathers batches.
+#[derive(Clone, Debug, Default)]
+pub struct Batches {
+    first: Option<HalfCycle>,
+    skipped: usize,
+    count: usize,
+    sums: [f64; 7],
+}
+
+impl Batches {
+    /// A half-cycle that heats; a batch when one is full, or has ended because the operating point moved.
+    pub fn push(&mut self, h: &HalfCycle) -> Option<Batch> {
+        let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
+            .iter()
+            .all(|x| x.is_finite() && *x > 0.0);
+        if !h.heats || !usable || !h.t_s.is_finite() {
+            return self.end();
+        }
+        let moved = self.first.is_none_or(|first| {
+            (h.f_hz / first.f_hz - 1.0).abs() > MOVED || (h.i_a / first.i_a - 1.0).abs() > MOVED
+        });
+        if moved {
+            let batch = self.end();
+            self.first = Some(*h);
+            return batch;
+        }
+        if self.skipped < SETTLING {
+            self.skipped += 1;
+            return None;
+        }
+        self.count += 1;
+        let (r, l) = (h.r_ohm.ln(), h.l_h.ln());
+        let values = [h.f_hz, h.i_a, r, l, r * r, l * l, h.t_s];
+        for (sum, x) in self.sums.iter_mut().zip(values) {
+            *sum += x;
+        }
+        if self.count < HALF_CYCLES {
+            return None;
+        }
+        let batch = self.mean();
+        // Nothing has moved: no settling.
+        (self.first, self.count, self.sums) = (Some(*h), 0, [0.0; 7]);
+        batch
+    }
+
+    /// The batch so far; the next begins anew.
+    fn end(&mut self) -> Option<Batch> {
+        let batch = self.mean();
+        *self = Self::default();
+        batch
+    }
+
+    fn mean(&self) -> Option<Batch> {
+        if self.count < FEWEST {
+            return None;
+        }
+        let n = self.count as f64;
+        let [f_hz, i_a, ln_r, ln_l, rr, ll, t_s] = self.sums.map(|sum| sum / n);
+        let sigma = |square: f64, mean: f64, floor: f64| {
+            ((square - mean * mean).max(0.0) / n + floor * floor).sqrt()
+        };
+        Some(Batch {
+            t_s,
+            f_hz,
+            i_a,
+            ln_r,
+            ln_l,
+            r_sigma: sigma(rr, ln_r, FLOOR.0),
+            l_sigma: sigma(ll, ln_l, FLOOR.1),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn half_cycle(k: usize, f_hz: f64) -> HalfCycle {
+        HalfCycle {
+            t_s: k as f64 * 0.01,
+            f_hz,
+            i_a: 40.0,
+            r_ohm: 3.0 * (1.0 + 1e-3 * (k % 2) as f64),
+            l_h: 20e-6,
+            power_w: 1500.0,
+            heats: true,
+        }
+    }
+
+    #[test]
+    fn a_batch_is_the_mean_with_its_deviation() {
+        let mut batches = Batches::default();
+        let found: Vec<Batch> = (0..200)
+            .filter_map(|k| batches.push(&half_cycle(k, 45e3)))
+            .collect();
+        assert_eq!(found.len(), 3);
+        let b = found[1];
+        assert!((b.ln_r - (3.0f64.ln() + 5e-4)).abs() < 1e-6, "{b:?}");
+        // Half a thousandth of scatter over √50, and the floor.
+        assert!((b.r_sigma - (5e-9f64 + 9e-8).sqrt()).abs() < 1e-5, "{b:?}");
+    }
+
+    #[test]
+    fn another_operating_point_and_what_is_no_number_end_a_batch() {
+        let mut batches = Batches::default();
+        for k in 0..20 {
+            assert!(batches.push(&half_cycle(k, 45e3)).is_none());
+        }
+        let ended = batches.push(&half_cycle(20, 50e3)).unwrap();
+        assert!((ended.f_hz - 45e3).abs() < 1e-6);
+        for bad in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
+            let mut h = half_cycle(21, 50e3);
+            h.r_ohm = bad;
+            assert!(batches.push(&h).is_none());
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! What is in the pot takes the heat, and may boil: two physical models on the same curve of ΔT, and which explains it.
+//!
+//! Both have a base, contents above it, and losses. In the first the contents boil: bubbles carry the heat from the base once
+//! its face is above the boiling point (Rohsenow: flux ∝ superheat³), and the bulk stays there. In the second nothing ever boils, and the
+//! losses may grow with temperature as they like: oil, food, an empty pot, a simmer that comes to rest. Boiling is said only where the
+//! second explains the curve much worse.
+
+use crate::gauss_newton::{Fitted, Prior, fit};
+
+/// Step of the models at first, in seconds; twice as long whenever there are too many.
+const STEP_S: f64 = 2.0;
+
+/// Steps at most: half an hour at first. A fit takes some milliseconds with them.
+const MOST: usize = 900;
+
+/// Standard deviation of a step's ΔT against its model, in kelvin: noise of ΔT at 2 s is below 1 K; errors that last for
+/// many steps count as often.
+const SIGMA_K: f64 = 2.0;
+
+/// χ² by which the model without boiling must be worse. By Wilks' theorem an excess beyond 25 of two more
+/// parameters has a probability of 4e-6 a look; looks of one pot share their data.
+const EVIDENCE: f64 = 25.0;
+
+/// χ² a step above which a model does not explain the curve: it is fitted from elsewhere, and a pot that boils is none.
+const UNEXPLAINED: f64 = 1.0;
+
+/// Where the model without boiling begins too, J/K and W/m²K^(4/3): nothing in the pot, oil, soup.
+const OTHER_STARTS: [(f64, f64); 3] = [(150.0, 10.0), (1e3, 40.0), (1e4, 200.0)];
+
+/// The bulk is taken for boiling so many kelvin below the fitted boiling point, which is known no better: it is said as often
+/// too early as too late.
+const NEAR_BOIL_K: f64 = 2.0;
+
+/// Steps between two fits.
+const EVERY: usize = 3;
+
+/// No boil is said within this time of placement, in steps: nothing but bases heats so quickly.
+const EARLIEST: usize = 15;
+
+/// Nucleate boiling, W/m²K³ (Rohsenow, water on polished steel).
+const NUCLEATE: f64 = 131.0;
+
+/// What takes the heat with the base in J/m²K: 5 mm of steel.
+pub(crate) const BASE_J_PER_M2K: f64 = 17.5e3;
+
+/// The lower wall, which heats with it, in J/K.
+pub(crate) const WALL_J_PER_K: f64 = 100.0;
+
+/// From the base to the glass, which is the hob's own and known: W/K. Its heat capacity in J/K, and what it loses in W/K.
+const BELOW_W_PER_K: f64 = 8.0;
+const GLASS_J_PER_K: f64 = 280.0;
+const GLASS_W_PER_K: f64 = 1.5;
+
+/// From wall and lid to the room over the base's area, in W/m²K: a pot 0.6 times as high as wide, 10 W/m²K. Times the losses' factor.
+const AROUND_W_PER_M2K: f64 = 34.0;
+
+/// Parameters of a model, the same places in both: ln of the contents' J/K, ln of the convection's factor in W/m²K^(4/3), ln of the
+/// losses' factor, ln of the base's J/K, then rise at which the contents boil in K and ln of the resistance through the base in m²K/W; or
+/// growth of the losses in 1/K and the same.
+type Parameters = [f64; 6];
+
+/// What the contents do.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Verdict {
+    /// Bubbles carry most of the heat: the base is on its plateau.
+    pub bubbles: bool,
+    /// All of the contents boil.
+    pub boils: bool,
+    /// When they began to, on the clock of the half-cycles, in seconds.
+    pub boils_since_s: Option<f64>,
+    /// χ² by which a pot that does not boil explains the curve worse.
+    pub evidence: f64,
+}
+
+/// One step of the curve.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    power_w: f64,
+    /// Mean of ΔT in kelvin, where it was known.
+    rise_k: Option<f64>,
+}
+
+/// The curve since placement, and the models' fits.
+#[derive(Clone, Debug)]
+pub struct Contents {
+    area_m2: f64,
+    began_s: f64,
+    step_s: f64,
+    steps: Vec<Step>,
+    energy_j: f64,
+    sums: (f64, f64, usize),
+    boiling: Option<Parameters>,
+    dry: Option<Parameters>,
+    verdict: Verdict,
+    agreed: u32,
+}
+
+/// Where a model is.
+#[derive(Clone, Copy, Debug, Default)]
+struct State {
+    base_k: f64,
+    face_k: f64,
+    bulk_k: f64,
+    glass_k: f64,
+    bubbles: f64,
+}
+
+impl Contents {
+    /// A pot with a base of this radius in metre, put on at `t_s`.
+    pub fn new(radius_m: f64, t_s: f64) -> Self {
+        Self {
+            area_m2: std::f64::consts::PI * radius_m * radius_m,
+            began_s: t_s,
+            step_s: STEP_S,
+            steps: Vec::new(),
+            energy_j: 0.0,
+            sums: (0.0, 0.0, 0),
+            boiling: None,
+            dry: None,
+            verdict: Verdict::default(),
+            agreed: 0,
+        }
+    }
+
+    /// What the contents do, as far as is known.
+    pub fn verdict(&self) -> Verdict {
+        self.verdict
+    }
+
+    /// So much energy in joule until `t_s`, and ΔT in kelvin then, where it is known.
+    pub fn push(&mut self, t_s: f64, energy_j: f64, rise_k: Option<f64>) {
+        self.energy_j += energy_j;
+        if let Some(rise_k) = rise_k {
+            self.sums.0 += rise_k;
+            self.sums.2 += 1;
+        }
+        while t_s >= self.began_s + (self.steps.len() + 1) as f64 * self.step_s {
+            if self.steps.len() >= MOST {
+                self.halve();
+                continue;
+            }
+            let known = self.sums.2 > 0;
+            self.steps.push(Step {
+                power_w: self.energy_j / self.step_s,
+                rise_k: known.then(|| self.sums.0 / self.sums.2 as f64),
+            });
+            (self.energy_j, self.sums) = (0.0, (0.0, 0.0, 0));
+            if self.steps.len() >= EARLIEST && self.steps.len().is_multiple_of(EVERY) {
+                self.look();
+            }
+        }
+    }
+
+    /// Steps twice as long, and half as many.
+    fn halve(&mut self) {
+        let pairs = self.steps.chunks(2).map(|pair| {
+            let known: Vec<f64> = pair.iter().filter_map(|s| s.rise_k).collect();
+            let n = known.len() as f64;
+            Step {
+                power_w: pair.iter().map(|s| s.power_w).sum::<f64>() / pair.len() as f64,
+                rise_k: (n > 0.0).then(|| known.iter().sum::<f64>() / n),
+            }
+        });
+        self.steps = pairs.collect();
+        self.step_s *= 2.0;
+    }
+
+    fn look(&mut self) {
+        let boiling = self.fitted(true);
+        let dry = self.fitted(false);
+        (self.boiling, self.dry) = (Some(boiling.x), Some(dry.x));
+        let evidence = dry.chi2 - boiling.chi2;
+        let mut boils_at = None;
+        let mut state = State::default();
+        self.run(&boiling.x, true, |k, s| {
+            state = s;
+            if boils_at.is_none() && s.bulk_k >= boiling.x[4] - NEAR_BOIL_K {
+                boils_at = Some(k);
+            }
+        });
+        let explained = boiling.chi2 < UNEXPLAINED * self.known();
+        let sure = explained && evidence > EVIDENCE;
+        let (bubbles, boils) = (sure && state.bubbles > 0.5, sure && boils_at.is_some());
+        // Twice in a row.
+        self.agreed = if bubbles { self.agreed + 1 } else { 0 };
+        let agreed = self.agreed >= 2;
+        self.verdict = Verdict {
+            bubbles: bubbles && agreed,
+            boils: boils && agreed,
+            boils_since_s: boils_at
+                .filter(|_| boils && agreed)
+                .map(|k| self.began_s + (k + 1) as f64 * self.step_s),
+            evidence,
+        };
+    }
+
+    fn fitted(&self, boils: bool) -> Fitted<6> {
+        let prior = |mean, sigma| Prior { mean, sigma };
+        let base = (BASE_J_PER_M2K * self.area_m2 + WALL_J_PER_K).ln();
+        // 5 mm of steel; cores of aluminium and copper conduct tenfold.
+        let through = prior(1.5e-4f64.ln(), 0.7);
+        let priors = match boils {
+            true => [
+                // 0.2 to 6 litre of water.
+                prior(6e3f64.ln(), 0.9),
+                // Water at 20 °C (Nu = 0.15 Ra^1/3), and what stirs it.
+                prior(218f64.ln(), 0.3),
+                prior(0.0, 0.25),
+                prior(base, 0.25),
+                // From 5 to 35 °C, and a metal's coefficient that is off by a tenth.
+                prior(80.0, 12.0),
+                through,
+            ],
+            false => [
+                prior(2e3f64.ln(), 1.5),
+                prior(60f64.ln(), 1.2),
+                prior(0.3, 1.0),
+                prior(base, 0.3),
+                prior(0.004, 0.01),
+                through,
+            ],
+        };
+        let before = match boils {
+            true => self.boiling,
+            false => self.dry,
+        };
+        let from = |start| {
+            fit(&priors, start, 12, |x, out| {
+                self.run(x, boils, |k, state| {
+                    if let Some(rise_k) = self.steps[k].rise_k {
+                        out.push((rise_k - state.base_k) / SIGMA_K);
+                    }
+                });
+            })
+        };
+        let fresh = priors.map(|p| p.mean);
+        let mut best = from(before.unwrap_or(fresh));
+        // The last look's valley may be the wrong one.
+        let mut starts = vec![fresh];
+        if !boils {
+            starts.extend(OTHER_STARTS.map(|(contents, factor)| {
+                let mut x = fresh;
+                (x[0], x[1]) = (f64::ln(contents), f64::ln(factor));
+                x
+            }));
+        }
+        for start in starts {
+            if best.chi2 > UNEXPLAINED * self.known() {
+                let other = from(start);
+                if other.chi2 < best.chi2 {
+                    best = other;
+                }
+            }
+        }
+        best
+    }
+
+    /// Steps whose ΔT is known.
+    fn known(&self) -> f64 {
+        self.steps.iter().filter(|s| s.rise_k.is_some()).count() as f64
+    }
+
+    /// Runs a model over the powers; `each` hears where it is after each step.
+    fn run(&self, x: &Parameters, boils: bool, mut each: impl FnMut(usize, State)) {
+        let (contents, factor, losses) = (x[0].exp(), x[1].exp(), x[2].exp());
+        let (base, through) = (x[3].exp(), self.area_m2 / x[5].exp());
+        let (below, around) = (BELOW_W_PER_K, losses * AROUND_W_PER_M2K * self.area_m2);
+        // What a base without bubbles gives to the air beside its contents.
+        let dry = losses;
+        let boil_k = if boils { x[4] } else { f64::INFINITY };
+        let growth = if boils { 0.0 } else { x[4].max(0.0) };
+        let mut s = State::default();
+        for (k, step) in self.steps.iter().enumerate() {
+            let (up_w, slope) = self.settle(&mut s, factor, through, boil_k);
+            let down_w = below * (s.base_k - s.glass_k);
+            let glass = GLASS_J_PER_K + self.step_s * (below + GLASS_W_PER_K);
+            s.glass_k += (down_w - GLASS_W_PER_K * s.glass_k) * self.step_s / glass;
+            let out_w = up_w + down_w + dry * growth * s.base_k * s.base_k.max(0.0);
+            // Linearly implicit: stable whatever the parameters are.
+            let stiff = slope + below + 2.0 * dry * growth * s.base_k.max(0.0);
+            s.base_k += (step.power_w - out_w) * self.step_s / (base + self.step_s * stiff);
+            let lost_w = around * (1.0 + growth * s.bulk_k.max(0.0)) * s.bulk_k;
+            let bulk_k =
+                s.bulk_k + (up_w - lost_w) * self.step_s / (contents + self.step_s * slope);
+            s.bulk_k = bulk_k.min(boil_k);
+            each(k, s);
+        }
+    }
+
+    /// The base's inner face settles; heat into the contents in W, and its slope over the base's temperature in W/K.
+    fn settle(&self, s: &mut State, factor: f64, through: f64, boil_k: f64) -> (f64, f64) {
+        let (mut q, mut slope, mut bubbles) = (0.0, 1.0, 0.0);
+        for _ in 0..4 {
+            let rise = s.face_k - s.bulk_k;
+            let over = (s.face_k - boil_k).max(0.0);
+            bubbles = self.area_m2 * NUCLEATE * over * over * over;
+            // Natural convection of water, better when it is warm: viscosity falls.
+            let warm = 1.0 + 0.0093 * (s.face_k + s.bulk_k).clamp(0.0, 300.0);
+            let root = rise.abs().cbrt().max(0.3);
+            let convection = self.area_m2 * factor * warm * root;
+            q = convection * rise + bubbles;
+            slope = 4.0 / 3.0 * convection + 3.0 * self.area_m2 * NUCLEATE * over * over;
+            s.face_k += (through * (s.base_k - s.face_k) - q) / (through + slope);
+        }
+        s.bubbles = if q > 0.0 { bubbles / q } else { 0.0 };
+        let up_w = through * (s.base_k - s.face_k);
+        (up_w, through * slope / (through + slope))
+    }
+}

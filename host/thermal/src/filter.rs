@@ -1,0 +1,277 @@
+//! ΔT and lift from R and L: a Kalman filter on what the pot's physics predicts at the operating point.
+//!
+//! State: rise in K, its rate in K/s, lift since placement in mm, what the pot's model leaves of ln R and ln L in ‰, and how that grows
+//! with ln f (the current follows the frequency). The latter four move with the operating point alone, and heat moves the rise by some kelvin a
+//! second at most: so that a step of power carries the rise over, and teaches the model's error at the new point.
+
+use ihd_map::PotModel;
+use nalgebra::{SMatrix, SVector};
+
+use crate::batch::Batch;
+use crate::metal::MetalLaw;
+
+type Vector = SVector<f64, 7>;
+type Matrix = SMatrix<f64, 7, 7>;
+
+/// Rates of a rise: 2.2 kW on a base of 600 J/K are 3.7 K/s at first, some tenths once the contents take it.
+const RATE_K_PER_S: f64 = 0.8;
+
+/// How long a rate lasts, in seconds.
+const RATE_LASTS_S: f64 = 30.0;
+
+/// A power that changes by this share changes the rate at once, by its change over the base's heat capacity; how well that is known.
+const POWER_STEP: (f64, f64) = (0.05, 0.4);
+
+/// A base that bows, in mm over the root of a second: 0.2 mm in two minutes.
+const BOWING_MM: f64 = 0.02;
+
+/// What the model leaves of ln R and ln L beside its slope, in ‰: over the root of an e-fold of frequency or current. The device's own bias
+/// swings by so much (docs/accuracy.md, aliasing).
+const MODEL: (f64, f64) = (3.0, 1.5);
+
+/// The slope of what it leaves, in ‰ an e-fold of frequency: describing function against waveform, a fit of physics to a pot that is none of
+/// its kind.
+const SLOPE: (f64, f64) = (20.0, 10.0);
+
+/// The same at first.
+const MODEL_AT_FIRST: f64 = 30.0;
+
+/// Deviation of a rise that was taken for one beyond the turn, over the distance of both.
+const ACROSS: f64 = 0.3;
+
+/// χ² of two residuals that chance does not give: 3e-7 of batches.
+const UNLIKELY: f64 = 30.0;
+
+/// Lift and model, in mm and ‰, that a pot which is moved may change by.
+const MOVED: (f64, f64) = (2.0, 30.0);
+
+/// Less than this, in mm and ‰, is not told as a move.
+const TOLD: (f64, f64) = (0.15, 8.0);
+
+/// What a batch showed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Seen {
+    /// The pot as before.
+    Same,
+    /// The pot was moved: lift in mm since before, and whether lift alone explains it.
+    Moved {
+        /// Change of lift in mm.
+        lift_mm: f64,
+        /// Lift alone explains R and L; else it was shifted, too.
+        straight: bool,
+    },
+}
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    pot: PotModel,
+    metal: MetalLaw,
+    x: Vector,
+    p: Matrix,
+    t_s: f64,
+    power_w: f64,
+    /// ln f and ln I of the last batch.
+    at: Option<(f64, f64)>,
+    /// ln f of the first batch.
+    first_ln_f: Option<f64>,
+    /// Heat capacity of the base in J/K.
+    base_j_per_k: f64,
+}
+
+/// Residuals and their derivatives.
+struct Innovation {
+    r: SVector<f64, 2>,
+    h: SMatrix<f64, 2, 7>,
+    noise: SMatrix<f64, 2, 2>,
+}
+
+impl Innovation {
+    fn covariance(&self, p: &Matrix) -> SMatrix<f64, 2, 2> {
+        self.h * p * self.h.transpose() + self.noise
+    }
+
+    fn chi2(&self, p: &Matrix) -> f64 {
+        let s = self.covariance(p);
+        s.cholesky()
+            .map_or(f64::INFINITY, |c| self.r.dot(&c.solve(&self.r)))
+    }
+}
+
+impl Filter {
+    /// A pot that was put on at `t_s`, has risen by about so many kelvin since, and rises at about this rate in K/s.
+    /// Its base keeps so many J/K.
+    pub fn new(
+        pot: PotModel,
+        metal: MetalLaw,
+        t_s: f64,
+        (rise_k, rate): (f64, f64),
+        base_j_per_k: f64,
+    ) -> Self {
+        let sigma = [
+            0.5 + 0.3 * rise_k.abs(),
+            0.1 + 0.4 * rate.abs(),
+            0.01,
+            MODEL_AT_FIRST,
+            MODEL_AT_FIRST,
+            SLOPE.0,
+            SLOPE.1,
+        ];
+        Self {
+            pot,
+            metal,
+            x: Vector::from([rise_k, rate, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            p: Matrix::from_diagonal(&Vector::from(sigma.map(|s| s * s))),
+            t_s,
+            power_w: f64::NAN,
+            at: None,
+            first_ln_f: None,
+            base_j_per_k,
+        }
+    }
+
+    /// Rise since placement in kelvin and its standard deviation, for the metal's class.
+    pub fn rise_k(&self) -> (f64, f64) {
+        (self.x[0], self.p[(0, 0)].max(0.0).sqrt())
+    }
+
+    /// Rate of the rise in K/s.
+    pub fn rate_k_per_s(&self) -> f64 {
+        self.x[1]
+    }
+
+    /// Lift since placement in mm and its standard deviation.
+    pub fn lift_mm(&self) -> (f64, f64) {
+        (self.x[2], self.p[(2, 2)].max(0.0).sqrt())
+    }
+
+    /// The metal's law.
+    pub fn metal(&self) -> &MetalLaw {
+        &self.metal
+    }
+
+    /// The rise is another one with the same R and L, beyond the turn or back.
+    pub fn set_rise(&mut self, rise_k: f64) {
+        let off = rise_k - self.x[0];
+        self.x[0] = rise_k;
+        self.x[1] = -self.x[1];
+        // Nothing is known of how far it went meanwhile.
+        self.p[(0, 0)] += (ACROSS * off) * (ACROSS * off);
+    }
+
+    /// Passes time, with the mean power in watt now.
+    pub fn advance(&mut self, t_s: f64, power_w: f64) {
+        let dt_s = (t_s - self.t_s).clamp(0.0, 3600.0);
+        self.t_s = self.t_s.max(t_s);
+        let kept = (-dt_s / RATE_LASTS_S).exp();
+        let lasted_s = RATE_LASTS_S * (1.0 - kept);
+        let mut f = Matrix::identity();
+        f[(0, 1)] = lasted_s;
+        f[(1, 1)] = kept;
+        self.x = f * self.x;
+        self.p = f * self.p * f.transpose();
+        let rate_var = RATE_K_PER_S * RATE_K_PER_S * (1.0 - kept * kept);
+        self.p[(1, 1)] += rate_var;
+        self.p[(0, 0)] += rate_var * dt_s * dt_s / 3.0;
+        self.p[(2, 2)] += BOWING_MM * BOWING_MM * dt_s;
+        if self.power_w.is_nan() {
+            self.power_w = power_w;
+        }
+        let (share, unsure) = POWER_STEP;
+        let step_w = power_w - self.power_w;
+        if step_w.abs() > share * self.power_w.max(power_w).max(100.0) {
+            let change = step_w / self.base_j_per_k;
+            self.x[1] += change;
+            self.p[(1, 1)] += (unsure * change) * (unsure * change);
+            self.power_w = power_w;
+        }
+    }
+
+    /// What a batch says; [`Filter::advance`] comes first.
+    pub fn update(&mut self, batch: &Batch) -> Seen {
+        let at = (batch.f_hz.ln(), batch.i_a.ln());
+        let moved = self
+            .at
+            .replace(at)
+            .map_or(0.0, |(f, i)| (at.0 - f).abs() + (at.1 - i).abs());
+        self.p[(3, 3)] += MODEL.0 * MODEL.0 * moved;
+        self.p[(4, 4)] += MODEL.1 * MODEL.1 * moved;
+        let first = *self.first_ln_f.get_or_insert(at.0);
+        let innovation = self.innovation(batch, at.0 - first);
+        if !innovation.r.iter().all(|r| r.is_finite()) {
+            return Seen::Same;
+        }
+        if innovation.chi2(&self.p) < UNLIKELY {
+            self.correct(&innovation);
+            return Seen::Same;
+        }
+        // Quicker than heat: it was moved.
+        let before = self.x;
+        self.p[(2, 2)] += MOVED.0 * MOVED.0;
+        let straight = innovation.chi2(&self.p) < UNLIKELY;
+        if !straight {
+            self.p[(3, 3)] += MOVED.1 * MOVED.1;
+            self.p[(4, 4)] += MOVED.1 * MOVED.1;
+        }
+        self.correct(&innovation);
+        let change = self.x - before;
+        let told = change[2].abs() > TOLD.0 || change[3].abs().max(change[4].abs()) > TOLD.1;
+        match told {
+            true => Seen::Moved {
+                lift_mm: change[2],
+                straight,
+            },
+            false => Seen::Same,
+        }
+    }
+
+    fn innovation(&self, batch: &Batch, ln_f: f64) -> Innovation {
+        let (change, slope) = self.metal.ln_s_change(self.x[0]);
+        let pot = PotModel {
+            ln_s: self.pot.ln_s + change,
+            lift_m: self.pot.lift_m + 1e-3 * self.x[2],
+            ..self.pot
+        };
+        let z = pot.impedance(batch.f_hz, batch.i_a);
+        let heat = pot.by_ln_s(batch.f_hz, batch.i_a);
+        let lift = pot.by_lift(batch.f_hz, batch.i_a);
+        let permille = 1e3;
+        let mut h = SMatrix::<f64, 2, 7>::zeros();
+        h[(0, 0)] = permille * heat.ln_r * slope;
+        h[(1, 0)] = permille * heat.ln_l * slope;
+        // Per metre is ‰ per mm.
+        h[(0, 2)] = lift.ln_r;
+        h[(1, 2)] = lift.ln_l;
+        h[(0, 3)] = 1.0;
+        h[(1, 4)] = 1.0;
+        h[(0, 5)] = ln_f;
+        h[(1, 6)] = ln_f;
+        let r = [
+            permille * (batch.ln_r - z.r_ohm.ln()) - self.x[3] - ln_f * self.x[5],
+            permille * (batch.ln_l - z.l_h.ln()) - self.x[4] - ln_f * self.x[6],
+        ];
+        let variance = |sigma: f64| (permille * sigma) * (permille * sigma);
+        Innovation {
+            r: r.into(),
+            h,
+            noise: SMatrix::<f64, 2, 2>::new(
+                variance(batch.r_sigma),
+                0.0,
+                0.0,
+                variance(batch.l_sigma),
+            ),
+        }
+    }
+
+    fn correct(&mut self, innovation: &Innovation) {
+        let Innovation { r, h, noise } = innovation;
+        let Some(inverse) = innovation.covariance(&self.p).try_inverse() else {
+            return;
+        };
+        let gain = self.p * h.transpose() * inverse;
+        self.x += gain * r;
+        // Joseph's form: stays a covariance.
+        let left = Matrix::identity() - gain * h;
+        self.p = left * self.p * left.transpose() + gain * noise * gain.transpose();
+    }
+}

@@ -1,0 +1,119 @@
+//! Least squares with Gaussian priors, damped (Levenberg-Marquardt), with a numeric Jacobian.
+
+use nalgebra::{SMatrix, SVector};
+
+/// A parameter's expectation: mean and standard deviation. A thousandth of the latter is the step of its derivative.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Prior {
+    pub mean: f64,
+    pub sigma: f64,
+}
+
+/// A fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Fitted<const N: usize> {
+    pub x: [f64; N],
+    /// Σ of squared residuals, the priors' included.
+    pub chi2: f64,
+}
+
+/// Fits `residuals` (each over its σ, written to the buffer) from `start`, with at most `steps` steps. A point at which a
+/// residual is not finite is never taken.
+pub(crate) fn fit<const N: usize>(
+    priors: &[Prior; N],
+    start: [f64; N],
+    steps: usize,
+    mut residuals: impl FnMut(&[f64; N], &mut Vec<f64>),
+) -> Fitted<N> {
+    let (mut here, mut there) = (Vec::new(), Vec::new());
+    let mut at = |x: &[f64; N], out: &mut Vec<f64>| {
+        out.clear();
+        residuals(x, out);
+        for (x, prior) in x.iter().zip(priors) {
+            out.push((x - prior.mean) / prior.sigma);
+        }
+        let sum: f64 = out.iter().map(|r| r * r).sum();
+        if sum.is_finite() { sum } else { f64::INFINITY }
+    };
+    let mut best = Fitted {
+        x: start,
+        chi2: at(&start, &mut here),
+    };
+    let mut damping = 1e-3;
+    for _ in 0..steps {
+        let mut columns: Vec<Vec<f64>> = Vec::with_capacity(N);
+        for k in 0..N {
+            let mut x = best.x;
+            let step = 1e-3 * priors[k].sigma;
+            x[k] += step;
+            at(&x, &mut there);
+            columns.push(
+                there
+                    .iter()
+                    .zip(&here)
+                    .map(|(a, b)| (a - b) / step)
+                    .collect(),
+            );
+        }
+        let normal = SMatrix::<f64, N, N>::from_fn(|m, n| dot(&columns[m], &columns[n]));
+        let right = SVector::<f64, N>::from_fn(|m, _| -dot(&columns[m], &here));
+        let before = best.chi2;
+        for _ in 0..6 {
+            let mut damped = normal;
+            for k in 0..N {
+                damped[(k, k)] *= 1.0 + damping;
+            }
+            let Some(change) = damped.cholesky().map(|c| c.solve(&right)) else {
+                damping *= 10.0;
+                continue;
+            };
+            let x = std::array::from_fn(|k| best.x[k] + change[k]);
+            let chi2 = at(&x, &mut there);
+            if chi2 < best.chi2 {
+                best = Fitted { x, chi2 };
+                std::mem::swap(&mut here, &mut there);
+                damping = (0.2 * damping).max(1e-9);
+                break;
+            }
+            damping *= 10.0;
+        }
+        if before - best.chi2 < 1e-3 {
+            break;
+        }
+    }
+    best
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curved_valley_is_followed_to_its_bottom() {
+        let wide = Prior {
+            mean: 0.0,
+            sigma: 10.0,
+        };
+        let found = fit(&[wide; 2], [-1.2, 1.0], 200, |x, out| {
+            out.push(100.0 * (x[1] - x[0] * x[0]));
+            out.push(100.0 * (1.0 - x[0]));
+        });
+        assert!((found.x[0] - 1.0).abs() < 1e-2, "{found:?}");
+    }
+
+    #[test]
+    fn without_data_the_prior_is_found_and_nan_is_never_taken() {
+        let prior = Prior {
+            mean: 3.0,
+            sigma: 0.5,
+        };
+        let found = fit(&[prior], [0.0], 20, |x, out| {
+            out.push(if x[0] > 3.2 { f64::NAN } else { 0.0 });
+        });
+        assert!((found.x[0] - 3.0).abs() < 1e-3, "{found:?}");
+    }
+}

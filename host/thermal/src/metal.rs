@@ -1,0 +1,125 @@
+//! What heat does to a pot's metal.
+
+use ihd_map::PotModel;
+use serde::{Deserialize, Serialize};
+
+/// Resistivity times saturation over temperature, both over their value at the start.
+///
+/// Coefficients of a class of metals: those of a pot's own alloy are unknown, see [`MetalLaw::SPREAD`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetalLaw {
+    /// Rise of the resistivity in 1/K, over that at the start.
+    pub resistivity_per_k: f64,
+    /// Curie point less the start's temperature in kelvin; `None` for a metal that is not ferromagnetic.
+    pub curie_rise_k: Option<f64>,
+    /// ln α and ln s of the class ([`PotModel`]) at room temperature.
+    pub ln_alpha: f64,
+    /// See `ln_alpha`.
+    pub ln_s: f64,
+}
+
+/// Where the slope is nothing, the sides of the turn are this far apart, in kelvin.
+const MOST_SIGMA_K: f64 = 60.0;
+
+impl MetalLaw {
+    /// Ferritic stainless steel (1.4016: 0.60 µΩm at 20 °C, 0.66 at 100 °C in data sheets of mills; Curie point 680 °C).
+    pub const FERRITIC: Self = Self {
+        resistivity_per_k: 1.1e-3,
+        curie_rise_k: Some(660.0),
+        ln_alpha: 7.313,
+        ln_s: -11.258,
+    };
+
+    /// Grey cast iron (EN 1561: 0.70 to 0.77 µΩm; +0.19 %/K).
+    pub const CAST_IRON: Self = Self {
+        resistivity_per_k: 1.9e-3,
+        curie_rise_k: Some(660.0),
+        ln_alpha: 8.613,
+        ln_s: -11.074,
+    };
+
+    /// Classes that a hob heats.
+    pub const ALL: [Self; 2] = [Self::FERRITIC, Self::CAST_IRON];
+
+    /// Relative standard deviation of what heat does to an unknown alloy of the class: steels differ by so much in the slope
+    /// of their resistivity.
+    pub const SPREAD: f64 = 0.12;
+
+    /// The class whose metal is nearest to a pot's.
+    pub fn of(pot: &PotModel) -> Self {
+        let off = |law: &Self| (pot.ln_alpha - law.ln_alpha).abs();
+        if off(&Self::CAST_IRON) < off(&Self::FERRITIC) {
+            Self::CAST_IRON
+        } else {
+            Self::FERRITIC
+        }
+    }
+
+    /// Change of ln s that a rise in kelvin makes, and its slope in 1/K. s² ∝ resistivity · saturation, the saturation
+    /// falls as 1 − (rise/Curie rise)²: the slope turns near 200 K.
+    pub fn ln_s_change(&self, rise_k: f64) -> (f64, f64) {
+        // A metal that is frozen or molten is none that stands on a hob.
+        let rise_k = rise_k.clamp(-200.0, 1000.0);
+        let resistivity = (1.0 + self.resistivity_per_k * rise_k).max(0.1);
+        let mut change = 0.5 * resistivity.ln();
+        let mut slope = 0.5 * self.resistivity_per_k / resistivity;
+        if let Some(curie_k) = self.curie_rise_k {
+            let x = (rise_k.max(0.0) / curie_k).min(0.95);
+            let left = 1.0 - x * x;
+            change += 0.5 * left.ln();
+            slope -= x / (curie_k * left);
+        }
+        (change, slope)
+    }
+
+    /// The same where not even the class is known: cast iron changes 1.7 times as much as ferritic steel.
+    pub const CLASS_SPREAD: f64 = 0.5;
+
+    /// Standard deviation in kelvin of a rise that an unknown alloy leaves whose effect has this relative one: near the turn the same R
+    /// and L may be many rises.
+    pub fn alloy_sigma_k(&self, rise_k: f64, spread: f64) -> f64 {
+        let (change, slope) = self.ln_s_change(rise_k);
+        (spread * (change / slope).abs()).min(MOST_SIGMA_K)
+    }
+
+    /// Rise in kelvin at which R and L stop rising and begin to fall; infinite where they never do.
+    pub fn turning_rise_k(&self) -> f64 {
+        // d ln ρ = −d ln B: a/(1 + a t) = 2t/(c² − t²), the root of 3a t² + 2t − a c² = 0.
+        let a = self.resistivity_per_k;
+        self.curie_rise_k.map_or(f64::INFINITY, |c| {
+            ((1.0 + 3.0 * a * a * c * c).sqrt() - 1.0) / (3.0 * a)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_slope_is_the_derivative_and_turns_where_it_says() {
+        for law in MetalLaw::ALL {
+            for rise_k in [-10.0, 1.0, 80.0, 300.0] {
+                let d = 1e-3;
+                let numeric =
+                    (law.ln_s_change(rise_k + d).0 - law.ln_s_change(rise_k - d).0) / (2.0 * d);
+                assert!((numeric - law.ln_s_change(rise_k).1).abs() < 1e-9);
+            }
+            let turn_k = law.turning_rise_k();
+            assert!((150.0..350.0).contains(&turn_k), "{turn_k}");
+            assert!(law.ln_s_change(turn_k).1.abs() < 1e-9);
+        }
+    }
+
+    /// Against the simulator's metals, which are written for themselves.
+    #[test]
+    fn classes_are_the_simulators_metals() {
+        use ihd_sim::pot::Metal;
+        for (law, metal) in MetalLaw::ALL.iter().zip([Metal::Ferritic, Metal::CastIron]) {
+            for rise_k in [30.0, 130.0, 300.0] {
+                let expected = 0.5 * metal.heat_factor(20.0 + rise_k).ln();
+                assert!((law.ln_s_change(rise_k).0 - expected).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Which pot was put on: [`PotModel`] from the operating points that heating begins with.
+
+use ihd_map::PotModel;
+
+use crate::batch::HalfCycle;
+use crate::gauss_newton::{Prior, fit};
+use crate::metal::MetalLaw;
+
+/// Operating points that are kept at most.
+const MOST: usize = 40;
+
+/// A point is another one when frequency or current have moved by so much.
+const APART: f64 = 0.04;
+
+/// Relative errors of the device's R and L at one half-cycle, noise and bias: docs/accuracy.md has .5 and .3 % in the
+/// middle of a settled half-cycle; after a frequency step they are larger.
+const SIGMA: (f64, f64) = (0.01, 0.006);
+
+/// Steps of the fit at most.
+const STEPS: usize = 30;
+
+/// Winding and leads of the hob's coil, in ohm, and how well it is known.
+const WINDING_OHM: (f64, f64) = (0.1, 0.02);
+
+/// An operating point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Point {
+    f_hz: f64,
+    i_a: f64,
+    ln_r: f64,
+    ln_l: f64,
+    /// How many half-cycles it is the mean of.
+    weight: f64,
+}
+
+/// Gathers operating points of a pot that was just put on.
+#[derive(Clone, Debug, Default)]
+pub struct Placement {
+    points: Vec<Point>,
+}
+
+/// The pot that was put on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// Its physics.
+    pub pot: PotModel,
+    /// Its class of metals.
+    pub metal: MetalLaw,
+    /// χ² of the other class less this one's: above 10 there is no doubt.
+    pub margin: f64,
+}
+
+impl Placement {
+    /// A half-cycle that heats.
+    pub fn push(&mut self, h: &HalfCycle) {
+        let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
+            .iter()
+            .all(|x| x.is_finite() && *x > 0.0);
+        if !h.heats || !usable {
+            return;
+        }
+        let near = |p: &&mut Point| {
+            (h.f_hz / p.f_hz - 1.0).abs() < APART && (h.i_a / p.i_a - 1.0).abs() < APART
+        };
+        let (ln_r, ln_l) = (h.r_ohm.ln(), h.l_h.ln());
+        if let Some(p) = self.points.iter_mut().find(near) {
+            // The mean of all: bias stays, noise goes.
+            p.weight += 1.0;
+            for (mean, x) in [
+                (&mut p.f_hz, h.f_hz),
+                (&mut p.i_a, h.i_a),
+                (&mut p.ln_r, ln_r),
+                (&mut p.ln_l, ln_l),
+            ] {
+                *mean += (x - *mean) / p.weight;
+            }
+        } else if self.points.len() < MOST {
+            self.points.push(Point {
+                f_hz: h.f_hz,
+                i_a: h.i_a,
+                ln_r,
+                ln_l,
+                weight: 1.0,
+            });
+        }
+    }
+
+    /// Operating points so far.
+    pub fn points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// The pot that explains the points best; `None` without any.
+    pub fn place(&self) -> Option<Placed> {
+        if self.points.is_empty() {
+            return None;
+        }
+        let mut fits = MetalLaw::ALL.map(|metal| {
+            let fitted = self.fit(&metal);
+            (metal, fitted)
+        });
+        fits.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
+        let [(metal, (pot, chi2)), (_, (_, other))] = fits;
+        chi2.is_finite().then_some(Placed {
+            pot,
+            metal,
+            margin: other - chi2,
+        })
+    }
+
+    fn fit(&self, metal: &MetalLaw) -> (PotModel, f64) {
+        let prior = |mean, sigma| Prior { mean, sigma };
+        let priors = [
+            // Alloys of a class.
+            prior(metal.ln_alpha, 0.2),
+            prior(metal.ln_s, 0.1),
+            prior(0.09, 0.02),
+            // Bases that are not flat, feet of a pot.
+            prior(0.5e-3, 0.7e-3),
+            prior(WINDING_OHM.0, WINDING_OHM.1),
+        ];
+        let start = priors.map(|p| p.mean);
+        let pot = |x: &[f64; 5]| PotModel {
+            ln_alpha: x[0],
+            ln_s: x[1],
+            radius_m: x[2],
+            lift_m: x[3],
+            winding_r_ohm: x[4],
+            ..PotModel::PAPER
+        };
+        let found = fit(&priors, start, STEPS, |x, out| {
+            let model = pot(x);
+            for p in &self.points {
+                let z = model.impedance(p.f_hz, p.i_a);
+                // Many half-cycles at a point leave its bias.
+                let shrink = (1.0 / p.weight).sqrt().max(0.3);
+                out.push((p.ln_r - z.r_ohm.ln()) / (SIGMA.0 * shrink));
+                out.push((p.ln_l - z.l_h.ln()) / (SIGMA.1 * shrink));
+            }
+        });
+        (pot(&found.x), found.chi2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Met at one operating point, as when heating began before.
+    fn placed(ln_alpha: f64, ln_s: f64) -> Placed {
+        let pot = PotModel {
+            ln_alpha,
+            ln_s,
+            radius_m: 0.09,
+            winding_r_ohm: 0.1,
+            ..PotModel::PAPER
+        };
+        let mut placement = Placement::default();
+        for _ in 0..50 {
+            let z = pot.impedance(45e3, 40.0);
+            placement.push(&HalfCycle {
+                t_s: 0.0,
+                f_hz: 45e3,
+                i_a: 40.0,
+                r_ohm: z.r_ohm,
+                l_h: z.l_h,
+                power_w: 1500.0,
+                heats: true,
+            });
+        }
+        placement.place().unwrap()
+    }
+
+    #[test]
+    fn the_class_is_known_where_the_metal_is_of_one_and_not_between() {
+        for law in MetalLaw::ALL {
+            let found = placed(law.ln_alpha, law.ln_s);
+            println!("{found:?}");
+            assert_eq!(found.metal, law);
+            assert!((found.pot.radius_m - 0.09).abs() < 0.01, "{found:?}");
+        }
+        let [a, b] = MetalLaw::ALL;
+        let sure = placed(a.ln_alpha, a.ln_s).margin;
+        let between = placed(0.5 * (a.ln_alpha + b.ln_alpha), 0.5 * (a.ln_s + b.ln_s)).margin;
+        println!("{sure} {between}");
+        assert!(between < 0.5 * sure && between < 9.0, "{between} {sure}");
+    }
+}

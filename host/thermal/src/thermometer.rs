@@ -1,0 +1,311 @@
+//! The whole: half-cycles in, ΔT with its deviation and what happened out.
+
+use serde::{Deserialize, Serialize};
+
+use crate::batch::{Batches, HalfCycle};
+use crate::contents::{BASE_J_PER_M2K, Contents, WALL_J_PER_K};
+use crate::filter::{Filter, Seen};
+use crate::metal::MetalLaw;
+use crate::placement::Placement;
+use crate::turning::Turning;
+
+/// Half-cycles further apart than this, in seconds, are not of one run: the device was away, or its clock began anew.
+const GAP_S: f64 = 120.0;
+
+/// Time between two looks at the curve, in seconds.
+const TICK_S: f64 = 0.5;
+
+/// Memory of the mean power in seconds, with bursts, which come once a second, and without; and how long after the last of them.
+const MEAN_S: f64 = 2.0;
+const SHORT_S: f64 = 0.05;
+const BURST_S: f64 = 3.0;
+
+/// ΔT above which nothing that holds water can be, in kelvin: said as overheating; and below which it is over.
+const OVERHEATS_K: (f64, f64) = (180.0, 150.0);
+
+/// ΔT above which the contents are not looked at any more, in kelvin: water that was put on at 0 °C holds a base below 120 K
+/// of rise, with an alloy that is off by a tenth below this. What is hotter has no water in it.
+const NO_WATER_K: f64 = 140.0;
+
+/// χ² by which the other class of metals has to be worse, for this one to be sure: 3 σ.
+const SURE: f64 = 9.0;
+
+/// A deviation beyond which ΔT says nothing, in kelvin.
+const UNKNOWN_K: f64 = 40.0;
+
+/// What is known of a pot now.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// On the clock of the half-cycles, in seconds.
+    pub t_s: f64,
+    /// Rise of the base's temperature since the pot was put on, in kelvin.
+    pub rise_k: f64,
+    /// Its standard deviation, the unknown alloy included, in kelvin.
+    pub sigma_k: f64,
+    /// Lift since the pot was put on, in mm.
+    pub lift_mm: f64,
+    /// Its standard deviation in mm.
+    pub lift_sigma_mm: f64,
+    /// Bubbles carry most of the heat from the base: it is on its plateau.
+    pub bubbles: bool,
+    /// All of the contents boil.
+    pub boils: bool,
+    /// Nothing with water in it is so much warmer than it was.
+    pub overheats: bool,
+}
+
+/// Something that happened to a pot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "what", rename_all = "kebab-case")]
+pub enum PotEvent {
+    /// A pot was put on, and ΔT begins at 0.
+    Placed {
+        /// Diameter of its base in metre, as far as R and L tell.
+        diameter_m: f64,
+        /// Its metal is taken for cast iron; else for ferritic steel.
+        is_cast_iron: bool,
+        /// The other one would fit much worse; else R and L are between both, or were seen at too few operating points.
+        is_sure: bool,
+    },
+    /// The geometry changed: R and L moved apart, quicker than heat can.
+    Moved {
+        /// Change of lift in mm.
+        lift_mm: f64,
+        /// Lift alone explains it; else it was shifted, too.
+        straight: bool,
+    },
+    /// The base is on its plateau: bubbles carry the heat.
+    Bubbles,
+    /// The contents boil.
+    Boils {
+        /// Since when, on the clock of the half-cycles, in seconds.
+        since_s: f64,
+    },
+    /// ΔT is beyond what water allows.
+    Overheats {
+        /// ΔT in kelvin.
+        rise_k: f64,
+        /// It is beyond the turn where R and L fall with heat: toward the Curie point.
+        toward_curie: bool,
+    },
+}
+
+/// Follows the pot on one coil.
+#[derive(Clone, Debug, Default)]
+pub struct Thermometer {
+    last: Option<HalfCycle>,
+    batches: Batches,
+    placement: Placement,
+    /// Energy since the pot was put on, until it is known, in joule.
+    energy_j: f64,
+    tracked: Option<Box<Tracked>>,
+    events: Vec<PotEvent>,
+}
+
+#[derive(Clone, Debug)]
+struct Tracked {
+    filter: Filter,
+    contents: Contents,
+    tick_s: f64,
+    energy_j: f64,
+    /// Mean power in watt, over some bursts.
+    mean_w: f64,
+    /// When it was off last.
+    off_s: f64,
+    /// What is told once.
+    bubbles: bool,
+    boils: bool,
+    overheats: bool,
+    toward_curie: bool,
+    turning: Turning,
+    /// Relative standard deviation of what heat does to its metal.
+    spread: f64,
+    /// It was too hot for water.
+    no_water: bool,
+}
+
+impl Thermometer {
+    /// The pot was taken away, or another one may stand there: ΔT begins anew.
+    pub fn begin_anew(&mut self) {
+        let events = std::mem::take(&mut self.events);
+        *self = Self {
+            events,
+            ..Self::default()
+        };
+    }
+
+    /// A half-cycle. Time that goes backwards, or a gap of two minutes, begins anew.
+    pub fn push(&mut self, h: &HalfCycle) {
+        if !h.t_s.is_finite() {
+            return;
+        }
+        let dt_s = self.last.map_or(0.0, |last| h.t_s - last.t_s);
+        if !(0.0..=GAP_S).contains(&dt_s) {
+            self.begin_anew();
+        }
+        // Where half-cycles were lost, the power went on as it was.
+        let power_w = match h.power_w.is_finite() {
+            true => h.power_w.max(0.0),
+            false => 0.0,
+        };
+        let energy_j = power_w * dt_s.clamp(0.0, GAP_S);
+        self.last = Some(*h);
+        let batch = self.batches.push(h);
+        match &mut self.tracked {
+            None => {
+                self.energy_j += energy_j;
+                self.placement.push(h);
+                if batch.is_some() {
+                    self.place(h.t_s);
+                }
+            }
+            Some(tracked) => {
+                tracked.energy_j += energy_j;
+                tracked.mean_power(h.t_s, dt_s, power_w);
+                if let Some(batch) = batch {
+                    tracked.filter.advance(batch.t_s, tracked.mean_w);
+                    if let Seen::Moved { lift_mm, straight } = tracked.filter.update(&batch) {
+                        self.events.push(PotEvent::Moved { lift_mm, straight });
+                    }
+                }
+                if h.t_s - tracked.tick_s >= TICK_S {
+                    tracked.tick(h.t_s, &mut self.events);
+                }
+            }
+        }
+    }
+
+    fn place(&mut self, t_s: f64) {
+        let Some(placed) = self.placement.place() else {
+            return;
+        };
+        let is_sure = placed.margin > SURE;
+        // At first the base keeps what it gets.
+        let radius_m = placed.pot.radius_m;
+        let area_m2 = std::f64::consts::PI * radius_m * radius_m;
+        let base_j_per_k = BASE_J_PER_M2K * area_m2 + WALL_J_PER_K;
+        let rise_k = self.energy_j / base_j_per_k;
+        let rate_k_per_s = self.last.map_or(0.0, |last| last.power_w) / base_j_per_k;
+        self.events.push(PotEvent::Placed {
+            diameter_m: 2.0 * placed.pot.radius_m,
+            is_cast_iron: placed.metal == MetalLaw::CAST_IRON,
+            is_sure,
+        });
+        let mut contents = Contents::new(placed.pot.radius_m, t_s);
+        contents.push(t_s, self.energy_j, Some(rise_k));
+        self.tracked = Some(Box::new(Tracked {
+            filter: Filter::new(
+                placed.pot,
+                placed.metal,
+                t_s,
+                (rise_k, rate_k_per_s),
+                base_j_per_k,
+            ),
+            contents,
+            tick_s: t_s,
+            energy_j: 0.0,
+            off_s: f64::NEG_INFINITY,
+            mean_w: self.last.map_or(0.0, |last| last.power_w),
+            bubbles: false,
+            boils: false,
+            overheats: false,
+            toward_curie: false,
+            turning: Turning::default(),
+            spread: match is_sure {
+                true => MetalLaw::SPREAD,
+                false => MetalLaw::CLASS_SPREAD,
+            },
+            no_water: false,
+        }));
+    }
+
+    /// What is known now; `None` before a pot is.
+    pub fn reading(&self) -> Option<Reading> {
+        let tracked = self.tracked.as_ref()?;
+        let (rise_k, filter_k) = tracked.filter.rise_k();
+        let (lift_mm, lift_sigma_mm) = tracked.filter.lift_mm();
+        let alloy_k = tracked.filter.metal().alloy_sigma_k(rise_k, tracked.spread);
+        Some(Reading {
+            t_s: tracked.tick_s,
+            rise_k,
+            sigma_k: (filter_k * filter_k + alloy_k * alloy_k).sqrt(),
+            lift_mm,
+            lift_sigma_mm,
+            bubbles: tracked.bubbles,
+            boils: tracked.boils,
+            overheats: tracked.overheats,
+        })
+    }
+
+    /// Evidence for boiling: χ² by which a pot that does not boil explains the curve worse.
+    pub fn evidence(&self) -> f64 {
+        let tracked = self.tracked.as_ref();
+        tracked.map_or(0.0, |t| t.contents.verdict().evidence)
+    }
+
+    /// What happened since it was last asked.
+    pub fn take_events(&mut self) -> Vec<PotEvent> {
+        std::mem::take(&mut self.events)
+    }
+}
+
+impl Tracked {
+    /// The power between bursts and within them is their mean; without bursts it is that of the half-cycle.
+    fn mean_power(&mut self, t_s: f64, dt_s: f64, power_w: f64) {
+        if power_w < 1.0 {
+            self.off_s = t_s;
+        }
+        let memory_s = match t_s - self.off_s < BURST_S {
+            true => MEAN_S,
+            false => SHORT_S,
+        };
+        self.mean_w += (1.0 - (-dt_s.max(0.0) / memory_s).exp()) * (power_w - self.mean_w);
+    }
+
+    fn tick(&mut self, t_s: f64, events: &mut Vec<PotEvent>) {
+        self.tick_s = t_s;
+        self.filter.advance(t_s, self.mean_w);
+        let (rise_k, _) = self.filter.rise_k();
+        let across = self
+            .turning
+            .look(self.filter.metal(), t_s, rise_k, self.mean_w);
+        if let Some(rise_k) = across {
+            self.filter.set_rise(rise_k);
+        }
+        let (rise_k, sigma_k) = self.filter.rise_k();
+        self.look_for_heat(rise_k, sigma_k, events);
+        let energy_j = std::mem::take(&mut self.energy_j);
+        self.no_water |= rise_k > NO_WATER_K;
+        if self.no_water {
+            (self.bubbles, self.boils) = (false, false);
+            return;
+        }
+        let known = (sigma_k < UNKNOWN_K).then_some(rise_k);
+        self.contents.push(t_s, energy_j, known);
+        let verdict = self.contents.verdict();
+        if verdict.bubbles && !self.bubbles {
+            events.push(PotEvent::Bubbles);
+        }
+        self.bubbles = verdict.bubbles;
+        if let Some(since_s) = verdict.boils_since_s.filter(|_| !self.boils) {
+            events.push(PotEvent::Boils { since_s });
+        }
+        self.boils = verdict.boils;
+    }
+
+    fn look_for_heat(&mut self, rise_k: f64, sigma_k: f64, events: &mut Vec<PotEvent>) {
+        let sigma_k = sigma_k.hypot(self.filter.metal().alloy_sigma_k(rise_k, self.spread));
+        let (above_k, over_k) = OVERHEATS_K;
+        let turn_k = self.filter.metal().turning_rise_k();
+        let curie = self.turning.is_beyond() || rise_k - sigma_k > turn_k;
+        let overheats = rise_k - sigma_k > above_k;
+        if (overheats && !self.overheats) || (curie && !self.toward_curie) {
+            events.push(PotEvent::Overheats {
+                rise_k,
+                toward_curie: curie,
+            });
+        }
+        self.overheats = overheats || (self.overheats && rise_k > over_k);
+        self.toward_curie = curie || (self.toward_curie && rise_k > over_k);
+    }
+}

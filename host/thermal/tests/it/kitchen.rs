@@ -1,0 +1,245 @@
+//! Cooking from tables of the field, with pots, noise and bias that the thermometer does not know.
+
+use ihd_sim::cooking::{Cooked, Cooking, Deviation};
+use ihd_sim::pot::Pot;
+use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+
+/// A pot that is none of its kind: 2 % off in R, 1 % in L, 1 % an e-fold of frequency, bowing by 0.1 mm over 100 K.
+const ODD: Deviation = Deviation {
+    scale: (0.02, -0.01),
+    slope: (0.01, 0.005),
+    alloy: 0.0,
+    bow_m: 0.1e-3,
+};
+
+fn seen(c: &Cooked) -> HalfCycle {
+    HalfCycle {
+        t_s: c.t_s,
+        f_hz: c.f_hz,
+        i_a: c.i_a,
+        r_ohm: c.r_ohm,
+        l_h: c.l_h,
+        power_w: c.power_w,
+        heats: c.f_hz > 0.0,
+    }
+}
+
+struct Kitchen {
+    cooking: Cooking,
+    thermometer: Thermometer,
+    events: Vec<(f64, PotEvent)>,
+    /// Σ of squared errors of ΔT in K², and of those over σ, and how many, with the base below 150 °C.
+    squares: (f64, f64, u32),
+    boils_s: Option<f64>,
+    bubbles_s: Option<f64>,
+}
+
+impl Kitchen {
+    fn new(pot: &str, contents: &str, seed: u64) -> Self {
+        let pot = Pot {
+            lift_m: 0.5e-3,
+            ..pot.parse().unwrap()
+        };
+        Self {
+            cooking: Cooking::new(pot, contents.parse().unwrap(), ODD, seed).unwrap(),
+            thermometer: Thermometer::default(),
+            events: Vec::new(),
+            squares: (0.0, 0.0, 0),
+            boils_s: None,
+            bubbles_s: None,
+        }
+    }
+
+    /// Cooks with a power over time in seconds and the base's temperature in °C.
+    fn cook(mut self, seconds: f64, power_w: impl Fn(f64, f64) -> f64) -> Self {
+        let until_s = self.cooking.t_s() + seconds;
+        let mut look_s = self.cooking.t_s();
+        while self.cooking.t_s() < until_s {
+            let base_c = self.cooking.thermal().temperature_c();
+            self.cooking.set_power(power_w(self.cooking.t_s(), base_c));
+            let cooked = self.cooking.half_cycle();
+            self.thermometer.push(&seen(&cooked));
+            let events = self.thermometer.take_events();
+            self.events
+                .extend(events.into_iter().map(|e| (cooked.t_s, e)));
+            let thermal = self.cooking.thermal();
+            if thermal.is_boiling() {
+                self.boils_s.get_or_insert(cooked.t_s);
+            }
+            if thermal.bubble_share() > 0.5 {
+                self.bubbles_s.get_or_insert(cooked.t_s);
+            }
+            let reading = self.thermometer.reading().filter(|_| cooked.t_s >= look_s);
+            if let Some(reading) = reading {
+                look_s += 1.0;
+                let off_k = reading.rise_k - (base_c - 20.0);
+                if base_c < 150.0 {
+                    self.squares.0 += off_k * off_k;
+                    self.squares.1 += (off_k / reading.sigma_k).powi(2);
+                    self.squares.2 += 1;
+                }
+            }
+        }
+        self
+    }
+
+    fn lifted(mut self, lift_m: f64) -> Self {
+        self.cooking.set_lift(lift_m);
+        self
+    }
+
+    fn rms_k(&self) -> f64 {
+        (self.squares.0 / f64::from(self.squares.2)).sqrt()
+    }
+
+    fn z_rms(&self) -> f64 {
+        (self.squares.1 / f64::from(self.squares.2)).sqrt()
+    }
+
+    fn said(&self, is: impl Fn(&PotEvent) -> bool) -> Option<f64> {
+        self.events.iter().find(|(_, e)| is(e)).map(|(t_s, _)| *t_s)
+    }
+
+    fn boil_said_s(&self) -> Option<f64> {
+        self.said(|e| matches!(e, PotEvent::Boils { .. }))
+    }
+}
+
+#[test]
+fn a_boil_is_followed_from_cold_water_on() {
+    for (pot, contents, power_w, seconds) in [
+        ("ferritic-21", "water-1.5", 2000.0, 450.0),
+        ("cast-iron-21", "water-1", 1300.0, 450.0),
+        ("ferritic-15", "water-0.5", 800.0, 400.0),
+    ] {
+        let k = Kitchen::new(pot, contents, 7).cook(seconds, |_, _| power_w);
+        println!(
+            "{pot}: {} K, z {}, {:?} {:?}",
+            k.rms_k(),
+            k.z_rms(),
+            k.boils_s,
+            k.events
+        );
+        assert!(k.rms_k() < 5.0 && k.z_rms() < 1.5);
+        let is_iron = pot.starts_with("cast");
+        assert!(k.events.iter().any(|(_, e)| matches!(e,
+            PotEvent::Placed { is_cast_iron, is_sure: true, .. } if *is_cast_iron == is_iron)));
+        let (said, truth) = (k.boil_said_s().unwrap(), k.boils_s.unwrap());
+        assert!((said - truth).abs() < 30.0, "{said} {truth}");
+        let bubbles_s = k.said(|e| *e == PotEvent::Bubbles).unwrap();
+        assert!(
+            (bubbles_s - k.bubbles_s.unwrap()).abs() < 45.0,
+            "{bubbles_s}"
+        );
+        assert_eq!(k.said(|e| matches!(e, PotEvent::Moved { .. })), None);
+    }
+}
+
+#[test]
+fn steps_of_power_carry_the_rise_over() {
+    let k = Kitchen::new("ferritic-18", "water-2", 3).cook(300.0, |t_s, _| {
+        if ((t_s / 20.0) as u32).is_multiple_of(2) {
+            1500.0
+        } else {
+            800.0
+        }
+    });
+    println!("{} K {:?}", k.rms_k(), k.events);
+    assert!(k.rms_k() < 6.0 && k.boil_said_s().is_none());
+}
+
+#[test]
+fn a_pot_that_is_lifted_is_told_and_keeps_its_temperature() {
+    let k = Kitchen::new("ferritic-21", "water-2", 5)
+        .cook(100.0, |_, _| 1500.0)
+        .lifted(1.2e-3)
+        .cook(100.0, |_, _| 1500.0);
+    let moved: Vec<_> = k
+        .events
+        .iter()
+        .filter_map(|(t_s, e)| match e {
+            PotEvent::Moved { lift_mm, .. } => Some((*t_s, *lift_mm)),
+            _ => None,
+        })
+        .collect();
+    let lift_mm: f64 = moved.iter().map(|m| m.1).sum();
+    println!("{} K {moved:?}", k.rms_k());
+    assert!(
+        !moved.is_empty() && moved.iter().all(|m| (100.0..103.0).contains(&m.0)),
+        "{moved:?}"
+    );
+    assert!((lift_mm - 0.7).abs() < 0.2, "{lift_mm} mm");
+    assert!(k.rms_k() < 5.0);
+}
+
+#[test]
+fn what_cannot_boil_is_never_said_to() {
+    let k = Kitchen::new("ferritic-18", "oil-0.8", 1)
+        .cook(600.0, |_, base_c| if base_c > 160.0 { 0.0 } else { 1200.0 });
+    assert_eq!(k.boil_said_s(), None, "oil held by switching");
+    let k = Kitchen::new("ferritic-21", "oil-1", 2).cook(600.0, |_, base_c| {
+        (1400.0 - 30.0 * (base_c - 100.0f64).max(0.0)).max(100.0)
+    });
+    assert_eq!(k.boil_said_s(), None, "oil held by power");
+    let k = Kitchen::new("ferritic-21", "food", 3).cook(500.0, |_, _| 1100.0);
+    assert_eq!(k.boil_said_s(), None, "food that comes to rest");
+    let k = Kitchen::new("ferritic-18", "water-1", 4)
+        .cook(600.0, |t_s, _| if t_s < 120.0 { 1000.0 } else { 150.0 });
+    assert_eq!((k.boils_s, k.boil_said_s()), (None, None), "a simmer");
+}
+
+#[test]
+fn an_empty_pot_overheats_and_passes_the_turn() {
+    let k = Kitchen::new("ferritic-18", "empty", 7).cook(300.0, |_, _| 800.0);
+    assert_eq!(k.boil_said_s(), None);
+    let said = k.said(|e| matches!(e, PotEvent::Overheats { .. })).unwrap();
+    let truth_k = k.cooking.thermal().temperature_c() - 20.0;
+    let found = k.thermometer.reading().unwrap();
+    println!("{said} s, at the end {truth_k} K, {found:?}");
+    assert!(found.overheats && truth_k > 220.0);
+    assert!(
+        (found.rise_k - truth_k).abs() < found.sigma_k.max(40.0),
+        "{found:?}"
+    );
+}
+
+#[test]
+fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
+    let mut k = Kitchen::new("ferritic-21", "water-2", 5).cook(30.0, |_, _| 1500.0);
+    let before = k.thermometer.reading().unwrap();
+    let good = seen(&k.cooking.half_cycle());
+    for bad in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300] {
+        for field in 0..4 {
+            let mut h = good;
+            *[&mut h.f_hz, &mut h.i_a, &mut h.r_ohm, &mut h.l_h][field] = bad;
+            k.thermometer.push(&h);
+        }
+        k.thermometer.push(&HalfCycle {
+            t_s: f64::NAN,
+            ..good
+        });
+        k.thermometer.push(&HalfCycle {
+            power_w: f64::NAN,
+            ..good
+        });
+    }
+    let after = k.thermometer.reading().unwrap();
+    assert!(
+        (after.rise_k - before.rise_k).abs() < 3.0,
+        "{before:?} {after:?}"
+    );
+    k.thermometer.push(&HalfCycle { t_s: 1.0, ..good });
+    assert_eq!(k.thermometer.reading(), None, "time went back");
+}
+
+#[test]
+fn a_boil_after_a_long_simmer_is_found() {
+    let k = Kitchen::new("ferritic-21", "water-2", 9)
+        .cook(3300.0, |t_s, _| if t_s < 2500.0 { 200.0 } else { 1500.0 });
+    println!("{} K {:?} {:?}", k.rms_k(), k.boils_s, k.events);
+    let (said, truth) = (k.boil_said_s().unwrap(), k.boils_s.unwrap());
+    assert!(
+        truth > 2500.0 && (said - truth).abs() < 90.0,
+        "{said} {truth}"
+    );
+}

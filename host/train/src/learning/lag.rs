@@ -1,0 +1,98 @@
+//! By how much R and L follow the current's amplitude: where they do, their values at one current differ between the
+//! rising and the falling flank of the half-cycle.
+//!
+//! A load that diffuses remembers a part of a switching period; the simulator's laws see the amplitude of the period
+//! before. 14 µs are .4 % of R where it falls by a quarter in a millisecond.
+
+use ihd_map::Predicted;
+use ihd_pinn::Identified;
+use serde::{Deserialize, Serialize};
+
+/// Share of the past that counts at the next window, as in the map's curves.
+const KEPT: f64 = 0.98;
+
+/// Longest lag in seconds: three switching periods at 30 kHz. A load with more memory than that is no function of its
+/// current.
+const LONGEST_S: f64 = 100e-6;
+
+/// Currents as a share of the largest from which a time counts.
+const COUNTS_FROM: f64 = 0.05;
+
+/// What windows say of it: least squares of the deviations from the law against the law's slope in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lag {
+    weighted_s: f64,
+    weight: f64,
+}
+
+impl Lag {
+    /// Takes a window in; `law` is R and L at its currents as if nothing lagged.
+    pub fn look(&mut self, identified: &Identified, law: &[Predicted]) {
+        let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
+        let (mut product, mut square) = (0.0, 0.0);
+        for k in 1..law.len().min(identified.t_s.len()).saturating_sub(1) {
+            let i_a = identified.i_amplitude_a[k];
+            if i_a < COUNTS_FROM * most_a {
+                continue;
+            }
+            let step_s = identified.t_s[k + 1] - identified.t_s[k - 1];
+            let of = |found: f64, law: [f64; 3], share: f64| {
+                let slope = (law[2] / law[0]).ln() / step_s;
+                let off = (found / law[1]).ln();
+                // Noise of R and of L is as V over I: relative to them, as Z over each.
+                let weight = (i_a * share).powi(2);
+                (-weight * off * slope, weight * slope * slope)
+            };
+            let r = of(
+                identified.r_ohm[k],
+                [k - 1, k, k + 1].map(|n| law[n].r_ohm),
+                law[k].r_ohm,
+            );
+            // Near 50 kHz: only the balance of both hangs on it.
+            let x_ohm = 3e5 * law[k].l_h;
+            let l = of(
+                identified.l_h[k],
+                [k - 1, k, k + 1].map(|n| law[n].l_h),
+                x_ohm,
+            );
+            product += r.0 + l.0;
+            square += r.1 + l.1;
+        }
+        if product.is_finite() && square.is_finite() {
+            self.weighted_s = KEPT * self.weighted_s + product;
+            self.weight = KEPT * self.weight + square;
+        }
+    }
+
+    /// In seconds; none before a window came.
+    pub fn seconds(&self) -> f64 {
+        let found = if self.weight > 0.0 {
+            self.weighted_s / self.weight
+        } else {
+            0.0
+        };
+        found.clamp(0.0, LONGEST_S)
+    }
+
+    /// The current's amplitudes that R and L belong to at the times of a window.
+    pub fn behind(&self, identified: &Identified) -> Vec<f64> {
+        let (t_s, i_a) = (&identified.t_s, &identified.i_amplitude_a);
+        let (Some(first), Some(last), true) = (t_s.first(), t_s.last(), t_s.len() > 1) else {
+            return i_a.clone();
+        };
+        let step_s = (last - first) / (t_s.len() - 1) as f64;
+        let back = self.seconds() / step_s;
+        let at = |k: usize| {
+            let place = (k as f64 - back).max(0.0);
+            let below = (place as usize).min(t_s.len() - 2);
+            i_a[below] + (place - below as f64) * (i_a[below + 1] - i_a[below])
+        };
+        (0..t_s.len()).map(at).collect()
+    }
+
+    /// Numbers that a window can have taught.
+    pub fn is_sound(&self) -> bool {
+        self.weighted_s.is_finite() && self.weight.is_finite() && self.weight >= 0.0
+    }
+}

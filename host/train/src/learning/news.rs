@@ -1,0 +1,72 @@
+//! Whether a lookup is worth pushing: a board keeps each one in its flash.
+
+use ihd_map::Curve;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a};
+
+/// Relative change of R or L from which a lookup is worth pushing: what noise of 30 dB alone does not reach.
+const WORTH_PUSHING: f64 = 2e-2;
+
+/// Currents, in ampere, from which a change counts: below, noise makes it and no power depends on it.
+const FROM_A: f64 = 5.0;
+
+/// Whether a curve differs from a lookup by more than noise makes.
+pub fn differs(curve: &Curve, active: &RlLookup) -> bool {
+    let f_sw_hz = curve.f_sw_hz.round() as u32;
+    curve.means().filter(|m| m.i_a >= FROM_A).any(|m| {
+        let (r, l) = active.interpolate(f_sw_hz, (m.i_a * 1e3) as u32);
+        let off = |ln: f64, known: f64| (ln - known.ln()).abs() > WORTH_PUSHING;
+        off(m.ln[0], r.ohm()) || off(m.ln[1], l.henry())
+    })
+}
+
+/// Whether a lookup says of a cell that it knows what another one does not.
+pub fn cells_differ(new: &RlLookup, active: &RlLookup) -> bool {
+    let off = |a: u16, b: u16| (f64::from(a) / f64::from(b.max(1)) - 1.0).abs() > WORTH_PUSHING;
+    let mut cells = (0..FREQUENCIES).flat_map(|f| (0..CURRENTS).map(move |i| (f, i)));
+    cells.any(|(f, i)| {
+        let known = new.is_observed(f, i) && current_a(i) >= FROM_A;
+        known && (off(new.r[f][i], active.r[f][i]) || off(new.l[f][i], active.l[f][i]))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_map::MeasuredPoint;
+    use ihd_shared::lookup::prior::prior;
+
+    use super::*;
+
+    #[test]
+    fn a_change_counts_beyond_noise_and_from_a_current_on() {
+        let active = prior();
+        let like_the_prior = |factor: f64, counts: fn(f64) -> bool| {
+            let points = (1..40).map(|k| {
+                let i_a = f64::from(k);
+                let (r, l) = active.interpolate(45_000, (i_a * 1e3) as u32);
+                MeasuredPoint {
+                    i_a,
+                    r_ohm: r.ohm() * if counts(i_a) { factor } else { 1.0 },
+                    l_h: l.henry(),
+                    r_sigma_ohm: 0.01,
+                    l_sigma_h: 1e-7,
+                }
+            });
+            Curve::new(45e3, 0.0, points)
+        };
+        assert!(!differs(&like_the_prior(1.0, |_| true), &active));
+        assert!(!differs(&like_the_prior(1.01, |_| true), &active));
+        assert!(differs(&like_the_prior(1.04, |i| i >= 30.0), &active));
+        assert!(!differs(&like_the_prior(1.04, |i| i < 4.0), &active));
+    }
+
+    #[test]
+    fn only_what_the_new_one_knows_counts() {
+        let active = prior();
+        let mut new = active.clone();
+        new.r[3][9] += new.r[3][9] / 20;
+        assert!(!cells_differ(&new, &active));
+        new.mark_observed(3, 9);
+        assert!(cells_differ(&new, &active));
+    }
+}

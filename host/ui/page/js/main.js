@@ -1,0 +1,176 @@
+// @ts-check
+/** Start: session, limits, stream, header; then the view of the hash. */
+
+import * as api from "./api.js";
+import { ask } from "./dialog.js";
+import { h, setText } from "./dom.js";
+import { Fleet } from "./fleet.js";
+import { Header } from "./header.js";
+import { Leases } from "./leases.js";
+import { login, logout, session as readSession } from "./login.js";
+import { Off } from "./off.js";
+import { hashOf, placeOf, VIEWS } from "./router.js";
+import { Stream } from "./stream.js";
+import { MOST_STREAMS, Tabs } from "./tabs.js";
+import { Theme } from "./theme.js";
+
+/** Between two intervals of the live stream, in milliseconds. */
+const LIVE_MS = 200;
+
+const main = /** @type {HTMLElement} */ (document.querySelector("#main"));
+const alarms = /** @type {HTMLElement} */ (document.querySelector("#alarms"));
+const announcer = /** @type {HTMLElement} */ (document.querySelector("#announce"));
+
+/** @param {string} text */
+function announce(text) {
+  announcer.textContent = "";
+  requestAnimationFrame(() => setText(announcer, text));
+}
+
+/**
+ * An error that a person has to see, until he has.
+ * @param {string} text
+ * @param {unknown} [why]
+ */
+function complain(text, why) {
+  const message = why instanceof Error ? `${text}: ${why.message}` : text;
+  if ([...alarms.children].some((row) => /** @type {HTMLElement} */ (row).dataset.text === message)) return;
+  const row = h("div", { class: "alarm", data: { text: message } }, message, " ", h("button", { type: "button", class: "small", on: { click: () => row.remove() } }, "Close"));
+  while (alarms.childElementCount >= 5) alarms.querySelector(".alarm:not(.off-alarm)")?.remove() ?? alarms.firstElementChild?.remove();
+  alarms.append(row);
+}
+
+/** Session and limits; tries until the daemon answers. */
+async function begin() {
+  for (let wait_ms = 500; ; wait_ms = Math.min(5000, wait_ms * 1.6)) {
+    try {
+      let session = await readSession();
+      while (!session) {
+        await login(main);
+        session = await readSession();
+      }
+      const [hob, reports] = await Promise.all([api.get("hob"), api.get("devices")]);
+      return { session, hob, reports };
+    } catch (why) {
+      main.replaceChildren(h("p", { class: "bad", role: "alert" }, `${why instanceof Error ? why.message : why}; trying again …`));
+      await new Promise((wake) => setTimeout(wake, wait_ms));
+    }
+  }
+}
+
+const theme = new Theme();
+const { session, hob, reports } = await begin();
+const stream = new Stream(api.address(`live?interval_ms=${LIVE_MS}`), { clock: api.daemonClock_ms });
+const fleet = new Fleet(stream);
+fleet.setReports(reports);
+const leases = new Leases(stream, fleet, hob.lease_s);
+const off = new Off({ fleet, stream, leases, alarms, announce });
+
+/** Where the page is. */
+let place = { view: "", device: "" };
+/** @type {{unmount: () => void} | null} */
+let mounted = null;
+let visit = 0;
+
+const header = new Header(
+  /** @type {HTMLElement} */ (document.querySelector("#header")),
+  /** @type {HTMLElement} */ (document.querySelector("#views")),
+  {
+    stream, fleet, leases, theme, off,
+    device: () => place.device,
+    choose: (device) => {
+      const known = VIEWS.find((view) => view.name === place.view);
+      if (known?.device) location.hash = hashOf(place.view, device);
+      else go({ view: place.view, device });
+    },
+    logout: session.token_needed ? () => logout().finally(() => location.reload()) : null,
+  },
+);
+
+/** @param {{view: string, device: string}} wanted */
+async function go(wanted) {
+  const names = fleet.names();
+  const kept = names.includes(place.device) ? place.device : (names[0] ?? "");
+  const device = names.includes(wanted.device) ? wanted.device : kept;
+  if (wanted.view === place.view && device === place.device) return;
+  place = { view: wanted.view, device };
+  visit += 1;
+  const own = visit;
+  header.showPlace(place.view, device);
+  mounted?.unmount();
+  mounted = null;
+  const root = h("div", { class: `view view-${place.view}` });
+  try {
+    const [module] = await Promise.all([import(`./views/${place.view}.js`), style(place.view)]);
+    if (own !== visit) return;
+    main.replaceChildren(root);
+    mounted = module.mount(root, context());
+  } catch (why) {
+    if (own !== visit) return;
+    main.replaceChildren(h("p", { class: "bad", role: "alert" }, `The view ${place.view} cannot be shown: ${why instanceof Error ? why.message : why}. Reload the page.`));
+  }
+}
+
+/** @returns {import("./context.js").Context} */
+function context() {
+  return {
+    api, stream, fleet, hob, session, theme, leases, off, announce, complain, ask,
+    device: place.device,
+    navigate: (hash) => {
+      location.hash = hash;
+    },
+  };
+}
+
+/**
+ * A view's own style sheet, loaded once.
+ * @param {string} view
+ * @returns {Promise<void>}
+ */
+function style(view) {
+  const href = new URL(`../css/${view}.css`, import.meta.url).href;
+  if ([...document.styleSheets].some((sheet) => sheet.href === href)) return Promise.resolve();
+  return new Promise((resolve) => {
+    const link = h("link", { rel: "stylesheet", href, on: { load: () => resolve(), error: () => resolve() } });
+    document.head.append(link);
+  });
+}
+
+addEventListener("hashchange", () => {
+  go(placeOf(location.hash)).then(() => main.focus({ preventScroll: true }));
+});
+stream.on("devices", () => {
+  // The device that was shown is gone, or the first one has come.
+  if (!fleet.reports.has(place.device) && fleet.reports.size > 0) go(placeOf(location.hash));
+});
+stream.on("state", async ({ failures }) => {
+  // An EventSource does not say why it was refused; the session does.
+  if (failures % 4 === 2 && (await readSession().catch(() => undefined)) === null) location.reload();
+});
+// Power that was on its way when Off was pressed may have come after it.
+leases.overtaken = (/** @type {string} */ device) => off.only(device);
+leases.on(() => {
+  for (const [name, state] of leases.states) {
+    if (state.phase !== "lost") continue;
+    leases.seen(name);
+    complain(`${name} is not heated by this page any more: ${state.why}.`);
+  }
+});
+
+stream.on("notice", (notice) => {
+  const heatedHere = leases.heated().includes(notice.device);
+  if (notice.event === "fault" && notice.fault !== 0 && heatedHere) complain(`${notice.device}, which this page heats: fault ${notice.fault}, ${notice.text}`);
+  if (notice.event === "store" && !notice.ok) complain(`The daemon's store: ${notice.text}`);
+});
+
+// A hidden page that heats nothing gives its connection to others where there are many.
+const tabs = new Tabs(settle);
+function settle() {
+  if (document.hidden && leases.heated().length === 0 && tabs.count() > MOST_STREAMS) stream.rest();
+  else stream.wake();
+}
+document.addEventListener("visibilitychange", settle);
+leases.on(settle);
+
+stream.start();
+go(placeOf(location.hash));

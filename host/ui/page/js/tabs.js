@@ -1,0 +1,51 @@
+// @ts-check
+/**
+ * How many pages of this daemon the browser has open.
+ *
+ * A browser opens six connections to a host over HTTP/1.1, and an event stream takes one for as long as it lasts: with
+ * six pages open, none could say Off. So hidden pages that heat nothing let theirs go where there are several.
+ */
+
+/** A page says that it is there so often, in milliseconds; timers of hidden ones may be throttled to one a minute. */
+const SAY_MS = 10_000;
+const FORGET_MS = 150_000;
+
+/** So many pages may hold their stream while hidden. */
+export const MOST_STREAMS = 3;
+
+export class Tabs {
+  /** @param {() => void} changed called when pages come and go */
+  constructor(changed) {
+    this.own = crypto.getRandomValues(new Uint32Array(2)).join("-");
+    /** Others, and when each was heard last. @type {Map<string, number>} */
+    this.others = new Map();
+    this.changed = changed;
+    this.channel = new BroadcastChannel("ihd-pages");
+    this.channel.addEventListener("message", (event) => this.#heard(event.data));
+    addEventListener("pagehide", () => this.channel.postMessage({ id: this.own, gone: true }));
+    addEventListener("pageshow", () => this.#say(true));
+    setInterval(() => this.#say(false), SAY_MS);
+    this.#say(true);
+  }
+
+  /** @returns {number} pages that are open, this one too */
+  count() {
+    const now = performance.now();
+    for (const [id, at] of this.others) if (now - at > FORGET_MS) this.others.delete(id);
+    return this.others.size + 1;
+  }
+
+  /** @param {boolean} asks whether the others are to answer */
+  #say(asks) {
+    this.channel.postMessage({ id: this.own, asks });
+  }
+
+  /** @param {{id: string, gone?: boolean, asks?: boolean}} told */
+  #heard(told) {
+    const before = this.others.size;
+    if (told.gone) this.others.delete(told.id);
+    else this.others.set(told.id, performance.now());
+    if (told.asks) this.#say(false);
+    if (this.others.size !== before) this.changed();
+  }
+}

@@ -1,0 +1,137 @@
+// A daemon that is killed under an open page, a link that is slow, a daemon that says nothing.
+
+import assert from 'node:assert/strict';
+import { readFile } from 'node:fs/promises';
+import { test } from 'node:test';
+
+import { Api } from './harness/api.mjs';
+import { NO_DAEMON, browser, noProblems, open, value } from './harness/browser.mjs';
+import { Daemon, Fake, Hob, Link, sleep, until } from './harness/processes.mjs';
+
+const stale = (page) => page.getByTestId('stale').isVisible();
+
+test('a daemon that is killed and comes back: stale, then fresh, and no hole but the outage', async (t) => {
+  // It heats by itself, as at its panel, while nobody listens.
+  const hob = await Hob.start(t, '--panel', '5', '--seed', '7');
+  const daemon = await Daemon.start(t, `[[device]]\nname = "bench"\naddress = "tcp:${hob.address}"\n`);
+  const api = new Api(daemon.url);
+  await until('it heats', async () => (await api.device('bench')).live?.power_w > 500, 20000);
+  const chromium = await browser(t);
+  const { page, problems } = await open(chromium, `${daemon.url}/#/live/bench`);
+  await until('power on the page', async () => (await value(page, 'p-now')) > 500, 8000);
+  // Longer than what the store keeps in memory before it writes.
+  await sleep(12000);
+
+  const killedMs = Date.now();
+  await daemon.kill();
+  await until('stale', () => stale(page), 6000);
+  const staleS = (Date.now() - killedMs) / 1000;
+  await sleep(2000);
+  const backMs = Date.now();
+  await daemon.run(t);
+  await until('fresh again', async () => !(await stale(page)), 15000);
+  const freshS = (Date.now() - backMs) / 1000;
+  await until('it heats', async () => (await api.device('bench')).live?.power_w > 500, 20000);
+  const heardMs = Date.now();
+  await until('power on the page', async () => (await value(page, 'p-now')) > 500, 8000);
+  t.diagnostic(`stale after ${staleS.toFixed(1)} s; fresh ${freshS.toFixed(1)} s after the daemon was started again`);
+  await sleep(4000);
+
+  // What the daemon has: every second but those of the outage and of what a power cut may cost.
+  const history = await api.get(`/devices/bench/history?from=${killedMs - 10000}&to=${Date.now()}&columns=100`);
+  const silentMs = Math.max(...gaps(history.at_ms, history.step_ms).map(([from, to]) => to - from), 0);
+  t.diagnostic(`hole in the daemon's history ${(silentMs / 1000).toFixed(1)} s; the outage took ${((heardMs - killedMs) / 1000).toFixed(1)} s`);
+  assert.ok(silentMs <= heardMs - killedMs + 6000, `a hole of ${silentMs} ms for an outage of ${heardMs - killedMs} ms`);
+
+  // What the page shows: the same, without a reload. Its own export has what is seen.
+  const seen = await exported(page);
+  const before = seen.filter((ms) => ms > killedMs - 8000 && ms < killedMs - 5000).length;
+  const since = seen.filter((ms) => ms > heardMs + 500).length;
+  assert.ok(before >= 2 && since >= 2, `${before} rows of before the outage and ${since} of after it: ${seen.slice(-30)}`);
+  noProblems(problems, NO_DAEMON);
+});
+
+/** Stretches without a column. */
+function gaps(atMs, stepMs) {
+  const found = [];
+  for (let k = 1; k < atMs.length; k++) if (atMs[k] - atMs[k - 1] > 1.5 * stepMs) found.push([atMs[k - 1] + stepMs, atMs[k]]);
+  return found;
+}
+
+/** Times of the rows of a plot's CSV, in milliseconds since 1970. */
+async function exported(page) {
+  const figure = page.locator('figure, section').filter({ hasText: /P|power/i }).filter({ has: page.getByRole('button', { name: /csv/i }) }).last();
+  const [download] = await Promise.all([page.waitForEvent('download'), figure.getByRole('button', { name: /csv/i }).first().click()]);
+  const rows = (await readFile(await download.path(), 'utf8')).split(/\r?\n/);
+  const times = rows.map((row) => row.split(',')[0]).map((first) => (/^\d{4}-/.test(first) ? Date.parse(first) : Number(first)));
+  return times.map((x) => (x > 1e9 && x < 1e11 ? x * 1000 : x)).filter((x) => x > 1.6e12);
+}
+
+test('a daemon that says nothing is stale after three seconds, and fresh when it speaks', async (t) => {
+  const fake = await Fake.start(t);
+  const chromium = await browser(t);
+  const { page, problems } = await open(chromium, `${fake.url}/#/live/desk`);
+  await until('power on the page', async () => (await value(page, 'p-now')) > 1000, 8000);
+  assert.equal(await stale(page), false);
+  await fake.do('silence', { for_s: 5 });
+  const begun = Date.now();
+  await until('stale', () => stale(page), 6000, 50);
+  const after = (Date.now() - begun) / 1000;
+  assert.ok(after >= 2 && after <= 4.5, `stale after ${after} s`);
+  await until('fresh', async () => !(await stale(page)), 9000);
+  noProblems(problems);
+});
+
+test('on a slow link the newest is shown, and that some was left out', async (t) => {
+  const hob = await Hob.start(t, '--panel', '5');
+  const others = [1, 2, 3].map((k) => `[[device]]\nname = "sim-${k}"\naddress = "sim"\n`).join('');
+  const daemon = await Daemon.start(t, `[[device]]\nname = "bench"\naddress = "tcp:${hob.address}"\n${others}`);
+  const api = new Api(daemon.url);
+  await until('it heats', async () => (await api.device('bench')).live?.power_w > 500, 20000);
+  const link = await Link.start(t, daemon.port);
+  const chromium = await browser(t);
+  const { page, problems } = await open(chromium, `${link.url}/#/live/bench`);
+  await until('power on the page', async () => (await value(page, 'p-now')) > 500, 8000);
+  link.limit(SLOW_BYTES_S);
+  // Until everything between the daemon and the page is full.
+  await sleep(20000);
+  // How old is what the page shows? Another power, and when the page shows it.
+  const usual = (await api.device('bench')).live.power_w;
+  for (const [level, low, high] of [[8, 1.2 * usual, 3000], [5, 0, 1.1 * usual]]) {
+    hob.event(`panel = ${level}`);
+    await until(`level ${level} in the daemon`, async () => inRange((await api.device('bench')).live.power_w, low, high), 6000);
+    const begun = Date.now();
+    await until(`level ${level} on the page`, async () => inRange(await value(page, 'p-now'), low, high), 60000);
+    const behind = (Date.now() - begun) / 1000;
+    t.diagnostic(`at ${SLOW_BYTES_S / 1000} kB/s the page shows level ${level} ${behind.toFixed(1)} s after the daemon`);
+    assert.ok(behind <= MOST_BEHIND_S, `${behind} s behind`);
+  }
+  assert.equal(await page.getByTestId('skipped').isVisible(), true, 'that intervals were left out');
+  t.diagnostic(await page.getByTestId('skipped').innerText());
+  link.limit(0);
+  await until('nothing is left out any more', async () => !(await page.getByTestId('skipped').isVisible()), 40000);
+  assert.equal(await stale(page), false);
+  noProblems(problems);
+});
+
+/** Less than four devices and the windows of one would take, in bytes a second. */
+const SLOW_BYTES_S = 8000;
+/** The daemon keeps 16 kB for a connection that has not taken them, which share the link with windows and history. */
+const MOST_BEHIND_S = 15;
+const inRange = (x, low, high) => x > low && x < high;
+
+test('slow answers hold nothing up: the live numbers go on', async (t) => {
+  const fake = await Fake.start(t);
+  const chromium = await browser(t);
+  const { page, problems } = await open(chromium, `${fake.url}/#/live/desk`);
+  await until('power on the page', async () => (await value(page, 'p-now')) > 1000, 8000);
+  await fake.do('slow', { ms: 3000 });
+  const seen = new Set();
+  for (let k = 0; k < 20; k++) {
+    seen.add(await value(page, 'p-now'));
+    await sleep(200);
+  }
+  assert.ok(seen.size >= 8, `${seen.size} different powers in 4 s`);
+  assert.equal(await stale(page), false);
+  noProblems(problems);
+});
