@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
 
 /// Beside each crate's own: debug probes, and the model of one.
-const FEATURES: &str = "ihd/probe,ihd-debug-port/probe";
+const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe";
 
 /// The checkout that xtask was started in.
 pub struct Workspace {

@@ -2,6 +2,7 @@
 //!
 //! Text that came from a device is made printable before it is put in here.
 
+mod fleet;
 mod history;
 mod journal;
 mod live;
@@ -14,6 +15,7 @@ mod window;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+pub use fleet::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
 pub use history::{Envelope, History, HistoryResults};
 pub use journal::JournalEntry;
 pub use live::{LiveDevice, LiveTelemetry};

@@ -1,0 +1,3 @@
+//! Many hobs, many workers: windows, results and lookups over NATS JetStream.
+
+pub mod names;

@@ -1,0 +1,77 @@
+//! Subjects, streams and buckets: each name is written once, here (docs/fleet.md).
+
+use std::fmt::Display;
+
+/// Version of the messages: the second token of every subject.
+pub const VERSION: &str = "v1";
+
+/// Windows that wait for a worker: a work queue.
+pub const WINDOWS: &str = "IHD_WINDOWS";
+
+/// Results, one a window.
+pub const RESULTS: &str = "IHD_RESULTS";
+
+/// What happened to hobs.
+pub const EVENTS: &str = "IHD_EVENTS";
+
+/// Windows that were given up.
+pub const DEAD: &str = "IHD_DEAD";
+
+/// The consumer that all workers share.
+pub const WORKERS: &str = "workers";
+
+/// Bucket of lookups, one key a hob, with their history.
+pub const LOOKUPS: &str = "ihd_lookups";
+
+/// Bucket of hobs: who they are and how they do.
+pub const HOBS: &str = "ihd_hobs";
+
+/// Bucket of daemons; an entry goes when nobody renews it.
+pub const EDGES: &str = "ihd_edges";
+
+/// Bucket of workers; an entry goes when nobody renews it.
+pub const WORKER_CARDS: &str = "ihd_workers";
+
+/// Bucket of pots that some hob knows, for others to begin with.
+pub const POTS: &str = "ihd_pots";
+
+/// Bucket of what `ihd fleet init` decided.
+pub const SETTINGS: &str = "ihd_settings";
+
+/// Object store of captures.
+pub const CAPTURES: &str = "ihd_captures";
+
+/// Subject of a hob's windows.
+pub fn window(hob: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.window")
+}
+
+/// Subject of the result of one window: no other message may have it.
+pub fn result(hob: impl Display, boot: impl Display, seq: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.result.{boot}.{seq}")
+}
+
+/// Subjects of all results of a hob.
+pub fn results(hob: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.result.>")
+}
+
+/// Subject of a window that was given up.
+pub fn dead(hob: impl Display, boot: impl Display, seq: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.dead.{boot}.{seq}")
+}
+
+/// Subject of what happens to a hob.
+pub fn event(hob: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.event")
+}
+
+/// Subject of what a hob does now, once a second; no stream keeps it.
+pub fn state(hob: impl Display) -> String {
+    format!("ihd.{VERSION}.{hob}.state")
+}
+
+/// By which the server knows a window that comes twice.
+pub fn window_id(hob: &str, boot: u32, seq: u32) -> String {
+    format!("{hob}-{boot}-{seq}")
+}
