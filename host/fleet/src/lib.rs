@@ -1,3 +1,4 @@
 //! Many hobs, many workers: windows, results and lookups over NATS JetStream.
 
 pub mod names;
+pub mod server_config;

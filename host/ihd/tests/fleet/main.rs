@@ -2,4 +2,6 @@
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 
 mod cut;
+mod lab;
+mod security;
 mod server;
