@@ -1,4 +1,5 @@
 //! Many hobs, many workers: windows, results and lookups over NATS JetStream.
 
+pub mod discovery;
 pub mod names;
 pub mod server_config;

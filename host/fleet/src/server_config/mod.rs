@@ -229,8 +229,9 @@ fn site_account(
         account(site, None)
     );
     if mqtt {
+        // In MQTT `homeassistant/#` is `homeassistant`, too.
         let reads = format!(
-            "{:?}, \"homeassistant.>\"",
+            "{:?}, \"homeassistant\", \"homeassistant.>\"",
             crate::names::state("*").as_str()
         );
         for (role, publish) in [

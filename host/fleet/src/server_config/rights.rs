@@ -11,7 +11,7 @@ use crate::names;
 const DISCOVERY: &str = "homeassistant.sensor";
 
 /// Where Home Assistant says that it has started.
-pub(super) const HOME_ASSISTANT_STATUS: &str = "homeassistant.status";
+pub(super) const HOME_ASSISTANT_STATUS: &str = crate::discovery::STATUS;
 
 /// Figures of the site as a whole. Each key's account has them, because the server would else answer all of `$JS.API` there
 /// by itself, first, with "JetStream not enabled" (`serviceImportShadowed` in its accounts.go).

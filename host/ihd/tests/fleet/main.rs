@@ -3,5 +3,6 @@
 
 mod cut;
 mod lab;
+mod mqtt;
 mod security;
 mod server;
