@@ -13,7 +13,7 @@ pub const STATUS: &str = "homeassistant.status";
 /// Seconds without a state after which Home Assistant shows a value as unavailable: states come once a second.
 pub const EXPIRES_AFTER_S: u32 = 10;
 
-/// A sensor.
+/// A sensor. Where a field is `null`, its template makes `None` of it, which Home Assistant shows as unknown.
 struct Quantity {
     /// Its field in the state's message, and the end of its id.
     field: &'static str,
@@ -64,11 +64,7 @@ const fn word(field: &'static str, name: &'static str) -> Quantity {
 
 const QUANTITIES: [Quantity; 9] = [
     word("state", "State"),
-    Quantity {
-        // Of a word, Home Assistant would show "None".
-        template: Some("{{ value_json.pot or 'unknown' }}"),
-        ..word("pot", "Pot")
-    },
+    word("pot", "Pot"),
     Quantity {
         device_class: Some("power"),
         ..number("power_w", "Power", "W", 0)

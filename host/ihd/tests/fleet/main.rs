@@ -4,5 +4,6 @@
 mod cut;
 mod lab;
 mod mqtt;
+mod outages;
 mod security;
 mod server;
