@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 pub use keys::{Key, KeyError, read_or_make};
-pub use rights::{Rights, edge_consumer, edge_consumers, edge_results};
+pub use rights::Rights;
 
 /// Longest name of a site, an edge, a worker or a hob: as that of a device.
 const LONGEST_NAME: usize = 64;

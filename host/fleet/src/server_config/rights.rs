@@ -4,7 +4,7 @@
 //! do: the server looks at the subject of a request, not at the one that asks to be answered, and JetStream answers with
 //! rights of its own. Whoever may read one key of a bucket could have the answer written to any other.
 
-use super::{Edge, Site};
+use super::Edge;
 use crate::names;
 
 /// Prefix of the topics by which Home Assistant learns of sensors.
@@ -87,7 +87,7 @@ pub fn edge(edge: &Edge) -> Rights {
     services.push(list(names::POTS));
     let read = [names::LOOKUPS, names::HOBS, names::EDGES, names::POTS];
     services.extend(read.into_iter().chain([names::SETTINGS]).map(info_bucket));
-    services.extend(consumer(names::RESULTS, &edge_consumer(&edge.name)));
+    services.extend(consumer(names::RESULTS, &names::edge_consumer(&edge.name)));
     rights.streams.push(HOME_ASSISTANT_STATUS.into());
     if edge.sees_fleet {
         see_fleet(&mut rights);
@@ -131,23 +131,6 @@ pub fn worker(name: &str) -> Rights {
     }
 }
 
-/// The consumer of [`names::RESULTS`] by which a daemon gets what workers found for its hobs. The operator makes it, with
-/// [`edge_results`] as its filter: who may make a consumer says where it delivers, and that is any subject of the site.
-pub fn edge_consumer(edge: &str) -> String {
-    format!("edge-{edge}")
-}
-
-/// Filter subjects of [`edge_consumer`].
-pub fn edge_results(edge: &Edge) -> Vec<String> {
-    edge.hobs.iter().map(names::results).collect()
-}
-
-/// All consumers that a site's operator makes for its edges: name and filter subjects.
-pub fn edge_consumers(site: &Site) -> impl Iterator<Item = (String, Vec<String>)> + '_ {
-    let of = |edge: &Edge| (edge_consumer(&edge.name), edge_results(edge));
-    site.edges.iter().map(of)
-}
-
 /// To pull from a consumer, and to acknowledge.
 fn consumer(stream: &str, name: &str) -> [String; 3] {
     [
@@ -163,22 +146,22 @@ fn all_dead() -> String {
 }
 
 /// To write a key of a bucket; also where listeners hear of it.
-fn put(bucket: &str, key: impl std::fmt::Display) -> String {
-    format!("$KV.{bucket}.{key}")
+fn put(bucket: &str, key: &str) -> String {
+    names::key(bucket, key)
 }
 
 /// To read a key of a bucket.
-fn get(bucket: &str, key: impl std::fmt::Display) -> String {
-    format!("$JS.API.DIRECT.GET.KV_{bucket}.$KV.{bucket}.{key}")
+fn get(bucket: &str, key: &str) -> String {
+    format!("{}.{}", list(bucket), names::key(bucket, key))
 }
 
 /// To read every key of a bucket, one after the other.
 fn list(bucket: &str) -> String {
-    format!("$JS.API.DIRECT.GET.KV_{bucket}")
+    format!("$JS.API.DIRECT.GET.{}", names::bucket_stream(bucket))
 }
 
 fn info_bucket(bucket: &str) -> String {
-    info(&format!("KV_{bucket}"))
+    info(&names::bucket_stream(bucket))
 }
 
 fn info(stream: &str) -> String {

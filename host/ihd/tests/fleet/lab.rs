@@ -5,10 +5,10 @@ use std::fs;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use async_nats::jetstream::{self, consumer::pull, kv, stream};
+use async_nats::jetstream;
 use async_nats::{Client, ConnectOptions};
-use ihd_fleet::names;
-use ihd_fleet::server_config::{Edge, Key, Site, Tls, edge_consumers, server_config};
+use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::server_config::{Edge, Key, Site, Tls, server_config};
 
 use crate::server::{Place, Server};
 
@@ -101,68 +101,24 @@ impl Lab {
         jetstream::new(self.client(key).await)
     }
 
-    /// Streams, buckets and consumers of a site, as far as rights depend on them.
+    /// What the operator makes (`ihd fleet init`).
     async fn make_streams(&self, site: &Site) {
         let js = self.jetstream(&format!("{}-operator", site.name)).await;
-        let streams = [
-            (names::WINDOWS, names::window("*")),
-            (names::RESULTS, names::results("*")),
-            (names::EVENTS, names::event("*")),
-            (names::DEAD, names::dead("*", "*", "*")),
-        ];
-        for (name, subject) in streams {
-            let work_queue = name == names::WINDOWS;
-            let config = stream::Config {
-                name: name.to_owned(),
-                subjects: vec![subject],
-                retention: if work_queue {
-                    stream::RetentionPolicy::WorkQueue
-                } else {
-                    stream::RetentionPolicy::Limits
-                },
-                ..Default::default()
-            };
-            js.create_stream(config).await.unwrap();
-        }
-        for bucket in [
-            names::LOOKUPS,
-            names::HOBS,
-            names::EDGES,
-            names::WORKER_CARDS,
-            names::POTS,
-            names::SETTINGS,
-        ] {
-            make_bucket(&js, bucket).await;
-        }
-        let shared = pull::Config {
-            durable_name: Some(names::WORKERS.to_owned()),
-            ..Default::default()
+        let most = 100 << 20;
+        let limits = Limits {
+            windows_bytes: most,
+            results_bytes: most,
+            events_bytes: most,
+            dead_bytes: most,
+            captures_bytes: most,
+            ..Limits::default()
         };
-        let made = js.create_consumer_on_stream(shared, names::WINDOWS).await;
-        made.unwrap();
-        for (name, filter_subjects) in edge_consumers(site) {
-            let config = pull::Config {
-                durable_name: Some(name),
-                filter_subjects,
-                ..Default::default()
-            };
-            let made = js.create_consumer_on_stream(config, names::RESULTS).await;
+        engine::init(&js, &limits).await.unwrap();
+        for edge in &site.edges {
+            let made = engine::init_edge(&js, &edge.name, &edge.hobs).await;
             made.unwrap();
         }
     }
-}
-
-/// A bucket whose keys cannot be rolled up: who may write one key could otherwise empty it.
-async fn make_bucket(js: &jetstream::Context, bucket: &str) {
-    let config = kv::Config {
-        bucket: bucket.to_owned(),
-        history: 5,
-        ..Default::default()
-    };
-    let store = js.create_key_value(config).await.unwrap();
-    let mut config = store.stream.cached_info().config.clone();
-    config.allow_rollup = false;
-    js.update_stream(config).await.unwrap();
 }
 
 /// The server's settings for a place, and its certificate beside its configuration.
