@@ -11,11 +11,10 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use crate::messages::is_hob;
+
 pub use keys::{Key, KeyError, read_or_make};
 pub use rights::Rights;
-
-/// Longest name of a site, an edge, a worker or a hob: as that of a device.
-const LONGEST_NAME: usize = 64;
 
 /// What an account of a key may send in one message: no window is near it.
 const MAX_PAYLOAD_BYTES: u32 = 1 << 20;
@@ -27,7 +26,7 @@ const CONNECTIONS_A_KEY: u32 = 8;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
     /// A name that would be another subject.
-    #[error("{what} {name:?}: a name has 1 to {LONGEST_NAME} letters, digits, - and _")]
+    #[error("{what} {name:?}: a name has 1 to 64 of a-z, 0-9, - and _")]
     Name {
         /// What is called so.
         what: &'static str,
@@ -312,7 +311,11 @@ fn path(path: &std::path::Path) -> Result<String, ConfigError> {
     Ok(format!("'{text}'"))
 }
 
-fn check_site(site: &Site) -> Result<(), ConfigError> {
+/// Whether the names of a site can be those of subjects, and each is there once.
+///
+/// # Errors
+/// [`ConfigError`] of the first that cannot.
+pub fn check_site(site: &Site) -> Result<(), ConfigError> {
     check("site", &site.name)?;
     for edge in &site.edges {
         check("edge", &edge.name)?;
@@ -330,12 +333,13 @@ fn check_site(site: &Site) -> Result<(), ConfigError> {
 
 /// Names are tokens of subjects: a point or a star in one would be another right.
 fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
-    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-    if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
-        let name = name.to_owned();
-        return Err(ConfigError::Name { what, name });
+    match is_hob(name) {
+        true => Ok(()),
+        false => Err(ConfigError::Name {
+            what,
+            name: name.to_owned(),
+        }),
     }
-    Ok(())
 }
 
 fn unique<'a>(

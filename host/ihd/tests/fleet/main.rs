@@ -2,8 +2,12 @@
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 
 mod cut;
+mod keyed;
 mod lab;
 mod mqtt;
 mod outages;
+#[allow(dead_code, reason = "tests of the daemon use all of it")]
+#[path = "../daemon/process.rs"]
+mod process;
 mod security;
 mod server;

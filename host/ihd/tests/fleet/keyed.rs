@@ -1,0 +1,190 @@
+//! The five commands of docs/fleet-security.md: the real edge and the real worker, each with the key that `ihd fleet server-config` made.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::process::{Process, ihd};
+use crate::server::Server;
+
+/// For what a loaded machine takes.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The server and where its keys are.
+struct Keyed {
+    server: Server,
+}
+
+impl Keyed {
+    fn start() -> Self {
+        let server = Server::configured(|place| {
+            let names = vec![place.address.to_string()];
+            let made = rcgen::generate_simple_self_signed(names).unwrap();
+            let file = |name: &str| place.folder.join(name);
+            fs::write(file("certificate.pem"), made.cert.pem()).unwrap();
+            fs::write(file("key.pem"), made.signing_key.serialize_pem()).unwrap();
+            let mut command = ihd(&place.folder);
+            command
+                .args(["fleet", "server-config", "--site", "lab", "--keys", "keys"])
+                .args(["--edge", "lab-1=bench", "--edge", "lab-2=other"])
+                .args(["--fleet-page", "lab-1", "--disk-bytes", "4000000000"])
+                .args(["--listen", &format!("{}:-1", place.address)])
+                .arg("--tls")
+                .arg(&place.folder)
+                .arg("--store")
+                .arg(file("store"));
+            let out = command.output().unwrap();
+            assert!(out.status.success(), "{out:?}");
+            String::from_utf8(out.stdout).unwrap()
+        });
+        Self { server }
+    }
+
+    fn url(&self) -> String {
+        format!("tls://{}", self.server.address())
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.server.folder().join(name)
+    }
+
+    fn key(&self, name: &str) -> PathBuf {
+        self.file(&format!("keys/lab-{name}.nk"))
+    }
+
+    /// `ihd fleet …` with a key: what it prints, and its exit code.
+    fn fleet(&self, key: &str, arguments: &[&str]) -> (String, i32) {
+        let mut command = ihd(self.server.folder());
+        command.args(["fleet", "--url", &self.url(), "--ca"]);
+        command.arg(self.file("certificate.pem")).arg("--nkey-file");
+        let out = command.arg(self.key(key)).args(arguments).output().unwrap();
+        let text = [&out.stdout[..], &out.stderr].concat();
+        let text = String::from_utf8_lossy(&text).into_owned();
+        (text, out.status.code().unwrap_or(-1))
+    }
+
+    /// `ihd fleet status --json` of the operator.
+    fn status(&self) -> Value {
+        let (text, code) = self.fleet("operator", &["status", "--json"]);
+        assert_eq!(code, 0, "{text}");
+        serde_json::from_str(&text).unwrap()
+    }
+
+    fn worker(&self) -> Process {
+        let mut command = ihd(self.server.folder());
+        command.args(["worker", "--threads", "1", "--name", "worker-1"]);
+        command.args(["--url", &self.url(), "--ca"]);
+        command.arg(self.file("certificate.pem")).arg("--nkey-file");
+        command.arg(self.key("worker-worker-1"));
+        started(&mut command, &self.file("worker.log"))
+    }
+
+    /// A daemon with a simulated hob; its folder is the server's.
+    fn edge(&self) -> Process {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let listen = free.local_addr().unwrap().to_string();
+        drop(free);
+        let text = format!(
+            "store = \"ihd-store\"\nlisten = {listen:?}\ndiscover_usb = false\n\
+             [fleet]\nurl = {:?}\nedge = \"lab-1\"\nnkey_file = {:?}\nca = \"certificate.pem\"\n\
+             [[device]]\nname = \"bench\"\naddress = \"sim\"\n",
+            self.url(),
+            self.key("edge-lab-1"),
+        );
+        fs::write(self.file("ihd.toml"), text).unwrap();
+        let mut command = ihd(self.server.folder());
+        command
+            .args(["trainer", "--daemon"])
+            .env("RUST_LOG", "info");
+        started(&mut command, &self.file("edge.log"))
+    }
+
+    fn logs(&self) -> String {
+        let read = |name: &str| fs::read_to_string(self.file(name)).unwrap_or_default();
+        format!(
+            "{}\n{}\n{}",
+            read("edge.log"),
+            read("worker.log"),
+            self.server.log()
+        )
+    }
+
+    fn until(&self, what: &str, mut holds: impl FnMut() -> bool) {
+        let began = Instant::now();
+        while !holds() {
+            assert!(began.elapsed() < PATIENCE, "{what}: {}", self.logs());
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+}
+
+fn started(command: &mut std::process::Command, log: &Path) -> Process {
+    let log = fs::File::create(log).unwrap();
+    Process::spawn(command.stdout(Stdio::null()).stderr(log)).unwrap()
+}
+
+#[test]
+#[ignore = "needs nats-server: cargo xtask test --only fleet"]
+fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
+    let keyed = Keyed::start();
+    let small = [
+        "--windows-bytes",
+        "100000000",
+        "--results-bytes",
+        "100000000",
+    ];
+    let init = [
+        &[
+            "init",
+            "--edge",
+            "lab-1=bench",
+            "--captures-bytes",
+            "100000000",
+        ],
+        &small[..],
+    ]
+    .concat();
+    for key in ["edge-lab-1", "worker-worker-1"] {
+        let (text, code) = keyed.fleet(key, &init);
+        assert_ne!(code, 0, "{key}: {text}");
+    }
+    let (text, code) = keyed.fleet("operator", &init);
+    assert_eq!(code, 0, "{text}");
+
+    let (_edge, _worker) = (keyed.edge(), keyed.worker());
+    keyed.until("edge and worker are seen", || {
+        let status = keyed.status();
+        status["edges"][0]["name"] == "lab-1" && status["workers"][0]["name"] == "worker-1"
+    });
+    let mut heat = ihd(keyed.server.folder());
+    heat.args(["device", "bench", "power", "1500", "--for", "10"]);
+    let out = heat.output().unwrap();
+    assert!(out.status.success(), "{out:?} {}", keyed.logs());
+    keyed.until("results of the worker", || {
+        keyed.status()["results"].as_u64() >= Some(10)
+    });
+    keyed.until("the lookup of the hob", || {
+        let (text, code) = keyed.fleet("operator", &["lookups", "ls", "--json"]);
+        code == 0 && text.contains("bench")
+    });
+    assert_eq!(
+        keyed.status()["edges"][0]["trusts_fleet"],
+        true,
+        "{}",
+        keyed.logs()
+    );
+
+    // The fleet's page: who may see it, and who may not.
+    let (text, code) = keyed.fleet("edge-lab-1", &["status", "--json"]);
+    assert_eq!(code, 0, "{text}");
+    for key in ["edge-lab-2", "worker-worker-1"] {
+        let (text, code) = keyed.fleet(key, &["status", "--json"]);
+        assert_ne!(code, 0, "{key}: {text}");
+    }
+    // A key in a folder of its own, and one that nobody knows.
+    let (_, code) = keyed.fleet("nobody", &["status"]);
+    assert_ne!(code, 0);
+}
