@@ -83,7 +83,7 @@ pub fn edge(edge: &Edge) -> Rights {
     }
     services.push(ACCOUNT_INFO.into());
     services.extend([put(names::EDGES, &edge.name), get(names::EDGES, &edge.name)]);
-    services.push(get(names::SETTINGS, "*"));
+    services.extend([get(names::SETTINGS, "*"), list(names::SETTINGS)]);
     services.push(list(names::POTS));
     let read = [names::LOOKUPS, names::HOBS, names::EDGES, names::POTS];
     services.extend(read.into_iter().chain([names::SETTINGS]).map(info_bucket));
@@ -120,6 +120,7 @@ pub fn worker(name: &str) -> Rights {
         put(names::WORKER_CARDS, name),
         get(names::WORKER_CARDS, name),
         get(names::SETTINGS, "*"),
+        list(names::SETTINGS),
         get(names::POTS, "*"),
         list(names::POTS),
     ]);

@@ -105,7 +105,7 @@ async fn an_edge_does_its_work_and_no_other_hobs() {
     }
     for (bucket, key) in [(names::SETTINGS, "x"), (names::WORKER_CARDS, "hob-a")] {
         assert_eq!(put(&first, bucket, key, "no").await, None, "{bucket}");
-        assert_eq!(put(&operator, bucket, key, "yes").await, Some(1));
+        assert!(put(&operator, bucket, key, "yes").await.is_some());
     }
     // State is kept by nobody and heard by who listens.
     let mut listens = operator

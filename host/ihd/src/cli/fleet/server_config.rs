@@ -34,7 +34,7 @@ pub struct ServerConfigArgs {
     #[arg(long, value_name = "DIR")]
     tls: Option<PathBuf>,
     /// Folder of the keys
-    #[arg(long, value_name = "DIR", default_value = "nats-keys")]
+    #[arg(long, value_name = "DIR", default_value = "keys")]
     keys: PathBuf,
     /// Folder of the server's data, as the server sees it
     #[arg(long, value_name = "DIR", default_value = "/var/lib/nats")]
@@ -45,9 +45,6 @@ pub struct ServerConfigArgs {
     /// Where it listens for MQTT (docs/mqtt.md)
     #[arg(long, value_name = "ADDRESS")]
     mqtt: Option<String>,
-    /// The server's name
-    #[arg(long, value_name = "NAME", default_value = "ihd")]
-    name: String,
 }
 
 /// `SITE/EDGE=HOB,HOB`.
@@ -62,7 +59,7 @@ impl ServerConfigArgs {
     pub(super) fn run(&self) -> Result<()> {
         let sites = self.sites()?;
         let server = Server {
-            name: self.name.clone(),
+            name: format!("ihd-{}", self.sites[0]),
             listen: self.listen.clone(),
             mqtt_listen: self.mqtt.clone(),
             store: self.store.clone(),
@@ -80,7 +77,7 @@ impl ServerConfigArgs {
             .collect();
         let keys = server_config::read_or_make(&self.keys, names.iter().map(String::as_str))?;
         let text = server_config::server_config(&server, &sites, &keys)?;
-        say!("{}", text.trim_end())
+        crate::cli::output::text(&text)
     }
 
     fn sites(&self) -> Result<Vec<Site>> {
