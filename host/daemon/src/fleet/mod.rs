@@ -77,10 +77,16 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreTrouble> {
-        let mut due = self.in_store(move |store| store.due(limit)).await?;
-        if let Some(learner) = self.learner() {
+        let learner = self.learner();
+        let held = learner.as_ref().map_or(0, |learner| {
+            let figures = learner.figures();
+            figures.waiting + figures.threads
+        });
+        let mut due = self.in_store(move |store| store.due(limit + held)).await?;
+        if let Some(learner) = learner {
             due.retain(|w| !learner.holds(&w.device, w.boot, w.seq));
         }
+        due.truncate(limit);
         Ok(due)
     }
 
@@ -165,9 +171,16 @@ impl Daemon {
             Ok(ids) => ids,
             Err(received) => return Ok(received),
         };
-        let Some(learner) = self.learner() else {
-            return Err(ReceiveError::NoRoom);
-        };
+        let learner = self.learner().ok_or(ReceiveError::NoRoom)?;
+        if !learner.knows(device) {
+            // Not connected since the daemon began: what was learned before must not be begun anew.
+            let learned = self.in_store(move |store| store.learned(device_id)).await?;
+            if !learner.knows(device)
+                && let Err(why) = learner.add(device, learned.as_deref())
+            {
+                tracing::warn!(device, %why, "what was learned is lost");
+            }
+        }
         let (stored, is_stored) = oneshot::channel();
         let power_w = studied.power_w;
         learner.offer(Task {

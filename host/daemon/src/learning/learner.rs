@@ -189,6 +189,11 @@ impl Learner {
         Some(state.queue.learning(device)?.to_bytes())
     }
 
+    /// Whether the device was added, or a window of it came.
+    pub fn knows(&self, device: &str) -> bool {
+        self.shared.lock().queue.knows(device)
+    }
+
     /// Whether this window waits for a thread, or one has it.
     pub fn holds(&self, device: &str, boot: u32, seq: u32) -> bool {
         self.shared.lock().queue.holds(device, boot, seq)
