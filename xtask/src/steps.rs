@@ -10,8 +10,8 @@ use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
 use crate::workspace::{Workspace, run};
 use crate::{
-    board, budget, cycles, daemon, dashboard, emulator, fuzz, guest, hostile, licences, on_target,
-    scenarios, ui_vendor,
+    board, budget, cycles, daemon, dashboard, emulator, fleet, fuzz, guest, hostile, licences,
+    on_target, scenarios, ui_vendor,
 };
 
 const CLIPPY: &str = "--all-targets --features ihd-tests/emulator -- -D warnings";
@@ -41,6 +41,8 @@ pub enum Step {
     Hostile,
     /// The daemon with hostile devices, bad links and kills, in the short form
     Daemon,
+    /// The fleet on a real NATS server, in the short form
+    Fleet,
     /// The dashboard in a real browser, in the short form
     Dashboard,
     /// The examples in the documentation
@@ -86,6 +88,7 @@ impl Session {
             Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
             Step::Hostile => hostile::test(&self.workspace, true),
             Step::Daemon => daemon::test(&self.workspace, None, false),
+            Step::Fleet => fleet::test(&self.workspace, None, false),
             Step::Dashboard => {
                 let short = dashboard::Extent {
                     only: None,
@@ -128,8 +131,10 @@ impl Session {
         say(&format!("firmware: {}", firmware.describe()));
         let board = board::tools(&self.workspace);
         let browser = dashboard::tools().map(drop);
+        let nats = fleet::server(&self.workspace).map(drop);
         tools
             .and(browser)
+            .and(nats)
             .and(qemu.map(drop))
             .and(guest.map(drop))
             .and(board)

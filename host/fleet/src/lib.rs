@@ -19,6 +19,7 @@ mod identity;
 pub mod lookups;
 pub mod messages;
 pub mod names;
+pub mod server_config;
 pub mod status;
 pub mod worker;
 

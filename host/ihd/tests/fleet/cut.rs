@@ -152,10 +152,13 @@ fn pass(shared: &Shared, mut from: TcpStream, mut to: TcpStream, count: fn(&Shar
         match from.read(&mut buf) {
             Ok(0) => break,
             Ok(n) => {
-                if !shared.passes() || to.write_all(&buf[..n]).is_err() {
+                if !shared.passes() {
                     break;
                 }
                 count(shared).fetch_add(n as u64, Relaxed);
+                if to.write_all(&buf[..n]).is_err() {
+                    break;
+                }
             }
             Err(e) if waits(&e) => {}
             Err(_) => break,

@@ -5,9 +5,13 @@
 #[path = "../daemon/chance.rs"]
 mod chance;
 mod cut;
+mod lab;
+mod mqtt;
+mod outages;
 #[path = "../daemon/process.rs"]
 mod process;
 mod robust;
+mod security;
 mod server;
 mod site;
 mod whole;

@@ -1,0 +1,230 @@
+//! Keys of a site: a seed a file, for its owner alone.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use nkeys::{KeyPair, KeyPairType};
+
+/// What a seed file ends in.
+const SUFFIX: &str = "nk";
+
+/// A seed has 58 characters; a file with more is none.
+const MAX_FILE_BYTES: u64 = 1024;
+
+/// Why a key cannot be used. The message says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    /// The file cannot be read, or not written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's own words.
+        source: io::Error,
+    },
+    /// Not a user's seed.
+    #[error(
+        "{}: this is no NKey of a user (58 characters that begin with SU); remove the file, and `ihd fleet server-config` \
+         makes a new one",
+        path.display()
+    )]
+    NoSeed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Others than its owner may read it.
+    #[error("{}: others may read it (mode {mode:o}): `chmod 600` it, or remove it and have a new one made", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+    },
+    /// The system gave no random numbers.
+    #[error("no key can be made: {0}")]
+    Random(nkeys::error::Error),
+}
+
+/// One key: the half that proves who one is, and the half that the server knows.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Key {
+    seed: String,
+    public: String,
+}
+
+impl Key {
+    /// A new one.
+    ///
+    /// # Errors
+    /// [`KeyError::Random`].
+    pub fn make() -> Result<Self, KeyError> {
+        let pair = KeyPair::new_user();
+        Ok(Self {
+            seed: pair.seed().map_err(KeyError::Random)?,
+            public: pair.public_key(),
+        })
+    }
+
+    /// From the file of its owner.
+    ///
+    /// # Errors
+    /// [`KeyError`]: not there, not a seed, or open to others.
+    pub fn read(path: &Path) -> Result<Self, KeyError> {
+        let io = |source| KeyError::Io {
+            path: path.into(),
+            source,
+        };
+        let file = File::open(path).map_err(io)?;
+        refuse_if_open_to_others(&file, path)?;
+        let mut text = String::new();
+        let no_seed = || KeyError::NoSeed { path: path.into() };
+        let read = file.take(MAX_FILE_BYTES).read_to_string(&mut text);
+        read.map_err(|why| match why.kind() {
+            io::ErrorKind::InvalidData => no_seed(),
+            _ => io(why),
+        })?;
+        let seed = text.trim().to_owned();
+        let pair = KeyPair::from_seed(&seed).map_err(|_| no_seed())?;
+        if pair.key_pair_type() != KeyPairType::User {
+            return Err(no_seed());
+        }
+        let public = pair.public_key();
+        Ok(Self { seed, public })
+    }
+
+    /// What its owner keeps: `SU…`.
+    pub fn seed(&self) -> &str {
+        &self.seed
+    }
+
+    /// What the server knows: `U…`.
+    pub fn public(&self) -> &str {
+        &self.public
+    }
+}
+
+/// Without the seed: this may come into a log.
+impl std::fmt::Debug for Key {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Key({})", self.public)
+    }
+}
+
+/// The keys called `names` in `folder`: those that are there, and new ones in files `NAME.nk` where there are none.
+///
+/// # Errors
+/// [`KeyError`] of the first file that does not serve; what was made by then stays.
+pub fn read_or_make<'a>(
+    folder: &Path,
+    names: impl IntoIterator<Item = &'a str>,
+) -> Result<BTreeMap<String, Key>, KeyError> {
+    make_folder(folder).map_err(|source| KeyError::Io {
+        path: folder.into(),
+        source,
+    })?;
+    let key = |name: &str| {
+        let path = folder.join(format!("{name}.{SUFFIX}"));
+        let key = if path.exists() {
+            Key::read(&path)?
+        } else {
+            let key = Key::make()?;
+            let write = write_new(&path, key.seed());
+            write.map_err(|source| KeyError::Io { path, source })?;
+            key
+        };
+        Ok((name.to_owned(), key))
+    };
+    names.into_iter().map(key).collect()
+}
+
+fn make_folder(folder: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder)
+}
+
+/// For the owner alone from the first byte; a file that is there is not touched.
+fn write_new(path: &Path, seed: &str) -> io::Result<()> {
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let mut file = options.open(path)?;
+    writeln!(file, "{seed}")?;
+    file.sync_all()
+}
+
+#[cfg(unix)]
+fn refuse_if_open_to_others(file: &File, path: &Path) -> Result<(), KeyError> {
+    let metadata = file.metadata().map_err(|source| KeyError::Io {
+        path: path.into(),
+        source,
+    })?;
+    let mode = std::os::unix::fs::MetadataExt::mode(&metadata) & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(KeyError::Open {
+            path: path.into(),
+            mode,
+        });
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn refuse_if_open_to_others(_: &File, _: &Path) -> Result<(), KeyError> {
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_made_once_and_differ() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("keys");
+        let first = read_or_make(&folder, ["a", "b"]).unwrap();
+        assert_ne!(first["a"], first["b"]);
+        assert!(first["a"].seed().starts_with("SU") && first["a"].seed().len() == 58);
+        assert!(first["a"].public().starts_with('U') && first["a"].public().len() == 56);
+        let again = read_or_make(&folder, ["a", "b", "c"]).unwrap();
+        assert_eq!((&again["a"], &again["b"]), (&first["a"], &first["b"]));
+        assert!(!format!("{again:?}").contains("SU"), "{again:?}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn seeds_are_for_their_owner_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("keys");
+        read_or_make(&folder, ["a"]).unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let file = folder.join("a.nk");
+        assert_eq!((mode(&folder), mode(&file)), (0o700, 0o600));
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o644)).unwrap();
+        let refused = read_or_make(&folder, ["a"]).unwrap_err();
+        assert!(matches!(refused, KeyError::Open { mode: 0o644, .. }));
+    }
+
+    #[test]
+    fn what_is_no_seed_is_refused_and_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.nk");
+        let account = KeyPair::new_account().seed().unwrap();
+        let user = Key::make().unwrap();
+        let mut flipped = user.seed().to_owned();
+        flipped.replace_range(20..21, if &flipped[20..21] == "A" { "B" } else { "A" });
+        for text in ["", "hello", user.public(), &account, &flipped, "\0\0"] {
+            write_new(&file, text).unwrap();
+            let refused = read_or_make(folder.path(), ["a"]).unwrap_err();
+            assert!(matches!(refused, KeyError::NoSeed { .. }), "{text}");
+            assert_eq!(fs::read_to_string(&file).unwrap(), format!("{text}\n"));
+            fs::remove_file(&file).unwrap();
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! The configuration of a NATS server for sites of a fleet: who may do what, TLS, limits, MQTT.
+//!
+//! A site's data are in one account, with its operator. Every edge and every worker has a small account of its own beside
+//! it, without JetStream, which imports what it may use ([`rights`]). Nothing here is secret but the passwords of MQTT.
+
+mod keys;
+mod rights;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+pub use keys::{Key, KeyError, read_or_make};
+pub use rights::Rights;
+
+/// Longest name of a site, an edge, a worker or a hob: as that of a device.
+const LONGEST_NAME: usize = 64;
+
+/// What an account of a key may send in one message: no window is near it.
+const MAX_PAYLOAD_BYTES: u32 = 1 << 20;
+
+/// Connections of one key: its own, and those that the server has not yet seen end.
+const CONNECTIONS_A_KEY: u32 = 8;
+
+/// Why there is no configuration.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// A name that would be another subject.
+    #[error("{what} {name:?}: a name has 1 to {LONGEST_NAME} letters, digits, - and _")]
+    Name {
+        /// What is called so.
+        what: &'static str,
+        /// The name.
+        name: String,
+    },
+    /// Two of one name.
+    #[error("{what} {name:?} is there twice: one name, one {what}")]
+    Twice {
+        /// What is called so.
+        what: &'static str,
+        /// The name.
+        name: String,
+    },
+    /// An edge without hobs, or not in the form asked for.
+    #[error("{0:?}: an edge is written NAME=HOB,HOB with at least one hob")]
+    Edge(String),
+    /// A key that was not handed in.
+    #[error("no key called {0:?}")]
+    NoKey(String),
+    /// A path that a configuration cannot hold.
+    #[error("{0:?}: a path in the server's configuration is text without control characters")]
+    Path(PathBuf),
+}
+
+/// Where the server listens and keeps things.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Server {
+    /// Its name; MQTT needs one.
+    pub name: String,
+    /// Where clients of NATS connect, as `0.0.0.0:4222`.
+    pub listen: String,
+    /// Where clients of MQTT connect, as `0.0.0.0:8883`; none for no MQTT.
+    pub mqtt_listen: Option<String>,
+    /// Folder of JetStream.
+    pub store: PathBuf,
+    /// Certificate and key; without them everything but the proof of the keys is in the clear.
+    pub tls: Option<Tls>,
+}
+
+/// PEM files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tls {
+    /// The certificate chain.
+    pub certificate: PathBuf,
+    /// Its private key.
+    pub key: PathBuf,
+}
+
+/// A lab, a plant, a customer: nothing of it is seen by another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Site {
+    /// Its name.
+    pub name: String,
+    /// Its daemons.
+    pub edges: Vec<Edge>,
+    /// Names of its workers.
+    pub workers: Vec<String>,
+    /// Most that it keeps on the disk, in bytes.
+    pub disk_bytes: u64,
+    /// Most that it keeps in memory, in bytes.
+    pub memory_bytes: u64,
+}
+
+impl Site {
+    /// A site with workers `worker-1` to `worker-N`, 40 GB of disk and 256 MB of memory: `ihd fleet init` reserves 32 GB
+    /// unless told otherwise.
+    pub fn new(name: impl Into<String>, edges: Vec<Edge>, workers: u32) -> Self {
+        Self {
+            name: name.into(),
+            edges,
+            workers: (1..=workers).map(|k| format!("worker-{k}")).collect(),
+            disk_bytes: 40_000_000_000,
+            memory_bytes: 256 << 20,
+        }
+    }
+
+    /// Names of the keys that [`server_config`] wants for it: `SITE-operator`, `SITE-edge-NAME`, `SITE-worker-NAME`, and
+    /// with MQTT `SITE-mqtt` (reads) and `SITE-home-assistant` (also says that it has started).
+    pub fn key_names(&self, mqtt: bool) -> Vec<String> {
+        let mut roles = vec!["operator".to_owned()];
+        roles.extend(self.edges.iter().map(|edge| format!("edge-{}", edge.name)));
+        roles.extend(self.workers.iter().map(|name| format!("worker-{name}")));
+        if mqtt {
+            roles.extend(["mqtt", "home-assistant"].map(str::to_owned));
+        }
+        let of_site = |role: String| format!("{}-{role}", self.name);
+        roles.into_iter().map(of_site).collect()
+    }
+}
+
+/// A daemon and its hobs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Edge {
+    /// Its name.
+    pub name: String,
+    /// Names of its hobs.
+    pub hobs: Vec<String>,
+    /// Whether it may see who else is in the fleet and how much waits: what the dashboard's page shows.
+    pub sees_fleet: bool,
+}
+
+/// `lab-1=hob-a,hob-b`.
+impl FromStr for Edge {
+    type Err = ConfigError;
+
+    fn from_str(text: &str) -> Result<Self, ConfigError> {
+        let (name, hobs) = text
+            .split_once('=')
+            .filter(|(_, hobs)| !hobs.is_empty())
+            .ok_or_else(|| ConfigError::Edge(text.to_owned()))?;
+        let edge = Self {
+            name: name.to_owned(),
+            hobs: hobs.split(',').map(str::to_owned).collect(),
+            sees_fleet: false,
+        };
+        check("edge", &edge.name)?;
+        edge.hobs.iter().try_for_each(|hob| check("hob", hob))?;
+        Ok(edge)
+    }
+}
+
+/// The whole configuration of a server, with the users of `sites`. `keys` are by the names of [`Site::key_names`].
+///
+/// # Errors
+/// [`ConfigError`]: names that are none or twice, an edge without hobs, a missing key.
+pub fn server_config(
+    server: &Server,
+    sites: &[Site],
+    keys: &BTreeMap<String, Key>,
+) -> Result<String, ConfigError> {
+    unique("site", sites.iter().map(|site| &site.name))?;
+    let mut text = head(server)?;
+    text += "\naccounts {\n";
+    for site in sites {
+        check_site(site)?;
+        text += &site_account(site, server.mqtt_listen.is_some(), keys)?;
+        for edge in &site.edges {
+            let name = format!("edge-{}", edge.name);
+            text += &key_account(site, &name, &rights::edge(edge), keys)?;
+        }
+        for worker in &site.workers {
+            let name = format!("worker-{worker}");
+            text += &key_account(site, &name, &rights::worker(worker), keys)?;
+        }
+    }
+    text += "}\n";
+    Ok(text)
+}
+
+/// Where it listens, TLS, JetStream, MQTT.
+fn head(server: &Server) -> Result<String, ConfigError> {
+    check("server", &server.name)?;
+    let tls = match &server.tls {
+        Some(Tls { certificate, key }) => {
+            let (certificate, key) = (path(certificate)?, path(key)?);
+            format!("tls {{ cert_file: {certificate}, key_file: {key}, min_version: \"1.2\" }}")
+        }
+        None => String::new(),
+    };
+    let mut text = String::from(
+        "# Made by `ihd fleet server-config`, which also changes it; docs/fleet-security.md says what it means.\n\
+         # Passwords of MQTT are in it: for the server alone (chmod 600).\n",
+    );
+    let _ = writeln!(text, "server_name: {}", server.name);
+    let _ = writeln!(text, "listen: {:?}", server.listen);
+    let _ = writeln!(text, "max_payload: {MAX_PAYLOAD_BYTES}");
+    if !tls.is_empty() {
+        let _ = writeln!(text, "{tls}");
+    }
+    // On the disk before a window is acknowledged: its edge forgets it then.
+    let store = path(&server.store)?;
+    let _ = writeln!(
+        text,
+        "jetstream {{ store_dir: {store}, sync_interval: always }}"
+    );
+    if let Some(listen) = &server.mqtt_listen {
+        let _ = writeln!(text, "mqtt {{\n  listen: {listen:?}\n  {tls}\n}}");
+    }
+    Ok(text)
+}
+
+/// The account of the site's data, with its operator and those who read by MQTT.
+fn site_account(
+    site: &Site,
+    mqtt: bool,
+    keys: &BTreeMap<String, Key>,
+) -> Result<String, ConfigError> {
+    let Site {
+        name,
+        disk_bytes,
+        memory_bytes,
+        ..
+    } = site;
+    let operator = key(keys, &format!("{name}-operator"))?.public();
+    let mut text = format!(
+        "  {} {{\n    jetstream: {{ max_file: {disk_bytes}, max_memory: {memory_bytes} }}\n    users: [\n      \
+         {{ nkey: {operator} }}\n",
+        account(site, None)
+    );
+    if mqtt {
+        // In MQTT `homeassistant/#` is `homeassistant`, too.
+        let reads = format!(
+            "{:?}, \"homeassistant\", \"homeassistant.>\"",
+            crate::names::state("*").as_str()
+        );
+        for (role, publish) in [
+            ("mqtt", "{ deny: \">\" }".to_owned()),
+            (
+                "home-assistant",
+                format!("{{ allow: {:?} }}", rights::HOME_ASSISTANT_STATUS),
+            ),
+        ] {
+            let user = format!("{name}-{role}");
+            let password = key(keys, &user)?.seed();
+            let _ = writeln!(
+                text,
+                "      {{ user: {user:?}, password: {password:?}, allowed_connection_types: [MQTT],\n        permissions: \
+                 {{ publish: {publish}, subscribe: {{ allow: [{reads}] }} }} }}"
+            );
+        }
+    }
+    text += "    ]\n    exports: [\n";
+    let (services, streams) = rights::offered();
+    for subject in services {
+        let _ = writeln!(text, "      {{ service: {subject:?} }}");
+    }
+    let many = rights::offered_with_many_answers();
+    let _ = writeln!(text, "      {{ service: {many:?}, response_type: stream }}");
+    for subject in streams {
+        let _ = writeln!(text, "      {{ stream: {subject:?} }}");
+    }
+    text += "    ]\n  }\n";
+    Ok(text)
+}
+
+/// The account of one key: no JetStream, and of the site's what is named.
+fn key_account(
+    site: &Site,
+    role: &str,
+    rights: &Rights,
+    keys: &BTreeMap<String, Key>,
+) -> Result<String, ConfigError> {
+    let user = key(keys, &format!("{}-{role}", site.name))?.public();
+    let (own, from) = (account(site, Some(role)), account(site, None));
+    let mut text = format!(
+        "  {own} {{\n    users: [ {{ nkey: {user} }} ]\n    limits: {{ max_connections: {CONNECTIONS_A_KEY} }}\n    \
+         imports: [\n"
+    );
+    for (kind, subjects) in [("service", &rights.services), ("stream", &rights.streams)] {
+        for subject in subjects {
+            let _ = writeln!(
+                text,
+                "      {{ {kind}: {{ account: {from}, subject: {subject:?} }} }}"
+            );
+        }
+    }
+    text += "    ]\n  }\n";
+    Ok(text)
+}
+
+/// No name has a point: no two accounts are one.
+fn account(site: &Site, role: Option<&str>) -> String {
+    match role {
+        Some(role) => format!("\"{}.{role}\"", site.name),
+        None => format!("\"{}\"", site.name),
+    }
+}
+
+fn key<'a>(keys: &'a BTreeMap<String, Key>, name: &str) -> Result<&'a Key, ConfigError> {
+    let missing = || ConfigError::NoKey(name.to_owned());
+    keys.get(name).ok_or_else(missing)
+}
+
+/// As the server's configuration writes text; its backslashes are not escapes in a path of Windows.
+fn path(path: &std::path::Path) -> Result<String, ConfigError> {
+    let refused = || ConfigError::Path(path.into());
+    let text = path.to_str().ok_or_else(refused)?;
+    if text.is_empty() || text.contains(|c: char| c.is_control() || c == '\'') {
+        return Err(refused());
+    }
+    Ok(format!("'{text}'"))
+}
+
+fn check_site(site: &Site) -> Result<(), ConfigError> {
+    check("site", &site.name)?;
+    for edge in &site.edges {
+        check("edge", &edge.name)?;
+        if edge.hobs.is_empty() {
+            return Err(ConfigError::Edge(edge.name.clone()));
+        }
+        edge.hobs.iter().try_for_each(|hob| check("hob", hob))?;
+    }
+    site.workers.iter().try_for_each(|w| check("worker", w))?;
+    unique("edge", site.edges.iter().map(|edge| &edge.name))?;
+    unique("worker", &site.workers)?;
+    // Two edges with one hob would take each other's results.
+    unique("hob", site.edges.iter().flat_map(|edge| &edge.hobs))
+}
+
+/// Names are tokens of subjects: a point or a star in one would be another right.
+fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
+        let name = name.to_owned();
+        return Err(ConfigError::Name { what, name });
+    }
+    Ok(())
+}
+
+fn unique<'a>(
+    what: &'static str,
+    names: impl IntoIterator<Item = &'a String>,
+) -> Result<(), ConfigError> {
+    let mut seen = BTreeSet::new();
+    match names.into_iter().find(|name| !seen.insert(*name)) {
+        Some(name) => Err(ConfigError::Twice {
+            what,
+            name: name.clone(),
+        }),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests;

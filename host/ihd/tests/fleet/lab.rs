@@ -1,0 +1,149 @@
+//! Two sites on one server, configured as `ihd fleet server-config` would: TLS, a key for everybody.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use async_nats::jetstream;
+use async_nats::{Client, ConnectOptions};
+use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::server_config::{Edge, Key, Site, Tls, server_config};
+
+use crate::server::{Place, Server};
+
+/// The server, everybody's keys, and the certificate by which a client knows the server.
+pub struct Lab {
+    pub server: Server,
+    keys: BTreeMap<String, Key>,
+    certificate: PathBuf,
+    sites: Vec<Site>,
+}
+
+impl Lab {
+    /// Sites `lab` (edges lab-1 with hob-a and hob-b, which sees the fleet, and lab-2 with hob-c; two workers) and `field`
+    /// (edge field-1 with a hob-a of its own).
+    pub async fn start() -> Self {
+        let mut first: Edge = "lab-1=hob-a,hob-b".parse().unwrap();
+        first.sees_fleet = true;
+        let lab = Site::new("lab", vec![first, "lab-2=hob-c".parse().unwrap()], 2);
+        let field = Site::new("field", vec!["field-1=hob-a".parse().unwrap()], 1);
+        let lab = Self::of(vec![lab, field]);
+        for site in &lab.sites {
+            lab.make_streams(site).await;
+        }
+        lab
+    }
+
+    /// The server for these sites, with nothing in it.
+    pub fn of(mut sites: Vec<Site>) -> Self {
+        // What any machine has.
+        sites.iter_mut().for_each(|site| site.disk_bytes = 1 << 30);
+        let names = sites.iter().flat_map(|site| site.key_names(true));
+        let keys: BTreeMap<_, _> = names.map(|name| (name, Key::make().unwrap())).collect();
+        let server = Server::configured(|place| server_config(&at(place), &sites, &keys).unwrap());
+        Self {
+            certificate: server.folder().join("certificate.pem"),
+            server,
+            keys,
+            sites,
+        }
+    }
+
+    /// Writes the configuration anew without an edge, as `ihd fleet server-config` after its loss.
+    pub fn forget_edge(&mut self, name: &str) {
+        for site in &mut self.sites {
+            site.edges.retain(|edge| edge.name != name);
+        }
+        let place = Place {
+            address: match self.server.address().ip() {
+                std::net::IpAddr::V4(address) => address,
+                std::net::IpAddr::V6(other) => panic!("{other}"),
+            },
+            folder: self.server.folder().to_owned(),
+        };
+        let text = server_config(&settings(&place), &self.sites, &self.keys).unwrap();
+        self.server.rewrite(|_| text);
+    }
+
+    /// What `tls://` clients connect to.
+    pub fn url(&self) -> String {
+        format!("tls://{}", self.server.address())
+    }
+
+    /// The file with the server's certificate.
+    pub fn certificate(&self) -> PathBuf {
+        self.certificate.clone()
+    }
+
+    /// A key, by what [`Site::key_names`] calls it.
+    pub fn key(&self, name: &str) -> &Key {
+        &self.keys[name]
+    }
+
+    /// How the owner of a key connects; once, and not again and again.
+    pub fn options(&self, key: &str) -> ConnectOptions {
+        ConnectOptions::with_nkey(self.key(key).seed().to_owned())
+            .add_root_certificates(self.certificate())
+            .require_tls(true)
+            .request_timeout(Some(Duration::from_secs(5)))
+            .connection_timeout(Duration::from_secs(5))
+    }
+
+    /// A client with a key.
+    pub async fn client(&self, key: &str) -> Client {
+        let connected = self.options(key).connect(self.url()).await;
+        connected.unwrap_or_else(|why| panic!("{key}: {why}\n{}", self.server.log()))
+    }
+
+    /// JetStream with a key.
+    pub async fn jetstream(&self, key: &str) -> jetstream::Context {
+        jetstream::new(self.client(key).await)
+    }
+
+    /// What the operator makes (`ihd fleet init`).
+    async fn make_streams(&self, site: &Site) {
+        let js = self.jetstream(&format!("{}-operator", site.name)).await;
+        let most = 100 << 20;
+        let limits = Limits {
+            windows_bytes: most,
+            results_bytes: most,
+            events_bytes: most,
+            dead_bytes: most,
+            captures_bytes: most,
+            ..Limits::default()
+        };
+        engine::init(&js, &limits).await.unwrap();
+        for edge in &site.edges {
+            let made = engine::init_edge(&js, &edge.name, &edge.hobs).await;
+            made.unwrap();
+        }
+    }
+}
+
+/// The server's settings for a place, and its certificate beside its configuration.
+fn at(place: &Place) -> ihd_fleet::server_config::Server {
+    let names = vec!["localhost".to_owned(), place.address.to_string()];
+    let made = rcgen::generate_simple_self_signed(names).unwrap();
+    fs::write(place.folder.join("certificate.pem"), made.cert.pem()).unwrap();
+    fs::write(
+        place.folder.join("key.pem"),
+        made.signing_key.serialize_pem(),
+    )
+    .unwrap();
+    settings(place)
+}
+
+fn settings(place: &Place) -> ihd_fleet::server_config::Server {
+    let any = format!("{}:-1", place.address);
+    ihd_fleet::server_config::Server {
+        name: "ihd-test".to_owned(),
+        listen: any.clone(),
+        mqtt_listen: Some(any),
+        store: place.folder.join("store"),
+        tls: Some(Tls {
+            certificate: place.folder.join("certificate.pem"),
+            key: place.folder.join("key.pem"),
+        }),
+    }
+}

