@@ -15,6 +15,7 @@ use crate::config::Config;
 use crate::device::{Context, Order};
 use crate::face::Face;
 use crate::figures::{Figures, rss_bytes};
+use crate::fleet_view::FleetView;
 use crate::history::{self, Seconds};
 use crate::journalist;
 use crate::learning::{Learner, LearnerError, LearnerSettings};
@@ -95,6 +96,8 @@ pub(crate) struct Inner {
     pub(crate) seconds: Arc<Seconds>,
     /// Of the cells of each device's lookup.
     pub(crate) ages: Mutex<BTreeMap<String, Ages>>,
+    /// What is known of the fleet, where this is an edge of one.
+    pub(crate) fleet: FleetView,
     learner: Mutex<Option<Arc<Learner>>>,
     routing: Mutex<Option<JoinHandle<()>>>,
     stop: watch::Sender<bool>,
@@ -174,6 +177,7 @@ impl Daemon {
                 devices,
                 seconds,
                 ages: Mutex::default(),
+                fleet: FleetView::default(),
                 learner: Mutex::new(Some(learner)),
                 routing: Mutex::new(Some(routing)),
                 stop,

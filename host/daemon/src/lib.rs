@@ -19,6 +19,7 @@ mod device;
 mod face;
 mod figures;
 pub mod firmware;
+mod fleet_view;
 mod history;
 mod hob;
 mod journalist;
