@@ -224,13 +224,15 @@ impl PotMap {
         1
     }
 
+    /// Time of the newest window in seconds of the device; negative infinity where nothing was seen.
+    pub fn newest_s(&self) -> f64 {
+        let times = self.curves.iter().map(|c| c.t_s);
+        times.fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// What was seen moves so that nothing of it lies after `now_s`: a device that was reset counts its time anew.
     pub fn rebase(&mut self, now_s: f64) {
-        let newest_s = self
-            .curves
-            .iter()
-            .map(|c| c.t_s)
-            .fold(f64::NEG_INFINITY, f64::max);
+        let newest_s = self.newest_s();
         if newest_s <= now_s {
             return;
         }
