@@ -71,7 +71,8 @@ export const DEVICES = [
     by: (row) => row.protocol[0] * 65536 + row.protocol[1], number: true,
   },
   {
-    key: "lookup", label: "Lookup", text: (row) => (row.lookup_version === 0 ? "built-in" : String(row.lookup_version)),
+    // Of one that was never shaken hands with nobody knows it.
+    key: "lookup", label: "Lookup", text: (row) => (row.lookup_version > 0 ? String(row.lookup_version) : row.build ? "built-in" : NOTHING),
     by: (row) => row.lookup_version, number: true,
   },
   seen(),

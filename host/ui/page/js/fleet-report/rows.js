@@ -114,8 +114,8 @@ export function inView(top, height, row, n) {
  */
 export function serverText(report) {
   const server = report.server || "a server without a name";
-  if (report.connected) return `● connected to ${server}`;
-  return `✖ not connected to ${server}${report.why ? `: ${report.why}` : ""}`;
+  // One that answers may still have a say: a key that may not look at everything.
+  return `${report.connected ? "● connected to" : "✖ not connected to"} ${server}${report.why ? `: ${report.why}` : ""}`;
 }
 
 /**

@@ -11,8 +11,6 @@ import { Newest } from "../newest.js";
 
 /** Between two readings, in milliseconds: an edge learns of the fleet that often. */
 const AGAIN_MS = 2000;
-/** The same where the daemon is no edge. */
-const NO_EDGE_MS = 5000;
 /** Words that count on, in milliseconds. */
 const TICK_MS = 1000;
 /** After the last key in the filter, in milliseconds. */
@@ -25,7 +23,7 @@ const TILES = /** @type {const} */ ([
   ["backlog", "Backlog", "windows that nobody has identified yet"],
   ["dead", "Dead", "windows that were given up: ihd fleet dead"],
   ["outbox", "Outbox", "of this edge, not acknowledged yet"],
-  ["workers", "Workers", "who identify"],
+  ["workers", "Workers", ""],
 ]);
 
 /** @typedef {import("../context.js").Context} Context */
@@ -76,16 +74,17 @@ class FleetView {
     this.age = h("span", { class: "quiet", data: { testid: "fleet-age" } });
     this.edge = h("span", { class: "quiet" });
     this.tiles = Object.fromEntries(TILES.map(([key]) => [key, h("dd", { data: { testid: `fleet-${key === "workers" ? "worker-count" : key}` } })]));
-    const tiles = TILES.map(([key, label, what]) => h("div", { class: "fleet-tile" }, h("dt", null, label), this.tiles[key], h("dd", { class: "fleet-what quiet" }, what)));
+    this.busy = h("dd", { class: "fleet-what quiet" });
+    const tiles = TILES.map(([key, label, what]) => h("div", { class: "fleet-tile" }, h("dt", null, label), this.tiles[key], key === "workers" ? this.busy : h("dd", { class: "fleet-what quiet" }, what)));
     this.count = h("p", { class: "fleet-count", data: { testid: "fleet-count" } });
     this.none = h("p", { class: "quiet" });
     this.content = h("div", { class: "fleet-content", hidden: true },
       h("p", { class: "fleet-head" }, this.server, " ", this.edge, " ", this.age),
       h("dl", { class: "fleet-tiles" }, tiles),
-      h("section", { "aria-label": "Devices of all edges" }, h("h2", null, "Devices"), this.#tools(), this.count, this.devices.element, this.none),
+      h("section", null, h("h2", null, "Devices"), this.#tools(), this.count, this.devices.element, this.none),
       h("div", { class: "fleet-columns" },
-        h("section", { "aria-label": "Workers" }, h("h2", null, "Workers"), this.workers.element),
-        h("section", { "aria-label": "Edges" }, h("h2", null, "Edges"), this.edges.element)));
+        h("section", null, h("h2", null, "Workers"), this.workers.element),
+        h("section", null, h("h2", null, "Edges"), this.edges.element)));
     append(root, [h("h1", null, "Fleet"), this.state, this.content]);
   }
 
@@ -108,10 +107,10 @@ class FleetView {
     this.reads.ask(undefined);
   }
 
-  again(/** @type {number} */ after_ms) {
+  again() {
     clearTimeout(this.timer);
     // A hidden page asks for nothing; it reads at once when it is seen.
-    if (!document.hidden && !this.stop.signal.aborted) this.timer = setTimeout(() => this.load(), after_ms);
+    if (!document.hidden && !this.stop.signal.aborted) this.timer = setTimeout(() => this.load(), AGAIN_MS);
   }
 
   async read() {
@@ -121,7 +120,7 @@ class FleetView {
     const { fleet } = this.report ? { fleet: true } : await api.get("session", options);
     const report = fleet ? await api.get("fleet", options) : null;
     if (this.stop.signal.aborted) return;
-    this.again(report ? AGAIN_MS : NO_EDGE_MS);
+    this.again();
     if (!report) return this.noFleet();
     this.report = report;
     this.context.foundFleet();
@@ -144,7 +143,7 @@ class FleetView {
       this.state.hidden = false;
       setText(this.state, `The fleet cannot be read: ${why instanceof Error ? why.message : why}. Trying again …`);
     }
-    this.again(NO_EDGE_MS);
+    this.again();
   }
 
   show() {
@@ -154,11 +153,12 @@ class FleetView {
     this.content.hidden = false;
     for (const [key] of TILES) {
       const value = key === "workers" ? report.workers.length : report[key];
-      setText(this.tiles[key], key === "workers" ? workersText(report) : fixed(value));
+      setText(this.tiles[key], fixed(value));
       setAttribute(this.tiles[key], "data-value", String(value));
       setAttribute(this.tiles[key], "class", key === "dead" && value > 0 ? "bad" : null);
     }
-    setText(this.edge, report.edge ? `as the edge ${report.edge},` : "");
+    setText(this.busy, busyText(report));
+    setText(this.edge, report.edge ? `as the edge ${report.edge};` : "");
     this.workers.show(report.workers);
     this.edges.show(report.edges);
     this.showDevices();
@@ -168,7 +168,7 @@ class FleetView {
   showHead() {
     const report = this.report;
     if (!report) return;
-    setText(this.server, `${serverText(report)}${report.edge ? "" : ","}`);
+    setText(this.server, `${serverText(report)}${report.edge ? "" : ";"}`);
     setAttribute(this.server, "data-value", String(report.connected));
     this.server.className = report.connected ? "good" : "bad";
     setText(this.age, `${ageText(report, this.now_ms())}.`);
@@ -226,8 +226,8 @@ class FleetView {
 }
 
 /** @param {Report} report */
-function workersText({ workers }) {
-  if (workers.length === 0) return "0";
+function busyText({ workers }) {
+  if (workers.length === 0) return "nobody identifies: ihd worker";
   const sum = (/** @type {"busy" | "threads"} */ key) => workers.reduce((total, worker) => total + worker[key], 0);
-  return `${workers.length}, ${sum("busy")} of ${sum("threads")} threads busy`;
+  return `${sum("busy")} of ${sum("threads")} threads busy`;
 }
