@@ -5,6 +5,7 @@ mod captures;
 mod dead;
 mod init;
 mod lookups;
+mod server_config;
 mod status;
 
 use anyhow::Result;
@@ -42,6 +43,7 @@ enum Command {
     Replay(dead::ReplayArgs),
     Lookups(lookups::LookupsArgs),
     Captures(captures::CapturesArgs),
+    ServerConfig(server_config::ServerConfigArgs),
 }
 
 /// Something in the fleet needs somebody: what `ihd fleet status --check` ends with.
@@ -65,6 +67,7 @@ impl FleetArgs {
             Command::Replay(args) => args.run(access),
             Command::Lookups(args) => args.run(access),
             Command::Captures(args) => args.run(access),
+            Command::ServerConfig(args) => args.run(),
         }
     }
 }
