@@ -1,0 +1,233 @@
+//! What is known of one pot under several hypotheses: that it is any pot, or one that another hob knows, each weighed by how
+//! likely it makes what was seen.
+//!
+//! Cells are the mixture's mean, and their deviations hold how much the hypotheses differ. "Any pot" keeps a share whatever the
+//! evidence says: windows of one frequency cannot tell pots apart that differ elsewhere.
+
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+
+use crate::PotModel;
+use crate::curve::{Curve, Mean};
+use crate::ended::Ended;
+use crate::fit::Datum;
+use crate::knowledge::{Knowledge, Predicted};
+use crate::library::Library;
+
+/// Share of "none of them" before anything was seen; the entries have the rest, alike.
+const NONE_OF_THEM: f64 = 0.5;
+
+/// Share that it keeps at least: one pot in twenty that fits an entry is another one. Its deviations in unseen cells after one window
+/// are some five times those of a pot that is known, so that theirs grow by half.
+const LEAST_NONE: f64 = 0.05;
+
+/// Share below which a hypothesis is dropped.
+const DROPPED: f64 = 0.01;
+
+/// That it is one of the library's pots.
+#[derive(Clone, Debug)]
+struct Recognised {
+    entry: String,
+    share: f64,
+    known: Knowledge,
+}
+
+/// What is known of one pot.
+#[derive(Clone, Debug)]
+pub(crate) struct Hypotheses {
+    /// That it is any pot.
+    any: Knowledge,
+    others: Vec<Recognised>,
+}
+
+/// A hypothesis of the library as it is kept.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct KeptRecognised {
+    entry: String,
+    share: f64,
+    ended: Ended,
+}
+
+/// How a window compares with what was expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Compared {
+    /// Squares a number under the hypothesis that expected it best.
+    pub chi2: f64,
+    /// How far R and L were from there, relative, in the mean.
+    pub off: [f64; 2],
+    /// Squares a number under the hypothesis that expected it least.
+    pub most_chi2: f64,
+}
+
+impl Hypotheses {
+    /// From everything seen; `before` is what was known before, and `again` says that the library is to be asked again. `None` as
+    /// [`Knowledge::of`].
+    pub fn of(
+        data: Vec<Datum>,
+        library: Option<&Library>,
+        before: Option<&Self>,
+        again: bool,
+    ) -> Option<Self> {
+        let any = Knowledge::of(data.clone(), None, before.map(|b| b.any.ended()))?;
+        let known = before.map_or(&[][..], |b| &b.others);
+        let start = |entry: &str| known.iter().find(|r| r.entry == entry);
+        let candidates: Vec<_> = match library {
+            Some(library) if again => library.candidates(&data),
+            _ => known
+                .iter()
+                .map(|r| (r.entry.as_str(), r.known.ended().prior()))
+                .collect(),
+        };
+        let recognised = candidates.into_iter().filter_map(|(entry, prior)| {
+            let start = start(entry).map(|r| r.known.ended());
+            Some(Recognised {
+                entry: entry.to_owned(),
+                share: 0.0,
+                known: Knowledge::of(data.clone(), Some(&prior), start)?,
+            })
+        });
+        let entries = library.map_or(1, |l| l.entries().len()).max(1) as f64;
+        Some(Self::weighed(any, recognised.collect(), entries))
+    }
+
+    /// Shares by evidence.
+    fn weighed(any: Knowledge, mut others: Vec<Recognised>, entries: f64) -> Self {
+        let highest = others.iter().map(|r| r.known.evidence());
+        let highest = highest.fold(any.evidence(), f64::max);
+        let none = NONE_OF_THEM * (any.evidence() - highest).exp();
+        for r in &mut others {
+            r.share = (1.0 - NONE_OF_THEM) / entries * (r.known.evidence() - highest).exp();
+        }
+        let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
+        others.retain(|r| r.share >= DROPPED * sum);
+        let left: f64 = others.iter().map(|r| r.share).sum();
+        let most = (left / (none + left)).min(1.0 - LEAST_NONE);
+        others.iter_mut().for_each(|r| r.share *= most / left);
+        Self { any, others }
+    }
+
+    /// What is kept of the library's hypotheses.
+    pub fn kept(&self) -> Vec<KeptRecognised> {
+        let kept = |r: &Recognised| KeptRecognised {
+            entry: r.entry.clone(),
+            share: r.share,
+            ended: *r.known.ended(),
+        };
+        self.others.iter().map(kept).collect()
+    }
+
+    /// From what was kept and seen; `None` where nothing could have taught it.
+    pub fn from_kept(any: Ended, others: Vec<KeptRecognised>, data: Vec<Datum>) -> Option<Self> {
+        let shares = others.iter().map(|r| r.share);
+        let sound = shares.clone().all(|s| s > 0.0) && shares.sum::<f64>() < 1.0;
+        if !sound || !any.is_sound() || !others.iter().all(|r| r.ended.is_sound()) {
+            return None;
+        }
+        let restored = others.into_iter().map(|r| {
+            Some(Recognised {
+                entry: r.entry,
+                share: r.share,
+                known: Knowledge::conditioned(r.ended, data.clone())?,
+            })
+        });
+        Some(Self {
+            others: restored.collect::<Option<_>>()?,
+            any: Knowledge::conditioned(any, data)?,
+        })
+    }
+
+    /// That it is any pot: what this hob found by itself.
+    pub fn any(&self) -> &Knowledge {
+        &self.any
+    }
+
+    /// The library's entries that it may be, with their shares.
+    pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
+        self.others.iter().map(|r| (r.entry.as_str(), r.share))
+    }
+
+    /// Every hypothesis with its share.
+    fn all(&self) -> impl Iterator<Item = (f64, &Knowledge)> {
+        let others: f64 = self.others.iter().map(|r| r.share).sum();
+        let recognised = self.others.iter().map(|r| (r.share, &r.known));
+        std::iter::once((1.0 - others, &self.any)).chain(recognised)
+    }
+
+    /// The likeliest one.
+    pub fn likeliest(&self) -> &Knowledge {
+        let best = self.all().max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map_or(&self.any, |(_, known)| known)
+    }
+
+    /// The pot.
+    pub fn model(&self) -> PotModel {
+        self.likeliest().ended().model()
+    }
+
+    /// R and L with their deviations at places, `ahead_s` seconds after the last datum.
+    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
+        if self.others.is_empty() {
+            return self.any.at(places, ahead_s);
+        }
+        let each: Vec<_> = self
+            .all()
+            .map(|(share, known)| (share, known.at(places, ahead_s)))
+            .collect();
+        let mixed = |k: usize, x: fn(&Predicted) -> (f64, f64)| {
+            let of = each.iter().map(|(share, all)| (*share, x(&all[k])));
+            let mean: f64 = of.clone().map(|(share, (x, _))| share * x.ln()).sum();
+            let variance: f64 = of
+                .map(|(share, (x, sigma))| share * (sigma * sigma + (x.ln() - mean).powi(2)))
+                .sum();
+            (mean.exp(), variance.sqrt())
+        };
+        (0..places.len())
+            .map(|k| {
+                let (r_ohm, r_sigma) = mixed(k, |p| (p.r_ohm, p.r_sigma));
+                let (l_h, l_sigma) = mixed(k, |p| (p.l_h, p.l_sigma));
+                Predicted {
+                    r_ohm,
+                    l_h,
+                    r_sigma,
+                    l_sigma,
+                }
+            })
+            .collect()
+    }
+
+    /// A window of `means` beside what each hypothesis expects there; `None` where none can tell.
+    ///
+    /// The best one counts: a pot is another one only where it is so whatever was believed of it, so that a wrong entry never
+    /// makes a pot forgotten.
+    pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+        let each = self
+            .all()
+            .filter_map(|(_, known)| compare(known, curve, means, ahead_s));
+        each.reduce(|a, b| {
+            let best = if b.chi2 < a.chi2 { b } else { a };
+            Compared {
+                most_chi2: a.most_chi2.max(b.most_chi2),
+                ..best
+            }
+        })
+    }
+}
+
+fn compare(known: &Knowledge, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+    let places: Vec<_> = means.iter().map(|m| (curve.f_sw_hz, m.i_a)).collect();
+    let (expected, mut covariance) = known.joint(&places, ahead_s);
+    let count = means.len();
+    let off = DVector::from_fn(2 * count, |k, _| {
+        means[k % count].ln[k / count] - expected[k]
+    });
+    for k in 0..2 * count {
+        covariance[(k, k)] += means[k % count].variance[k / count];
+    }
+    let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
+    let chi2 = off.dot(&covariance.cholesky()?.solve(&off)) / (2 * count) as f64;
+    Some(Compared {
+        chi2,
+        off: [0, 1].map(|x| mean_square(x).sqrt()),
+        most_chi2: chi2,
+    })
+}
