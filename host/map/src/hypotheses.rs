@@ -12,7 +12,7 @@ use crate::curve::{Curve, Mean};
 use crate::ended::Ended;
 use crate::fit::Datum;
 use crate::knowledge::{Knowledge, Predicted};
-use crate::library::Library;
+use crate::library::{Candidate, KeptShape, Library, Shape, without};
 
 /// Share of "none of them" before anything was seen; the entries have the rest, alike.
 const NONE_OF_THEM: f64 = 0.5;
@@ -29,6 +29,8 @@ const DROPPED: f64 = 0.01;
 struct Recognised {
     entry: String,
     share: f64,
+    shape: Shape,
+    /// Of the physics, once the shape is taken away.
     known: Knowledge,
 }
 
@@ -45,7 +47,50 @@ pub(crate) struct Hypotheses {
 pub(crate) struct KeptRecognised {
     entry: String,
     share: f64,
+    shape: KeptShape,
     ended: Ended,
+}
+
+impl Recognised {
+    fn candidate(&self) -> Candidate {
+        Candidate {
+            id: self.entry.clone(),
+            prior: self.known.ended().prior(),
+            shape: self.shape.clone(),
+        }
+    }
+
+    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
+        let mut all = self.known.at(places, ahead_s);
+        for (value, &(f_hz, i_a)) in all.iter_mut().zip(places) {
+            let beside = self.shape.at(f_hz, i_a);
+            let variance = self.shape.variance(f_hz, i_a);
+            value.r_ohm *= beside[0].exp();
+            value.l_h *= beside[1].exp();
+            value.r_sigma = (value.r_sigma.powi(2) + variance[0]).sqrt();
+            value.l_sigma = (value.l_sigma.powi(2) + variance[1]).sqrt();
+        }
+        all
+    }
+
+    fn compare(&self, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+        let less = |m: &Mean| {
+            let (beside, variance) = (self.shape.at(f_hz, m.i_a), self.shape.variance(f_hz, m.i_a));
+            Mean {
+                i_a: m.i_a,
+                ln: [0, 1].map(|x| m.ln[x] - beside[x]),
+                variance: [0, 1].map(|x| m.variance[x] + variance[x]),
+            }
+        };
+        let means: Vec<_> = means.iter().map(less).collect();
+        compare(&self.known, f_hz, &means, ahead_s)
+    }
+}
+
+impl KeptRecognised {
+    fn is_sound(&self) -> bool {
+        self.ended.is_sound() && self.shape.is_sound() && self.share > 0.0
+    }
 }
 
 /// How a window compares with what was expected.
@@ -70,20 +115,19 @@ impl Hypotheses {
     ) -> Option<Self> {
         let any = Knowledge::of(data.clone(), None, before.map(|b| b.any.ended()))?;
         let known = before.map_or(&[][..], |b| &b.others);
-        let start = |entry: &str| known.iter().find(|r| r.entry == entry);
-        let candidates: Vec<_> = match library {
+        let candidates = match library {
             Some(library) if again => library.candidates(&data),
-            _ => known
-                .iter()
-                .map(|r| (r.entry.as_str(), r.known.ended().prior()))
-                .collect(),
+            _ => known.iter().map(Recognised::candidate).collect(),
         };
-        let recognised = candidates.into_iter().filter_map(|(entry, prior)| {
-            let start = start(entry).map(|r| r.known.ended());
+        let recognised = candidates.into_iter().filter_map(|candidate| {
+            let start = known.iter().find(|r| r.entry == candidate.id);
+            let start = start.map(|r| r.known.ended());
+            let alone = without(&candidate.shape, &data);
             Some(Recognised {
-                entry: entry.to_owned(),
+                known: Knowledge::of(alone, Some(&candidate.prior), start)?,
+                entry: candidate.id,
                 share: 0.0,
-                known: Knowledge::of(data.clone(), Some(&prior), start)?,
+                shape: candidate.shape,
             })
         });
         let entries = library.map_or(1, |l| l.entries().len()).max(1) as f64;
@@ -111,6 +155,7 @@ impl Hypotheses {
         let kept = |r: &Recognised| KeptRecognised {
             entry: r.entry.clone(),
             share: r.share,
+            shape: r.shape.kept().clone(),
             ended: *r.known.ended(),
         };
         self.others.iter().map(kept).collect()
@@ -118,16 +163,19 @@ impl Hypotheses {
 
     /// From what was kept and seen; `None` where nothing could have taught it.
     pub fn from_kept(any: Ended, others: Vec<KeptRecognised>, data: Vec<Datum>) -> Option<Self> {
-        let shares = others.iter().map(|r| r.share);
-        let sound = shares.clone().all(|s| s > 0.0) && shares.sum::<f64>() < 1.0;
-        if !sound || !any.is_sound() || !others.iter().all(|r| r.ended.is_sound()) {
+        let sum: f64 = others.iter().map(|r| r.share).sum();
+        // A share that is no number is none either.
+        let within = sum < 1.0;
+        if !within || !any.is_sound() || !others.iter().all(KeptRecognised::is_sound) {
             return None;
         }
         let restored = others.into_iter().map(|r| {
+            let shape = Shape::of(r.shape);
             Some(Recognised {
+                known: Knowledge::conditioned(r.ended, without(&shape, &data))?,
                 entry: r.entry,
                 share: r.share,
-                known: Knowledge::conditioned(r.ended, data.clone())?,
+                shape,
             })
         });
         Some(Self {
@@ -146,17 +194,23 @@ impl Hypotheses {
         self.others.iter().map(|r| (r.entry.as_str(), r.share))
     }
 
-    /// Every hypothesis with its share.
-    fn all(&self) -> impl Iterator<Item = (f64, &Knowledge)> {
-        let others: f64 = self.others.iter().map(|r| r.share).sum();
-        let recognised = self.others.iter().map(|r| (r.share, &r.known));
-        std::iter::once((1.0 - others, &self.any)).chain(recognised)
+    /// Share of "any pot".
+    fn share_of_any(&self) -> f64 {
+        1.0 - self.others.iter().map(|r| r.share).sum::<f64>()
     }
 
-    /// The likeliest one.
-    pub fn likeliest(&self) -> &Knowledge {
-        let best = self.all().max_by(|a, b| a.0.total_cmp(&b.0));
-        best.map_or(&self.any, |(_, known)| known)
+    /// How well the physics describes the likeliest one: deviations of ln R and ln L around it.
+    pub fn misfit(&self) -> [f64; 2] {
+        self.likeliest().misfit()
+    }
+
+    fn likeliest(&self) -> &Knowledge {
+        let best = self
+            .others
+            .iter()
+            .max_by(|a, b| a.share.total_cmp(&b.share));
+        let best = best.filter(|r| r.share > self.share_of_any());
+        best.map_or(&self.any, |r| &r.known)
     }
 
     /// The pot.
@@ -169,10 +223,9 @@ impl Hypotheses {
         if self.others.is_empty() {
             return self.any.at(places, ahead_s);
         }
-        let each: Vec<_> = self
-            .all()
-            .map(|(share, known)| (share, known.at(places, ahead_s)))
-            .collect();
+        let others = self.others.iter();
+        let mut each: Vec<_> = others.map(|r| (r.share, r.at(places, ahead_s))).collect();
+        each.push((self.share_of_any(), self.any.at(places, ahead_s)));
         let mixed = |k: usize, x: fn(&Predicted) -> (f64, f64)| {
             let of = each.iter().map(|(share, all)| (*share, x(&all[k])));
             let mean: f64 = of.clone().map(|(share, (x, _))| share * x.ln()).sum();
@@ -200,10 +253,11 @@ impl Hypotheses {
     /// The best one counts: a pot is another one only where it is so whatever was believed of it, so that a wrong entry never
     /// makes a pot forgotten.
     pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
-        let each = self
-            .all()
-            .filter_map(|(_, known)| compare(known, curve, means, ahead_s));
-        each.reduce(|a, b| {
+        let f_hz = curve.f_sw_hz;
+        let others = self.others.iter();
+        let others = others.filter_map(|r| r.compare(f_hz, means, ahead_s));
+        let any = compare(&self.any, f_hz, means, ahead_s);
+        any.into_iter().chain(others).reduce(|a, b| {
             let best = if b.chi2 < a.chi2 { b } else { a };
             Compared {
                 most_chi2: a.most_chi2.max(b.most_chi2),
@@ -213,8 +267,8 @@ impl Hypotheses {
     }
 }
 
-fn compare(known: &Knowledge, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
-    let places: Vec<_> = means.iter().map(|m| (curve.f_sw_hz, m.i_a)).collect();
+fn compare(known: &Knowledge, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+    let places: Vec<_> = means.iter().map(|m| (f_hz, m.i_a)).collect();
     let (expected, mut covariance) = known.joint(&places, ahead_s);
     let count = means.len();
     let off = DVector::from_fn(2 * count, |k, _| {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use ihd_shared::lookup::grid::{
     CURRENTS, FREQUENCIES, ONE, current_a, frequency_coordinate, frequency_hz, split,
 };
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
@@ -13,7 +14,7 @@ use crate::ended::{Ended, UNDESCRIBED};
 use crate::fit::Datum;
 use crate::hypotheses::{Compared, Hypotheses, KeptRecognised};
 use crate::knowledge::Predicted;
-use crate::library::{Library, PotEntry, Provenance, SeenAt};
+use crate::library::{Found, Library, PotEntry, Provenance, SeenAt, shape_places};
 use crate::misfit::{current_knots, current_of_knots};
 use crate::surface_table::lagrange;
 
@@ -190,7 +191,17 @@ impl PotMap {
         }
         let described = described(known.misfit());
         let factor = known.factor_of_numbers().filter(|_| described)?;
-        PotEntry::of(known.ended().model(), &factor, known.misfit(), seen, by)
+        let (model, places) = (known.ended().model(), shape_places());
+        let (map, _) = known.joint(&places, 0.0);
+        let physics = physics(&model, &places);
+        let found = Found {
+            model,
+            factor,
+            misfit: known.misfit(),
+            beside: map - physics,
+            seen,
+        };
+        PotEntry::of(&found, by)
     }
 
     fn seen_at(&self) -> Option<SeenAt> {
@@ -333,7 +344,7 @@ impl PotMap {
     /// Whether the physics describes the pot: one that stands far off centre, or that is made of parts, it may not.
     /// `None` before a window came.
     pub fn is_described(&self) -> Option<bool> {
-        let misfit = self.learned.as_ref()?.known.likeliest().misfit();
+        let misfit = self.learned.as_ref()?.known.misfit();
         Some(described(misfit))
     }
 
@@ -430,6 +441,18 @@ impl PotMap {
 
 fn described(misfit: [f64; 2]) -> bool {
     misfit.iter().zip(UNDESCRIBED).all(|(is, most)| *is < most)
+}
+
+/// ln R and ln L of a model at places, R of all and then L of all.
+fn physics(model: &PotModel, places: &[(f64, f64)]) -> DVector<f64> {
+    let load = |k: usize| {
+        let (f_hz, i_a) = places[k % places.len()];
+        model.impedance(f_hz, i_a)
+    };
+    DVector::from_fn(2 * places.len(), |k, _| match k < places.len() {
+        true => load(k).r_ohm.ln(),
+        false => load(k).l_h.ln(),
+    })
 }
 
 /// What curves say at a time in seconds of the device.

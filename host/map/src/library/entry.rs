@@ -1,9 +1,10 @@
 //! One pot as one or more hobs know it.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::LibraryError;
+use super::shape::{self, KeptShape, Range};
 use crate::PotModel;
 use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
 
@@ -82,6 +83,8 @@ pub struct PotEntry {
     /// Lower triangle L, row by row, of the seven numbers' covariance L Lᵀ, in their units, in the order of `parameters`.
     factor: Vec<f64>,
     misfit: [f64; 2],
+    /// What the map is beside the model, in units of 1e-5.
+    shape: Vec<i16>,
     seen: SeenAt,
     label: Option<String>,
     hobs: Vec<String>,
@@ -89,23 +92,36 @@ pub struct PotEntry {
     t_unix_s: u64,
 }
 
+/// What a hob found of a pot.
+pub(crate) struct Found {
+    pub model: PotModel,
+    /// Lower triangle of the numbers' covariance.
+    pub factor: DMatrix<f64>,
+    pub misfit: [f64; 2],
+    /// The map less the model, at [`super::shape_places`].
+    pub beside: DVector<f64>,
+    pub seen: SeenAt,
+}
+
 impl PotEntry {
     /// Of a fit; `None` where a number is none that an entry can have.
-    pub(crate) fn of(
-        model: PotModel,
-        factor: &DMatrix<f64>,
-        misfit: [f64; 2],
-        seen: SeenAt,
-        by: Provenance,
-    ) -> Option<Self> {
+    pub(crate) fn of(found: &Found, by: Provenance) -> Option<Self> {
+        let Found {
+            model,
+            factor,
+            misfit,
+            beside,
+            seen,
+        } = found;
         let triangle = (0..COUNT).flat_map(|row| (0..=row).map(move |k| factor[(row, k)]));
         let entry = Self {
             version: ENTRY_VERSION,
             id: format!("{}-{}", by.hob, by.t_unix_s),
-            model,
+            model: *model,
             factor: triangle.collect(),
-            misfit,
-            seen,
+            misfit: *misfit,
+            shape: shape::codes(beside),
+            seen: *seen,
             label: None,
             hobs: vec![by.hob],
             build: by.build,
@@ -237,6 +253,9 @@ impl PotEntry {
             let within = sigma <= most * parameters::SPREAD[row];
             !(within && numbers[row] >= 1e-6 * parameters::SPREAD[row])
         };
+        if self.shape.len() != shape::NUMBERS {
+            return unsound("its shape");
+        }
         if self.factor.len() != TRIANGLE || (0..COUNT).any(wide) {
             return unsound("a deviation");
         }
@@ -293,6 +312,19 @@ impl PotEntry {
         }
     }
 
+    /// What it is beside the physics, and where that was found.
+    pub(crate) fn shape(&self) -> KeptShape {
+        let range = Range {
+            f_sw_hz: self.seen.f_sw_hz,
+            i_a: self.seen.i_a,
+            misfit: self.misfit,
+        };
+        KeptShape {
+            codes: self.shape.clone(),
+            range,
+        }
+    }
+
     /// Whether both may be one pot.
     pub fn is_same(&self, other: &Self) -> bool {
         self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
@@ -323,7 +355,13 @@ impl PotEntry {
             .diagonal()
             .inf(&other.covariance().diagonal());
         let deviation = |k: usize| left[(k, k)].max(0.25 * floor[k]).sqrt();
+        let shapes = self.shape.iter().zip(&other.shape);
+        let shape = shapes.map(|(a, b)| {
+            // Between two codes: a code.
+            ((hobs * f64::from(*a) + f64::from(*b)) / (hobs + 1.0)).round() as i16
+        });
         let mut merged = Self {
+            shape: shape.collect(),
             model: parameters::clamped(&{
                 let mut all = parameters::raw(&other.model);
                 (0..OF_POT).for_each(|k| all[k] = mean[k]);

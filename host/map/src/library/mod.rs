@@ -10,6 +10,7 @@
 //! "none of them", which keeps a share however well an entry fits ([`crate::PotMap::with_library`]).
 
 mod entry;
+mod shape;
 #[cfg(test)]
 mod tests;
 
@@ -17,6 +18,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::fit::{Datum, fit};
 use crate::parameters::{CENTRED, COUNT, Prior};
+
+pub(crate) use entry::Found;
+
+pub(crate) use shape::{KeptShape, Shape, places as shape_places};
 
 pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MetalClass, PotEntry, Provenance, SeenAt};
 
@@ -168,7 +173,7 @@ impl Library {
 
     /// Entries that may be the pot that was seen, the likeliest first: the physics of each is laid through a few of the data, with
     /// lift, turns and winding free. That is what an unknown pot is recognised by, whatever the coil and the place.
-    pub(crate) fn candidates(&self, data: &[Datum]) -> Vec<(&str, Prior)> {
+    pub(crate) fn candidates(&self, data: &[Datum]) -> Vec<Candidate> {
         /// Data that are looked at, of which the first look needs no more.
         const LOOKED_AT: usize = 8;
         const MISFIT: [f64; 2] = [0.016, 0.008];
@@ -177,16 +182,51 @@ impl Library {
         const MOST: usize = 3;
         let every = data.len().div_ceil(LOOKED_AT).max(1);
         let few: Vec<Datum> = data.iter().copied().step_by(every).collect();
-        let cost = |entry: &PotEntry| {
-            let prior = entry.prior();
-            let fitted = fit(&few, (&prior, [0.0; COUNT]), CENTRED, MISFIT, LOOKS)?;
+        let look = |entry: &PotEntry| {
+            let candidate = Candidate::of(entry);
+            let (few, none) = (candidate.without_shape(&few), [0.0; COUNT]);
+            let fitted = fit(&few, (&candidate.prior, none), CENTRED, MISFIT, LOOKS)?;
             // Four times the squares that chance makes: lift and place may still be off.
-            (fitted.cost < 4.0 * few.len() as f64).then_some(fitted.cost)
+            (fitted.cost < 4.0 * few.len() as f64).then_some((fitted.cost, candidate))
         };
-        let all = self.entries.iter();
-        let mut likely: Vec<_> = all.filter_map(|e| Some((cost(e)?, e))).collect();
+        let mut likely: Vec<_> = self.entries.iter().filter_map(look).collect();
         likely.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let best = likely.into_iter().take(MOST);
-        best.map(|(_, e)| (e.id(), e.prior())).collect()
+        likely.truncate(MOST);
+        likely.into_iter().map(|(_, candidate)| candidate).collect()
     }
+}
+
+/// An entry as a hypothesis.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub id: String,
+    pub prior: Prior,
+    pub shape: Shape,
+}
+
+impl Candidate {
+    fn of(entry: &PotEntry) -> Self {
+        Self {
+            id: entry.id().to_owned(),
+            prior: entry.prior(),
+            shape: Shape::of(entry.shape()),
+        }
+    }
+
+    /// What the physics alone would have shown.
+    pub fn without_shape(&self, data: &[Datum]) -> Vec<Datum> {
+        without(&self.shape, data)
+    }
+}
+
+/// Data less a shape.
+pub(crate) fn without(shape: &Shape, data: &[Datum]) -> Vec<Datum> {
+    let less = |datum: &Datum| {
+        let beside = shape.at(datum.f_hz, datum.i_a);
+        Datum {
+            ln: [0, 1].map(|x| datum.ln[x] - beside[x]),
+            ..*datum
+        }
+    };
+    data.iter().map(less).collect()
 }
