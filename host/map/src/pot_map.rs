@@ -189,8 +189,7 @@ impl PotMap {
         if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
             return None;
         }
-        let described = described(known.misfit());
-        let factor = known.factor_of_numbers().filter(|_| described)?;
+        let factor = known.factor_of_numbers()?;
         let (model, places) = (known.ended().model(), shape_places());
         let (map, _) = known.joint(&places, 0.0);
         let physics = physics(&model, &places);

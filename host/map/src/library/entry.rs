@@ -29,7 +29,7 @@ const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
 
 /// Deviation of a pot's own numbers, in spreads of any pot, from which nothing is gained by telling others.
-const WORTH_TELLING: f64 = 0.5;
+const WORTH_TELLING: f64 = 1.0;
 
 /// Switching frequencies in hertz and currents in ampere that a hob can have.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
@@ -37,6 +37,9 @@ const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
 
 /// Squares of the distance of two pots from which they are two: 1 % of chance with three numbers.
 const SAME_POT: f64 = 11.34;
+
+/// By how much the shapes of one pot seen twice differ less, in units of 1e-5: two percent.
+const SAME_SHAPE: u16 = 2_000;
 
 /// Who saw a pot, and when.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -327,14 +330,27 @@ impl PotEntry {
 
     /// Whether both may be one pot.
     pub fn is_same(&self, other: &Self) -> bool {
-        self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
+        let shapes = self.shape.iter().zip(&other.shape);
+        let alike = shapes
+            .map(|(a, b)| a.abs_diff(*b))
+            .all(|by| by < SAME_SHAPE);
+        alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
     }
 
-    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice.
+    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice. What is known badly counts as known as
+    /// well as it transfers, or all pots would be one.
     fn squares_to(&self, other: &Self) -> Option<f64> {
         let apart = self.numbers() - other.numbers();
-        let all = (self.covariance() + other.elsewhere()).cholesky()?;
+        let all = (self.known_well() + other.known_well() + transfer()).cholesky()?;
         Some(apart.dot(&all.solve(&apart)))
+    }
+
+    /// Covariance of α, s and radius, none of them wider than its transfer.
+    fn known_well(&self) -> Matrix3<f64> {
+        let covariance = self.covariance();
+        let shrink = Vector3::from_fn(|k, _| (TRANSFER[k] / covariance[(k, k)].sqrt()).min(1.0));
+        let shrink = Matrix3::from_diagonal(&shrink);
+        shrink * covariance * shrink
     }
 
     /// Takes in what another hob found of the same pot: the mean of both by their weights, in which nobody counts for more than the

@@ -22,6 +22,9 @@ const UNIT: f64 = 1e-5;
 /// Variance, in shares of the misfit's, that keeps the interpolation from going far beyond its points.
 const NUGGET: f64 = 1e-3;
 
+/// Share of the misfit that does not go with a pot to another coil and lift (docs/pots.md).
+const TRANSFER: f64 = 0.1;
+
 /// Where it is kept, as frequency in hertz and current in ampere; places of one frequency lie together.
 pub(crate) fn places() -> Vec<(f64, f64)> {
     let of = |f_hz: f64| KNOTS.map(move |knots| (f_hz, current_of_knots(knots)));
@@ -115,7 +118,7 @@ impl Shape {
         [0, 1].map(|x| near.dot(&self.weights[x]))
     }
 
-    /// Variance that ln R and ln L have there because the hob that found the shape did not see the pot there.
+    /// Variance that ln R and ln L have there because another hob found the shape, and where it did not see the pot.
     pub fn variance(&self, f_hz: f64, i_a: f64) -> [f64; 2] {
         let Range {
             f_sw_hz: [low_hz, high_hz],
@@ -124,6 +127,6 @@ impl Shape {
         } = self.kept.range;
         let nearest = Place::of(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
         let common = Place::of(f_hz, i_a).correlation(nearest).powi(2);
-        misfit.map(|tau| tau * tau * (1.0 - common).max(0.0))
+        misfit.map(|tau| tau * tau * ((1.0 - common).max(0.0) + TRANSFER * TRANSFER))
     }
 }
