@@ -170,10 +170,13 @@ impl PotMap {
         self
     }
 
-    /// Forgets the pot, not the library.
-    pub fn forget(&mut self) {
-        self.curves.clear();
-        self.learned = None;
+    /// One that has seen nothing, with the same library.
+    #[must_use]
+    pub fn forgotten(&self) -> Self {
+        Self {
+            library: self.library.clone(),
+            ..Self::default()
+        }
     }
 
     /// Pots of the library that it may be, by their names, with their shares; what is left to 1 is any other.
@@ -181,8 +184,9 @@ impl PotMap {
         self.learned.iter().flat_map(|l| l.known.recognised())
     }
 
-    /// What other hobs may learn from this one, of a pot that it knows well by itself: at three frequencies or more, a quarter of an
-    /// octave apart or more, and described by the physics. What it has from the library itself is not told on.
+    /// What other hobs may learn from this one, of a pot that it knows well by itself: seen at three frequencies or more, of which
+    /// the highest is a quarter of an octave above the lowest. What it has from the library is not told on. `None` else, or where
+    /// `by` holds no names.
     pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
         let known = self.learned.as_ref()?.known.any();
         let seen = self.seen_at()?;
@@ -344,7 +348,12 @@ impl PotMap {
     /// `None` before a window came.
     pub fn is_described(&self) -> Option<bool> {
         let misfit = self.learned.as_ref()?.known.misfit();
-        Some(described(misfit))
+        Some(
+            misfit
+                .iter()
+                .zip(UNDESCRIBED)
+                .all(|(found, most)| *found < most),
+        )
     }
 
     /// R and L at a switching frequency in hertz and many currents in ampere, interpolated between some: what is known of a
@@ -436,10 +445,6 @@ impl PotMap {
         }
         (mass, last_s)
     }
-}
-
-fn described(misfit: [f64; 2]) -> bool {
-    misfit.iter().zip(UNDESCRIBED).all(|(is, most)| *is < most)
 }
 
 /// ln R and ln L of a model at places, R of all and then L of all.

@@ -256,14 +256,14 @@ impl PotEntry {
             let within = sigma <= most * parameters::SPREAD[row];
             !(within && numbers[row] >= 1e-6 * parameters::SPREAD[row])
         };
-        if self.shape.len() != shape::NUMBERS {
-            return unsound("its shape");
-        }
         if self.factor.len() != TRIANGLE || (0..COUNT).any(wide) {
             return unsound("a deviation");
         }
         if !self.misfit.iter().all(|x| (1e-4..=0.5).contains(x)) {
             return unsound("the misfit");
+        }
+        if !self.shape().is_likely() {
+            return unsound("its shape");
         }
         let rises = |[low, high]: [f64; 2], range: &std::ops::RangeInclusive<f64>| {
             range.contains(&low) && range.contains(&high) && low <= high

@@ -21,7 +21,8 @@ use crate::parameters::{CENTRED, COUNT, Prior};
 
 pub(crate) use entry::Found;
 
-pub(crate) use shape::{KeptShape, Shape, places as shape_places};
+pub use shape::places as shape_places;
+pub(crate) use shape::{KeptShape, Shape};
 
 pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MetalClass, PotEntry, Provenance, SeenAt};
 

@@ -19,14 +19,17 @@ const POINTS: usize = FREQUENCIES_HZ.len() * KNOTS.len();
 /// What one counts: 1e-5 of R or L, so that it ends at a third.
 const UNIT: f64 = 1e-5;
 
+/// Deviation below which none counts: what is linear around the fit and what is not differ by some of it.
+const LEAST_MISFIT: f64 = 0.004;
+
 /// Variance, in shares of the misfit's, that keeps the interpolation from going far beyond its points.
 const NUGGET: f64 = 1e-3;
 
 /// Share of the misfit that does not go with a pot to another coil and lift (docs/pots.md).
 const TRANSFER: f64 = 0.1;
 
-/// Where it is kept, as frequency in hertz and current in ampere; places of one frequency lie together.
-pub(crate) fn places() -> Vec<(f64, f64)> {
+/// Where the shape of a pot is kept, as frequency in hertz and current in ampere; places of one frequency lie together.
+pub fn places() -> Vec<(f64, f64)> {
     let of = |f_hz: f64| KNOTS.map(move |knots| (f_hz, current_of_knots(knots)));
     FREQUENCIES_HZ.into_iter().flat_map(of).collect()
 }
@@ -45,7 +48,7 @@ static FACTOR: LazyLock<Option<Cholesky<f64, Dyn>>> = LazyLock::new(|| {
 });
 
 /// Numbers that are kept: of R and then of L.
-pub(crate) const NUMBERS: usize = 2 * POINTS;
+const NUMBERS: usize = 2 * POINTS;
 
 /// ln R and ln L at [`places`] as they are kept.
 pub(crate) fn codes(ln: &DVector<f64>) -> Vec<i16> {
@@ -84,6 +87,15 @@ impl KeptShape {
             .all(|x| x.is_finite() && *x >= 0.0);
         let rises = f_sw_hz[0] > 0.0 && f_sw_hz[0] <= f_sw_hz[1] && i_a[0] <= i_a[1];
         numbers && rises && self.codes.len() == NUMBERS
+    }
+
+    /// Whether a misfit of this deviation can leave it: four of them, or of the least one that there is.
+    pub fn is_likely(&self) -> bool {
+        let within = |(k, code): (usize, &i16)| {
+            let most = 4.0 * self.range.misfit[k / POINTS].max(LEAST_MISFIT) / UNIT;
+            f64::from(code.unsigned_abs()) <= most
+        };
+        self.codes.len() == NUMBERS && self.codes.iter().enumerate().all(within)
     }
 }
 

@@ -18,9 +18,11 @@ mod state;
 mod tests;
 mod version;
 
+use std::sync::Arc;
+
 use ihd_gate::Judgement;
 use ihd_link::Window;
-use ihd_map::{Curve, PotMap, Predicted, Seen};
+use ihd_map::{Curve, Library, PotMap, Predicted, Seen};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
@@ -148,10 +150,17 @@ impl Learning {
     pub fn forget(&mut self) {
         *self = Self {
             versions: self.versions,
-            // The load is forgotten, the board is the same.
+            // The load is forgotten, the board is the same, and so is what others know.
             sensors: self.sensors,
+            map: self.map.forgotten(),
             ..Self::new(self.network.clone())
         };
+    }
+
+    /// Asks these pots, which other hobs know, when it sees one for the first time. They are no part of [`Learning::to_bytes`]:
+    /// whoever restores a state gives them again.
+    pub fn use_library(&mut self, library: Arc<Library>) {
+        self.map = std::mem::take(&mut self.map).with_library(library);
     }
 
     /// What the windows showed of the device's sensors.
@@ -202,7 +211,7 @@ impl Learning {
         let (segment, said) = self.sensors.look(&window.segment());
         if before != self.sensors.correction().is_some() {
             // What was known was seen through other sensors.
-            self.map = PotMap::default();
+            self.map = self.map.forgotten();
         }
         let identified = match network::identify_window(&segment, config, on_step) {
             Ok(identified) => identified,
