@@ -12,14 +12,22 @@ use crate::curve::{Curve, Mean};
 use crate::ended::Ended;
 use crate::fit::Datum;
 use crate::knowledge::{Knowledge, Predicted};
-use crate::library::{Candidate, KeptShape, Library, Shape, without};
+use crate::library::{Candidate, KeptShape, Library, Shape, shape_places, without};
 
-/// Share of "none of them" before anything was seen; the entries have the rest, alike.
-const NONE_OF_THEM: f64 = 0.5;
+/// Share of each entry before anything was seen: of forty pots that may come, one. All of them together have half at most.
+const OF_AN_ENTRY: f64 = 1.0 / 40.0;
+const OF_ALL_ENTRIES: f64 = 0.5;
 
 /// Share that it keeps at least: one pot in twenty that fits an entry is another one. Its deviations in unseen cells after one window
 /// are some five times those of a pot that is known, so that theirs grow by half.
 const LEAST_NONE: f64 = 0.05;
+
+/// Deviations of "any pot", in the mean of the squares over the map, by which an entry's map may differ from its: docs/map.md has
+/// them too small by 1.8 at most.
+const BELIEVABLE: f64 = 2.0;
+
+/// Relative deviations of R and L that count there at least.
+const LEAST_SIGMA: [f64; 2] = [0.004, 0.002];
 
 /// Share below which a hypothesis is dropped.
 const DROPPED: f64 = 0.01;
@@ -58,6 +66,19 @@ impl Recognised {
             prior: self.known.ended().prior(),
             shape: self.shape.clone(),
         }
+    }
+
+    /// Whether its map is within the deviations of what this hob would say alone, which no window need have shown: an honest
+    /// entry knows more and contradicts nothing, one made to fit what is seen first and to be wrong elsewhere does.
+    fn is_believable(&self, alone: &[Predicted]) -> bool {
+        let square = |(value, alone): (&Predicted, &Predicted)| {
+            let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
+            let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(LEAST_SIGMA[1]);
+            0.5 * (r * r + l * l)
+        };
+        let values = self.at(&shape_places(), 0.0);
+        let squares: f64 = values.iter().zip(alone).map(square).sum();
+        squares < BELIEVABLE * BELIEVABLE * alone.len() as f64
     }
 
     fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
@@ -136,11 +157,16 @@ impl Hypotheses {
 
     /// Shares by evidence.
     fn weighed(any: Knowledge, mut others: Vec<Recognised>, entries: f64) -> Self {
+        if !others.is_empty() {
+            let alone = any.at(&shape_places(), 0.0);
+            others.retain(|r| r.is_believable(&alone));
+        }
         let highest = others.iter().map(|r| r.known.evidence());
         let highest = highest.fold(any.evidence(), f64::max);
-        let none = NONE_OF_THEM * (any.evidence() - highest).exp();
+        let of_all = OF_ALL_ENTRIES.min(entries * OF_AN_ENTRY);
+        let none = (1.0 - of_all) * (any.evidence() - highest).exp();
         for r in &mut others {
-            r.share = (1.0 - NONE_OF_THEM) / entries * (r.known.evidence() - highest).exp();
+            r.share = of_all / entries * (r.known.evidence() - highest).exp();
         }
         let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
         others.retain(|r| r.share >= DROPPED * sum);

@@ -47,17 +47,20 @@ pub enum Holds {
     Among,
     /// The others only.
     Others,
-    /// A lie: an entry that fits the first window and is wrong everywhere else.
+    /// An entry that fits the first window and is a little wrong everywhere else.
+    NearMiss,
+    /// One that is very wrong there.
     Lie,
 }
 
 impl Holds {
     /// Every one.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Nothing,
         Self::Same,
         Self::Among,
         Self::Others,
+        Self::NearMiss,
         Self::Lie,
     ];
 }
@@ -211,12 +214,17 @@ fn runs(
         let curves = hob.curves(seed)?;
         for library in Holds::ALL {
             let first_hz = curves.first().map_or(0.0, |c| c.f_sw_hz);
+            let lies = |by| {
+                let told = same.iter().filter_map(|e| lie::told(e, first_hz, by));
+                told.collect::<Vec<_>>()
+            };
             let entries = match library {
                 Holds::Nothing => Vec::new(),
                 Holds::Same => same.iter().cloned().collect(),
                 Holds::Among => same.iter().chain(&strangers).cloned().collect(),
                 Holds::Others => strangers.clone(),
-                Holds::Lie => same.iter().filter_map(|e| lie::told(e, first_hz)).collect(),
+                Holds::NearMiss => lies(lie::SMALL),
+                Holds::Lie => lies(lie::LARGE),
             };
             let mut shelf = Library::default();
             for entry in entries {
