@@ -51,6 +51,13 @@ const isOff = async (name) => {
 };
 /** The word of the API that stands beside what the page says. */
 const word = (on, testid) => on.getByTestId(testid).first().getAttribute('data-value');
+/** R, L and where they are from, as the page shows them at one moment. */
+const readNow = (on) => on.evaluate(() => {
+  const at = (id) => document.querySelector(`[data-testid=${id}]`);
+  const number = (id) => Number(at(id).dataset.value || NaN);
+  const { value, window } = at('source').dataset;
+  return { r: number('r-now'), l: number('l-now'), source: value, window };
+});
 const within = (a, b, share) => Math.abs(a / b - 1) <= share;
 
 describe('acts', () => {
@@ -58,7 +65,7 @@ describe('acts', () => {
     await setPower(page, 1200);
     await heats('inside', 1200);
     assert.equal((await api.device('inside')).asked_by_daemon_w, 1200);
-    await until('p-now near 1200 W', async () => within(await value(page, 'p-now'), 1200, 0.05), 8000);
+    await until('p-now near 1200 W', async () => within(await value(page, 'p-now'), 1200, 0.05), 20000);
     // Control is done when two windows in a row have one frequency and one truth.
     let last = null;
     await until('a steady load', async () => {
@@ -67,13 +74,15 @@ describe('acts', () => {
       if (!last || scope.seq > last.seq) last = scope;
       return steady;
     }, 20000, 300);
-    // The page shows the network's mean, and the truth's mean is given beside it.
-    await until('a result of the network of the last second', async () => {
-      return (await word(page, 'source')) === 'network' && /less than/.test(await page.getByTestId('source').innerText());
-    }, 15000);
-    const shown = { r: await value(page, 'r-now'), l: await value(page, 'l-now') };
-    const scope = await api.get('/devices/inside/window?columns=1');
+    // The page says which window R and L are of: one of the steady load, and the truth's mean is that window's.
+    const shown = await until('a result of the network of the steady load', async () => {
+      const seen = await readNow(page);
+      return seen.source === 'network' && Number(seen.window.split('/')[1]) >= last.seq && seen;
+    }, 20000);
+    const [boot, seq] = shown.window.split('/');
+    const scope = await api.get(`/devices/inside/window?columns=1&boot=${boot}&seq=${seq}`);
     const truth = { r: scope.r_true_mean_ohm, l: scope.l_true_mean_h };
+    assert.ok(within(scope.f_sw_hz, last.f_sw_hz, 0.01), `shown is a window of ${scope.f_sw_hz} Hz, steady are ${last.f_sw_hz} Hz`);
     t.diagnostic(`R ${shown.r.toFixed(4)} of ${truth.r.toFixed(4)} ohm, L ${(shown.l * 1e6).toFixed(3)} of ${(truth.l * 1e6).toFixed(3)} µH`);
     assert.ok(within(shown.r, truth.r, 0.01), `R ${shown.r} ohm, in truth ${truth.r}`);
     assert.ok(within(shown.l, truth.l, 0.01), `L ${shown.l} H, in truth ${truth.l}`);

@@ -11,6 +11,8 @@ use ihd_store::Retention;
 use ihd_train::NetworkConfig;
 use serde::{Deserialize, Deserializer};
 
+use crate::fleet::FleetConfig;
+
 /// Where the daemon listens unless told otherwise.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8731";
 
@@ -47,6 +49,8 @@ pub struct Config {
     pub network: Option<toml::Table>,
     /// Whether boards on USB are found by themselves; without a word, where no device is listed.
     pub discover_usb: Option<bool>,
+    /// The fleet that the daemon is an edge of; none without.
+    pub fleet: Option<FleetConfig>,
     /// The devices.
     #[serde(default, rename = "device")]
     pub devices: Vec<DeviceConfig>,
@@ -219,6 +223,7 @@ impl Default for Config {
             learning: LearningConfig::default(),
             network: None,
             discover_usb: None,
+            fleet: None,
             devices: Vec::new(),
         }
     }
@@ -278,6 +283,7 @@ impl Config {
 
     fn check_values(&self) -> Result<(), String> {
         self.network()?;
+        self.fleet.as_ref().map_or(Ok(()), FleetConfig::check)?;
         if self.store.as_os_str().is_empty() {
             return Err("store = \"\" names no folder".to_owned());
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store};
+use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store, StoreError};
 use tokio::sync::{Semaphore, broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
@@ -15,6 +15,8 @@ use crate::config::Config;
 use crate::device::{Context, Order};
 use crate::face::Face;
 use crate::figures::{Figures, rss_bytes};
+use crate::fleet::Trust;
+use crate::fleet_view::FleetView;
 use crate::history::{self, Seconds};
 use crate::journalist;
 use crate::learning::{Learner, LearnerError, LearnerSettings};
@@ -95,7 +97,10 @@ pub(crate) struct Inner {
     pub(crate) seconds: Arc<Seconds>,
     /// Of the cells of each device's lookup.
     pub(crate) ages: Mutex<BTreeMap<String, Ages>>,
+    /// What is known of the fleet, where this is an edge of one.
+    pub(crate) fleet: FleetView,
     learner: Mutex<Option<Arc<Learner>>>,
+    pub(crate) trust: Arc<Trust>,
     routing: Mutex<Option<JoinHandle<()>>>,
     stop: watch::Sender<bool>,
     began: Instant,
@@ -136,11 +141,13 @@ impl Daemon {
         };
         let learner = Arc::new(Learner::start(settings, outcomes)?);
         let seconds = Arc::new(Seconds::default());
+        let trust = Arc::new(Trust::new(config.fleet.is_some()));
         let recordings = config.store.join("recordings");
         let context = Context {
             store: store.clone(),
             seconds: Arc::clone(&seconds),
             learner: Arc::clone(&learner),
+            trust: Arc::clone(&trust),
             open,
             recordings: recordings.clone(),
             stop: stopped,
@@ -174,7 +181,9 @@ impl Daemon {
                 devices,
                 seconds,
                 ages: Mutex::default(),
+                fleet: FleetView::default(),
                 learner: Mutex::new(Some(learner)),
+                trust,
                 routing: Mutex::new(Some(routing)),
                 stop,
                 began: Instant::now(),
@@ -199,8 +208,25 @@ impl Daemon {
         Some(self.inner.devices.get(name)?.face.pot_curve().clone())
     }
 
+    /// Who learns; none once the daemon stops.
+    pub(crate) fn learner(&self) -> Option<Arc<Learner>> {
+        lock(&self.inner.learner).clone()
+    }
+
+    pub(crate) fn handle_of(&self, name: &str) -> Option<Handle> {
+        self.inner.devices.get(name)
+    }
+
+    /// Runs `f` with the store.
+    pub(crate) async fn in_store<T: Send + 'static>(
+        &self,
+        f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreTrouble> {
+        self.inner.store.run(f).await
+    }
+
     fn handle(&self, name: &str) -> Result<Handle, CommandError> {
-        let found = self.inner.devices.get(name);
+        let found = self.handle_of(name);
         found.ok_or_else(|| CommandError::NoDevice {
             name: printable(name),
         })
@@ -408,7 +434,7 @@ impl Daemon {
 
     /// The daemon in numbers.
     pub fn figures(&self) -> Figures {
-        let learner = lock(&self.inner.learner).clone();
+        let learner = self.learner();
         Figures {
             learner: learner.map(|l| l.figures()).unwrap_or_default(),
             devices: self.inner.devices.all().len(),

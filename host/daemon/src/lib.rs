@@ -19,6 +19,8 @@ mod device;
 mod face;
 mod figures;
 pub mod firmware;
+pub mod fleet;
+mod fleet_view;
 mod history;
 mod hob;
 mod journalist;

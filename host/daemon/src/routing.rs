@@ -78,9 +78,14 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
         }
     });
     // The store's trouble is told by its thread.
-    if stored.await.is_ok()
-        && let Some(handle) = handle
-    {
+    if stored.await.is_err() {
+        return;
+    }
+    if let Some(told) = learned.stored {
+        // Whoever left meanwhile hears of it again.
+        let _ = told.send(());
+    }
+    if let Some(handle) = handle {
         handle.face.fits().push(fit);
         handle.face.tell(what);
     }

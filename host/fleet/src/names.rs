@@ -38,6 +38,9 @@ pub const POTS: &str = "ihd_pots";
 /// Bucket of what `ihd fleet init` decided.
 pub const SETTINGS: &str = "ihd_settings";
 
+/// Key of the settings: the firmware's build that hobs should have.
+pub const BUILD: &str = "build";
+
 /// Object store of captures.
 pub const CAPTURES: &str = "ihd_captures";
 
@@ -71,7 +74,17 @@ pub fn state(hob: impl Display) -> String {
     format!("ihd.{VERSION}.{hob}.state")
 }
 
-/// By which the server knows a window that comes twice.
-pub fn window_id(hob: &str, boot: u32, seq: u32) -> String {
-    format!("{hob}-{boot}-{seq}")
+/// The consumer by which an edge gets the results of its hobs.
+pub fn edge_consumer(edge: &str) -> String {
+    format!("edge-{edge}")
+}
+
+/// The stream that a bucket is.
+pub fn bucket_stream(bucket: &str) -> String {
+    format!("KV_{bucket}")
+}
+
+/// The subject of a bucket's key.
+pub fn key(bucket: &str, key: &str) -> String {
+    format!("$KV.{bucket}.{key}")
 }

@@ -170,6 +170,11 @@ impl PotMap {
         self
     }
 
+    /// The pots that it asks; `None` where nobody gave any.
+    pub fn library(&self) -> Option<&Library> {
+        self.library.as_deref()
+    }
+
     /// One that has seen nothing, with the same library.
     #[must_use]
     pub fn forgotten(&self) -> Self {
@@ -302,13 +307,15 @@ impl PotMap {
         1
     }
 
+    /// Time of the newest window in seconds of the device; negative infinity where nothing was seen.
+    pub fn newest_s(&self) -> f64 {
+        let times = self.curves.iter().map(|c| c.t_s);
+        times.fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// What was seen moves so that nothing of it lies after `now_s`: a device that was reset counts its time anew.
     pub fn rebase(&mut self, now_s: f64) {
-        let newest_s = self
-            .curves
-            .iter()
-            .map(|c| c.t_s)
-            .fold(f64::NEG_INFINITY, f64::max);
+        let newest_s = self.newest_s();
         if newest_s <= now_s {
             return;
         }

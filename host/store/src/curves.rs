@@ -5,6 +5,8 @@ use rusqlite::{OptionalExtension, Row, params};
 use zstd::bulk::{Compressor, Decompressor};
 use zstd::zstd_safe::CParameter;
 
+use serde::{Deserialize, Serialize};
+
 use super::windows::Day;
 use super::{SessionId, Store, StoreError};
 
@@ -18,7 +20,7 @@ const COLUMNS: [usize; 2] = [4, 6];
 const LEVEL: i32 = 3;
 
 /// R and L through a half-cycle. Lists are equally long, those of the standard deviations may be empty.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
     /// Seconds after the mains zero crossing.
     pub t_s: Vec<f64>,
@@ -35,6 +37,16 @@ pub struct Curve {
 }
 
 impl Curve {
+    /// Whether its lists belong together and are none too long.
+    pub fn is_sound(&self) -> bool {
+        let n = self.t_s.len();
+        let whole = [&self.r_ohm, &self.l_h, &self.i_a];
+        let may_miss = [&self.r_sigma_ohm, &self.l_sigma_h];
+        n <= MAX_POINTS
+            && whole.iter().all(|x| x.len() == n)
+            && may_miss.iter().all(|x| x.is_empty() || x.len() == n)
+    }
+
     /// At most [`MAX_POINTS`] of its points, evenly chosen, the first and the last among them.
     #[must_use]
     pub fn thinned(&self) -> Self {

@@ -111,6 +111,7 @@ impl Store {
             if !(too_old || too_many) {
                 continue;
             }
+            self.tell_lost_to_fleet(&day)?;
             self.days.close(&path);
             let freed = folder::delete(&path)?;
             self.other_days_bytes = self.other_days_bytes.saturating_sub(freed);
@@ -119,6 +120,19 @@ impl Store {
             deleted.push(path);
         }
         Ok((deleted, bytes))
+    }
+
+    /// A day that goes before a fleet has got all of it is told.
+    fn tell_lost_to_fleet(&mut self, day: &str) -> Result<(), StoreError> {
+        // A damaged one tells nothing.
+        let lost = self.count_due_of(day).unwrap_or(0);
+        if lost == 0 {
+            return Ok(());
+        }
+        let text =
+            format!("{lost} windows of {day} that the fleet had not got are deleted: retention");
+        tracing::warn!("{text}");
+        self.event(None, "store", &text)
     }
 
     /// Days but today's, and damaged ones, oldest first, each with its day.

@@ -20,12 +20,13 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 /// `ihd.db`.
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
-    steps: &[RECORDS_1, RECORDS_2],
+    steps: &[RECORDS_1, RECORDS_2, RECORDS_3],
     tables: &[
         &[
             "devices", "sessions", "results", "lookups", "learned", "events", "audit",
         ],
         &[],
+        &["fleet"],
     ],
     synchronous: "FULL",
 };
@@ -33,8 +34,8 @@ pub static RECORDS: Schema = Schema {
 /// `windows-YYYY-MM-DD.db`.
 pub static WINDOWS: Schema = Schema {
     application_id: WINDOWS_ID,
-    steps: &[WINDOWS_1, WINDOWS_2],
-    tables: &[&["windows"], &["telemetry", "trajectories"]],
+    steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3],
+    tables: &[&["windows"], &["telemetry", "trajectories"], &[]],
     synchronous: "NORMAL",
 };
 
@@ -171,6 +172,14 @@ CREATE INDEX events_in_time ON events (at_ms);
 CREATE INDEX audit_in_time ON audit (at_ms);
 ";
 
+const RECORDS_3: &str = "
+-- What an edge of a fleet remembers.
+CREATE TABLE fleet (
+    what  TEXT PRIMARY KEY,                -- 'events': up to which id they were acknowledged; 'secret 1', 'secret 2'
+    value INTEGER NOT NULL
+) STRICT;
+";
+
 const WINDOWS_2: &str = "
 -- What a device did: a row for each second, and one for each minute, in which it spoke. R, L and the switching
 -- frequency are of those half-cycles in which it heated, NULL without one.
@@ -216,4 +225,10 @@ CREATE TABLE trajectories (
     truth_zst      BLOB,                   -- where the device was simulated in the daemon
     UNIQUE (device, boot, seq)
 ) STRICT;
+";
+
+const WINDOWS_3: &str = "
+-- Whether a fleet has the window or its result: NULL where it need not, 0 where that is due, 1 where it is acknowledged.
+ALTER TABLE windows ADD COLUMN fleet INTEGER CHECK (fleet IN (0, 1));
+CREATE INDEX windows_due ON windows (at_ms) WHERE fleet = 0;
 ";

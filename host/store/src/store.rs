@@ -26,6 +26,8 @@ pub struct Store {
     /// Bytes of all days but today, and of those set aside.
     pub(crate) other_days_bytes: u64,
     figures: Figures,
+    /// Days up to this one have nothing that is due to a fleet; none where they were not looked through.
+    pub(crate) none_due_to: Option<String>,
     /// The day of which was told that its windows are too many.
     told_too_large: Option<String>,
     /// Let go last.
@@ -85,6 +87,7 @@ impl Store {
             sessions: HashMap::new(),
             other_days_bytes: 0,
             figures: Figures::default(),
+            none_due_to: None,
             told_too_large: None,
             _lock: lock,
         })
@@ -242,16 +245,31 @@ impl Store {
     /// # Errors
     /// [`StoreError::NoSession`], or what the database or the operating system reports.
     pub fn keep_window(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
-        match self.keep(session, window) {
+        Ok(self.keep_due(session, window, false)?.0)
+    }
+
+    /// Also whether a fleet will get it.
+    pub(crate) fn keep_due(
+        &mut self,
+        session: SessionId,
+        window: &Window,
+        for_fleet: bool,
+    ) -> Result<(Kept, bool), StoreError> {
+        match self.keep(session, window, for_fleet) {
             Err(error) if error.is_damage() => {
                 self.set_today_aside(&error)?;
-                self.keep(session, window)
+                self.keep(session, window, for_fleet)
             }
             kept => kept,
         }
     }
 
-    fn keep(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
+    fn keep(
+        &mut self,
+        session: SessionId,
+        window: &Window,
+        for_fleet: bool,
+    ) -> Result<(Kept, bool), StoreError> {
         let Session {
             name,
             boot,
@@ -263,7 +281,7 @@ impl Store {
         let before = self.days.before.as_ref();
         if before.map_or(Ok(false), |day| day.holds(&name, boot, window.seq))? {
             self.figures.windows_known += 1;
-            return Ok(Kept::Known);
+            return Ok((Kept::Known, false));
         }
         let not_kept = self.not_kept(windows)?;
         let Some(today) = &self.days.today else {
@@ -272,12 +290,12 @@ impl Store {
                 folder: self.folder.clone(),
             });
         };
-        let kept = today.insert(&name, boot, at_ms, window, not_kept)?;
+        let kept = today.insert(&name, boot, at_ms, window, not_kept, for_fleet)?;
         self.count(kept, not_kept);
         if kept == Kept::New {
             self.session(session)?.windows = windows.wrapping_add(1);
         }
-        Ok(kept)
+        Ok((kept, for_fleet && not_kept.is_none()))
     }
 
     /// Why the samples of a window are not kept that so many of its session came before.

@@ -86,8 +86,8 @@ pub(crate) struct Day {
 const INSERT: &str = "
 INSERT INTO windows (device, boot, seq, at_ms, half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns,
     first_trajectory_ns, saturated, lookup_version, v_full_scale_mv, i_full_scale_ma, pairs, trajectory,
-    not_kept, pairs_zst, trajectory_zst)
-VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18)
+    not_kept, pairs_zst, trajectory_zst, fleet)
+VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19)
 ON CONFLICT (device, boot, seq) DO NOTHING";
 
 const ROWS: &str = "
@@ -131,7 +131,7 @@ impl Day {
         StoreError::database(&self.file.path, doing)
     }
 
-    /// Stores a window, with its samples or with why they are not kept.
+    /// Stores a window, with its samples or with why they are not kept; `for_fleet` where a fleet is to have it.
     pub(crate) fn insert(
         &self,
         device: &str,
@@ -139,6 +139,7 @@ impl Day {
         at_ms: i64,
         window: &Window,
         not_kept: Option<NotKept>,
+        for_fleet: bool,
     ) -> Result<Kept, StoreError> {
         let packing = || StoreError::files(&self.file.path, "packing a window");
         let payload = match not_kept {
@@ -166,6 +167,7 @@ impl Day {
                 not_kept.map(NotKept::word),
                 payload.as_ref().map(|p| p.pairs.as_slice()),
                 payload.as_ref().map(|p| p.trajectory.as_slice()),
+                (for_fleet && not_kept.is_none()).then_some(0),
             ],
         );
         match rows.map_err(self.failed("storing a window"))? {

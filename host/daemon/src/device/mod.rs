@@ -26,6 +26,7 @@ use crate::clocks::Backoff;
 use crate::config::Address;
 use crate::face::{Face, identity};
 use crate::firmware::updates_needed;
+use crate::fleet::Trust;
 use crate::history::Seconds;
 use crate::learning::{Learner, Lookup};
 use crate::model::{Command, CommandError, DeviceState, Done, What};
@@ -82,6 +83,8 @@ pub struct Context {
     pub learner: Arc<Learner>,
     /// Opens an address.
     pub open: Arc<OpenDevice>,
+    /// Whether windows are for a fleet.
+    pub trust: Arc<Trust>,
     /// Folder of recordings.
     pub recordings: PathBuf,
     /// Becomes true when the daemon stops.

@@ -22,7 +22,7 @@ use crate::TruthOf;
 use crate::board::now_ms;
 use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
-use crate::learning::{Lookup, Task, curve_of};
+use crate::learning::{Lookup, Task, Work, curve_of};
 use crate::ledger::Arrival;
 use crate::model::{DeviceState, What};
 use crate::pot_watch::words;
@@ -446,29 +446,39 @@ impl<'a> Session<'a> {
         let stored = ids.is_some_and(|(device_id, session)| {
             let face = Arc::clone(self.face);
             let learner = Arc::clone(&self.context.learner);
+            let trust = Arc::clone(&self.context.trust);
             self.context.store.offer(move |store| {
-                let kept = store.keep_window(session, &window);
+                let for_fleet = teaches && trust.is_edge;
+                let kept = match for_fleet {
+                    true => store.keep_window_for_fleet(session, &window),
+                    false => store
+                        .keep_window(session, &window)
+                        .map(|kept| (kept, false)),
+                };
                 let mut inner = face.lock();
                 match &kept {
                     Ok(_) => inner.ledger.fates.stored += 1,
                     Err(_) => inner.ledger.fates.not_stored += 1,
                 }
                 drop(inner);
-                kept?;
+                let (_, due) = kept?;
                 face.tell(What::WindowStored { boot, seq });
                 if let Some(truth) = &truth {
                     store.keep_curve(session, seq, CurveOf::Truth, &curve_of(truth, &window))?;
                 }
-                if teaches {
+                if due && trust.holds() {
+                    // The fleet learns from it.
+                } else if teaches {
                     // What it makes room for, the learner counts.
                     learner.offer(Task {
                         device: face.name.clone(),
                         device_id,
                         session,
                         boot,
-                        window,
+                        work: Work::Window(window),
                         power_w,
                         truth,
+                        stored: None,
                     });
                 } else {
                     face.lock().ledger.fates.unfit += 1;

@@ -6,15 +6,17 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use ihd_link::Window;
+use ihd_signal::truth::Truth;
 use ihd_store::NewResult;
-use ihd_train::learning::{DamagedState, Outcome, Taught};
+use ihd_train::learning::{DamagedState, Outcome, Taken, Taught};
 use ihd_train::{Learning, NetworkConfig};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
 
 use super::figures::{LearnerFigures, Meter};
-use super::outcome::{Course, Learned, Numbers, Task};
+use super::outcome::{Course, Learned, Numbers, Task, Work, fit_remark};
 use super::queue::{Dropped, Known, Note, Queue};
+use super::studied::Studied;
 
 /// How often what was learned goes to the store where nothing new was.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
@@ -187,6 +189,17 @@ impl Learner {
         Some(state.queue.learning(device)?.to_bytes())
     }
 
+    /// Whether this window waits for a thread, or one has it.
+    pub fn holds(&self, device: &str, boot: u32, seq: u32) -> bool {
+        self.shared.lock().queue.holds(device, boot, seq)
+    }
+
+    /// The skew in seconds that is to be taken out of the current of a device's windows, once they have shown one. While a thread has what
+    /// was learned, what it was before.
+    pub fn skew_s(&self, device: &str) -> Option<f64> {
+        self.shared.lock().queue.skew_s(device)
+    }
+
     /// How busy it is.
     pub fn figures(&self) -> LearnerFigures {
         let state = self.shared.lock();
@@ -222,12 +235,19 @@ impl Drop for Learner {
 }
 
 fn work(shared: &Shared) {
-    while let Some((task, known)) = next(shared) {
+    while let Some((mut task, known)) = next(shared) {
         let device = task.device.clone();
         let began = Instant::now();
-        let (mut known, outcome) = study(shared, known, &task.window);
-        let took = began.elapsed();
-        let learned = settle(shared, &mut known, task, outcome, took);
+        let (mut known, mut found) = match &mut task.work {
+            Work::Window(window) => {
+                let (known, outcome) = study(shared, known, window);
+                let found = Found::of(window, outcome, task.truth.as_deref());
+                (known, found)
+            }
+            Work::Studied(studied) => take(shared, known, task.boot, studied),
+        };
+        found.busy = found.busy.max(began.elapsed());
+        let learned = settle(shared, &mut known, task, found);
         hand_over(shared, learned);
         let mut state = shared.lock();
         state.queue.back(&device, known);
@@ -275,40 +295,105 @@ fn study(shared: &Shared, mut known: Box<Known>, window: &Window) -> (Box<Known>
     })
 }
 
-/// What was told meanwhile counts, and what is to be stored is put together.
-fn settle(
+/// Learns from what was found elsewhere. A panic costs that alone.
+fn take(
     shared: &Shared,
-    known: &mut Known,
-    task: Task,
-    outcome: Outcome,
-    took: Duration,
-) -> Learned {
-    let truth = task.truth.as_deref();
-    let (numbers, course, pass, why, taught) = match outcome {
-        Outcome::Fit(fit) => {
-            let numbers = Numbers::of(&fit.identified);
-            let course = Course::of(Some(&fit.identified), &fit.findings, truth);
-            (numbers, course, true, String::new(), fit.taught)
+    mut known: Box<Known>,
+    boot: u32,
+    studied: &mut Studied,
+) -> (Box<Known>, Found) {
+    let before = known.clone();
+    let taken = catch_unwind(AssertUnwindSafe(|| {
+        let curve = studied.curve.take();
+        let taken = known.learning.take(boot, curve, &studied.evidence);
+        (known, taken)
+    }));
+    let (known, taught) = match taken {
+        Ok((known, (taken, said))) => {
+            studied.remarks.extend(said.iter().map(fit_remark));
+            let taught = match taken {
+                Taken::Learned(_, taught) => taught,
+                Taken::Late => {
+                    let seq = studied.seq;
+                    tracing::info!(boot, seq, "a result came too late to teach");
+                    Taught::Known
+                }
+                Taken::Unfit => Taught::Known,
+            };
+            (known, taught)
         }
-        Outcome::Unfit {
-            why,
-            identified,
-            findings,
-        } => {
-            let identified = identified.as_deref();
-            let numbers = identified.map_or(Numbers::NONE, Numbers::of);
-            let course = Course::of(identified, &findings, truth);
-            (numbers, course, false, why, Taught::Known)
+        Err(_) => {
+            shared.lock().meter.panics += 1;
+            (before, Taught::Known)
         }
     };
-    let (mut news, no_lookup) = match taught {
+    (known, Found::elsewhere(studied, taught))
+}
+
+/// What was found in a window, here or elsewhere.
+struct Found {
+    seq: u32,
+    half_cycle: u32,
+    f_sw_hz: u32,
+    numbers: Numbers,
+    course: Course,
+    refused: Option<String>,
+    taught: Taught,
+    busy: Duration,
+}
+
+impl Found {
+    fn of(window: &Window, outcome: Outcome, truth: Option<&Truth>) -> Self {
+        let (identified, findings, refused, taught) = match outcome {
+            Outcome::Fit(fit) => (Some(fit.identified), fit.findings, None, fit.taught),
+            Outcome::Unfit {
+                why,
+                identified,
+                findings,
+            } => (identified.map(|i| *i), findings, Some(why), Taught::Known),
+        };
+        let identified = identified.as_ref();
+        Self {
+            seq: window.seq,
+            half_cycle: window.half_cycle,
+            f_sw_hz: window.f_sw_hz,
+            numbers: identified.map_or(Numbers::NONE, Numbers::of),
+            course: Course::of(identified, &findings, truth),
+            refused,
+            taught,
+            busy: Duration::ZERO,
+        }
+    }
+
+    fn elsewhere(studied: &mut Studied, taught: Taught) -> Self {
+        Self {
+            seq: studied.seq,
+            half_cycle: studied.half_cycle,
+            f_sw_hz: studied.f_sw_hz,
+            numbers: studied.numbers,
+            course: Course {
+                steps: std::mem::take(&mut studied.steps),
+                remarks: std::mem::take(&mut studied.remarks),
+                curve: studied.trajectory.take(),
+                ..Course::default()
+            },
+            refused: studied.refused.take(),
+            taught,
+            busy: Duration::try_from_secs_f64(studied.busy_s).unwrap_or_default(),
+        }
+    }
+}
+
+/// What was told meanwhile counts, and what is to be stored is put together.
+fn settle(shared: &Shared, known: &mut Known, task: Task, found: Found) -> Learned {
+    let (mut news, no_lookup) = match found.taught {
         Taught::Known => (None, None),
         Taught::News(built) => (Some(built), None),
         Taught::Refused(why) => (None, Some(why)),
     };
     let notes = {
         let mut state = shared.lock();
-        state.meter.count(took);
+        state.meter.count(found.busy);
         state.queue.take_notes(&task.device)
     };
     for note in notes {
@@ -318,31 +403,33 @@ fn settle(
         }
     }
     let state = known.take_due_save(news.is_some(), SAVE_EVERY);
+    let numbers = found.numbers;
     Learned {
         device: task.device,
         device_id: task.device_id,
         boot: task.boot,
         result: NewResult {
             session: task.session,
-            seq: task.window.seq,
-            half_cycle: task.window.half_cycle,
-            f_sw_hz: task.window.f_sw_hz,
+            seq: found.seq,
+            half_cycle: found.half_cycle,
+            f_sw_hz: found.f_sw_hz,
             i_crest_a: numbers.i_crest_a,
             power_w: task.power_w,
             r_ohm: numbers.r_ohm,
             l_h: numbers.l_h,
             sigma_r_pct: numbers.sigma_r_pct,
             sigma_l_pct: numbers.sigma_l_pct,
-            pass,
-            why,
+            pass: found.refused.is_none(),
+            why: found.refused.unwrap_or_default(),
             changed_lookup: news.is_some(),
             iterations: numbers.iterations,
         },
         news,
         no_lookup,
         state,
-        busy: took,
-        course: Box::new(course),
+        busy: found.busy,
+        course: Box::new(found.course),
+        stored: task.stored,
     }
 }
 

@@ -14,6 +14,7 @@ mod figures;
 mod learner;
 mod outcome;
 mod queue;
+mod studied;
 #[cfg(test)]
 mod tests;
 
@@ -21,8 +22,9 @@ use ihd_shared::wire::messages::{State, Telemetry};
 
 pub use self::figures::LearnerFigures;
 pub use self::learner::{Learner, LearnerError, LearnerSettings};
-pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, curve_of};
+pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, Work, curve_of};
 pub use self::queue::Dropped;
+pub use self::studied::{NotTaken, Studied, study_alone};
 
 /// Whether the windows of a device that says this are worth learning from.
 pub fn teaches(telemetry: &Telemetry) -> bool {

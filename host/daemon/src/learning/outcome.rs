@@ -10,12 +10,34 @@ use ihd_signal::Remark;
 use ihd_signal::truth::Truth;
 use ihd_store::{Confidence, Curve, DeviceId, MAX_POINTS, NewResult, SessionId};
 use ihd_train::lookup::Built;
+use serde::{Deserialize, Serialize};
+use tokio::sync::oneshot;
 
+use super::studied::Studied;
 use crate::model::{FitRemark, FitStep};
 use crate::printable::printable;
 
-/// A window to learn from.
-#[derive(Clone, Debug)]
+/// What there is to learn from.
+#[derive(Debug)]
+pub enum Work {
+    /// A window.
+    Window(Box<Window>),
+    /// What was found in one elsewhere.
+    Studied(Box<Studied>),
+}
+
+impl Work {
+    /// The window's number since its device's boot.
+    pub fn seq(&self) -> u32 {
+        match self {
+            Self::Window(window) => window.seq,
+            Self::Studied(studied) => studied.seq,
+        }
+    }
+}
+
+/// Something to learn from.
+#[derive(Debug)]
 pub struct Task {
     /// The device's name.
     pub device: String,
@@ -25,12 +47,14 @@ pub struct Task {
     pub session: SessionId,
     /// The device's boot.
     pub boot: u32,
-    /// The window.
-    pub window: Box<Window>,
+    /// The window, or what was found in it.
+    pub work: Work,
     /// Mean power of its half-cycle in watt, where telemetry told it.
     pub power_w: Option<f64>,
     /// What R and L truly were, where the device is simulated in the daemon.
     pub truth: Option<Arc<Truth>>,
+    /// Whom to tell once what was found is stored.
+    pub stored: Option<oneshot::Sender<()>>,
 }
 
 /// A lookup to push.
@@ -71,12 +95,7 @@ const MAX_STEPS: usize = 256;
 impl Course {
     /// Of what became of a window.
     pub fn of(identified: Option<&Identified>, findings: &[Remark], truth: Option<&Truth>) -> Self {
-        let remark = |finding: &Remark| FitRemark {
-            code: finding.code.to_owned(),
-            severity: finding.severity.to_string(),
-            text: printable(&finding.text),
-        };
-        let remarks = findings.iter().map(remark).collect();
+        let remarks = findings.iter().map(fit_remark).collect();
         let Some(identified) = identified else {
             return Self {
                 remarks,
@@ -91,6 +110,15 @@ impl Course {
             r_error_pct: errors.map(|(r, _)| r),
             l_error_pct: errors.map(|(_, l)| l),
         }
+    }
+}
+
+/// A remark as the API has it.
+pub(super) fn fit_remark(finding: &Remark) -> FitRemark {
+    FitRemark {
+        code: finding.code.to_owned(),
+        severity: finding.severity.to_string(),
+        text: printable(&finding.text),
     }
 }
 
@@ -168,7 +196,7 @@ fn current_at(truth: &Truth, t_s: f64) -> f64 {
 }
 
 /// What became of a window.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Learned {
     /// The device's name.
     pub device: String,
@@ -189,10 +217,12 @@ pub struct Learned {
     pub busy: Duration,
     /// How the network came to it.
     pub course: Box<Course>,
+    /// Whom to tell once it is stored.
+    pub stored: Option<oneshot::Sender<()>>,
 }
 
 /// What the network says in a few numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Numbers {
     /// Largest amplitude of the current's fundamental, in ampere.
     pub i_crest_a: f64,

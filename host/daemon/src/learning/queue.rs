@@ -76,10 +76,21 @@ impl Known {
 struct Slot {
     /// None while a thread has it.
     known: Option<Box<Known>>,
+    /// Boot and number of the window that a thread has.
+    studied: Option<(u32, u32)>,
+    /// What the sensors' windows have shown, of before a thread took what is known.
+    skew_s: Option<f64>,
     notes: Vec<Note>,
     /// Each with its place in the order in which all came.
     tasks: VecDeque<(u64, Task)>,
     unlearned: u64,
+}
+
+fn skew_s(known: &Known) -> Option<f64> {
+    known
+        .learning
+        .correction()
+        .map(|correction| correction.skew_s)
 }
 
 /// The windows that wait.
@@ -130,11 +141,19 @@ impl Queue {
         Some(&self.devices.get(device)?.known.as_ref()?.learning)
     }
 
+    /// The skew in seconds that is to be taken out of a device's windows.
+    pub fn skew_s(&self, device: &str) -> Option<f64> {
+        let slot = self.devices.get(device)?;
+        slot.known.as_deref().map_or(slot.skew_s, skew_s)
+    }
+
     fn slot(&mut self, device: &str) -> &mut Slot {
         self.devices
             .entry(device.to_owned())
             .or_insert_with(|| Slot {
                 known: None,
+                studied: None,
+                skew_s: None,
                 notes: Vec::new(),
                 tasks: VecDeque::new(),
                 unlearned: 0,
@@ -177,7 +196,7 @@ impl Queue {
         Some(Dropped {
             device: task.device,
             boot: task.boot,
-            seq: task.window.seq,
+            seq: task.work.seq(),
         })
     }
 
@@ -186,10 +205,12 @@ impl Queue {
         let device = self.turns.pop_front()?;
         let slot = self.devices.get_mut(&device)?;
         let known = slot.known.take()?;
+        slot.skew_s = skew_s(&known);
         let Some((_, task)) = slot.tasks.pop_front() else {
             slot.known = Some(known);
             return None;
         };
+        slot.studied = Some((task.boot, task.work.seq()));
         self.waiting -= 1;
         Some((task, known))
     }
@@ -207,12 +228,23 @@ impl Queue {
             note.tell(&mut known.learning);
         }
         if let Some(slot) = self.devices.get_mut(device) {
+            slot.studied = None;
             // Put anew meanwhile, that one counts.
             slot.known.get_or_insert(known);
             if !slot.tasks.is_empty() && !self.turns.iter().any(|turn| turn == device) {
                 self.turns.push_back(device.to_owned());
             }
         }
+    }
+
+    /// Whether this window waits, or a thread has it.
+    pub fn holds(&self, device: &str, boot: u32, seq: u32) -> bool {
+        let slot = self.devices.get(device);
+        slot.is_some_and(|slot| {
+            let mut tasks = slot.tasks.iter();
+            slot.studied == Some((boot, seq))
+                || tasks.any(|(_, task)| task.boot == boot && task.work.seq() == seq)
+        })
     }
 
     /// Drops all that waits; returns how many.

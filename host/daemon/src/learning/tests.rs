@@ -50,9 +50,10 @@ fn task(device: &str, window: Box<Window>) -> Task {
         device_id: 1,
         session: 2,
         boot: 3,
-        window,
+        work: Work::Window(window),
         power_w: Some(1_000.0),
         truth: None,
+        stored: None,
     }
 }
 

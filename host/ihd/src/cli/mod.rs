@@ -17,6 +17,8 @@ pub mod demonstration;
 pub mod device;
 pub mod doctor;
 pub mod flash;
+#[cfg(feature = "fleet")]
+pub mod fleet;
 pub mod hint_args;
 pub mod hob;
 pub mod identify;
@@ -46,6 +48,8 @@ pub mod trainer;
 pub mod ui;
 #[cfg(feature = "daemon")]
 pub mod watch;
+#[cfg(feature = "fleet")]
+pub mod worker;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -76,6 +80,8 @@ enum Command {
     Device(Box<device::DeviceArgs>),
     Doctor(doctor::DoctorArgs),
     Flash(flash::FlashArgs),
+    #[cfg(feature = "fleet")]
+    Fleet(Box<fleet::FleetArgs>),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
@@ -91,6 +97,8 @@ enum Command {
     Study(study::StudyArgs),
     #[cfg(feature = "daemon")]
     Watch(watch::WatchArgs),
+    #[cfg(feature = "fleet")]
+    Worker(Box<worker::WorkerArgs>),
 }
 
 impl Cli {
@@ -109,6 +117,8 @@ impl Cli {
             Command::Device(args) => args.run(),
             Command::Doctor(args) => args.run(),
             Command::Flash(args) => args.run(),
+            #[cfg(feature = "fleet")]
+            Command::Fleet(args) => args.run(),
             Command::Hob(args) => args.run(),
             Command::Identify(args) => args.run(),
             Command::Inspect(args) => args.run(),
@@ -124,6 +134,8 @@ impl Cli {
             Command::Study(args) => args.run(),
             #[cfg(feature = "daemon")]
             Command::Watch(args) => args.run(),
+            #[cfg(feature = "fleet")]
+            Command::Worker(args) => args.run(),
         }
     }
 }
@@ -163,6 +175,14 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         error.downcast_ref()
     {
         return 2;
+    }
+    #[cfg(feature = "fleet")]
+    if error.is::<ihd_fleet::AccessError>() || error.is::<ihd_fleet::engine::EngineError>() {
+        return 3;
+    }
+    #[cfg(feature = "fleet")]
+    if error.is::<fleet::Amiss>() {
+        return 7;
     }
     #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {

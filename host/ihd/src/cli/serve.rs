@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use ihd_api::{DaemonBackend, Server};
 use ihd_daemon::Daemon;
 use ihd_daemon::config::Config;
+use ihd_daemon::fleet::FleetConfig;
 use ihd_link::DeviceSpec;
 use tokio::runtime;
 use tokio::sync::watch;
@@ -63,8 +64,9 @@ enum Serve {
     Serve,
 }
 
+/// How log lines are written.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum LogFormat {
+pub enum LogFormat {
     /// A line an event, for people.
     Text,
     /// A JSON object an event.
@@ -142,7 +144,11 @@ impl ServeArgs {
     }
 }
 
-fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
+/// Starts the log on standard error.
+///
+/// # Errors
+/// $RUST_LOG cannot be read.
+pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
     let wanted = EnvFilter::builder()
         .with_default_directive(level.into())
         .from_env()
@@ -168,6 +174,7 @@ async fn serve(
     let mut signals = supervised::Signals::new().context("cannot catch ^C")?;
     let settings = configured::server_settings(&config);
     let (store, devices) = (config.store.clone(), config.devices.len());
+    let fleet = config.fleet.clone();
     let server = Server::bind(&settings).await?;
     let daemon = Daemon::start(config, open).await.with_context(|| {
         format!(
@@ -184,6 +191,7 @@ async fn serve(
     if let Some(file) = server.made_tokens() {
         tracing::info!(file = %file.display(), "a token of each role was made");
     }
+    let edge = edge(&daemon, fleet).await?;
     let (stop, stopping) = watch::channel(false);
     let backend = Arc::new(DaemonBackend::new(daemon.clone()));
     let serving = tokio::spawn(server.run(backend, stopping));
@@ -203,7 +211,8 @@ async fn serve(
     // Hobs first: nobody waits for a connection.
     let ending = async {
         stop.send_replace(true);
-        daemon.stop().await;
+        // Whatever the fleet does, nobody's hob waits for it.
+        tokio::join!(end(edge), daemon.stop());
         let _ = serving.await;
     };
     tokio::pin!(ending);
@@ -223,6 +232,33 @@ async fn serve(
     }
     Ok(())
 }
+
+/// The daemon as an edge of a fleet, where it is configured as one.
+#[cfg(feature = "fleet")]
+async fn edge(daemon: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<ihd_fleet::Edge>> {
+    let Some(config) = fleet else { return Ok(None) };
+    let edge = ihd_fleet::Edge::start(daemon.clone(), &config).await;
+    edge.map(Some).context("[fleet] of the configuration")
+}
+
+#[cfg(feature = "fleet")]
+async fn end(edge: Option<ihd_fleet::Edge>) {
+    if let Some(edge) = edge {
+        edge.stop().await;
+    }
+}
+
+#[cfg(not(feature = "fleet"))]
+async fn edge(_: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<std::convert::Infallible>> {
+    ensure_usage!(
+        fleet.is_none(),
+        "[fleet]: this ihd was built without it; `cargo build --features fleet`"
+    );
+    Ok(None)
+}
+
+#[cfg(not(feature = "fleet"))]
+async fn end(_: Option<std::convert::Infallible>) {}
 
 /// What a person is told who asked for the page.
 fn words(page: &str, demonstration: Option<&Demonstration>) -> String {

@@ -8,6 +8,7 @@
 //! [`Learning`] talks to no device: whoever does pushes what [`Learning::observe`] builds, and tells it
 //! what became of that. Its state is bytes ([`Learning::to_bytes`]), so that a restart learns nothing anew.
 
+mod apart;
 mod gate;
 mod lag;
 mod network;
@@ -20,20 +21,22 @@ mod version;
 
 use std::sync::Arc;
 
-use ihd_gate::Judgement;
 use ihd_link::Window;
 use ihd_map::{Curve, Library, PotMap, Predicted, Seen};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
+use self::apart::alone;
 use self::lag::Lag;
+use self::sensors::corrected;
 use self::version::Versions;
 use crate::lookup::Built;
 
+pub use self::apart::{Alone, Taken, study};
 pub use self::gate::judge;
 pub use self::network::{curve, identify_window};
-pub use self::sensors::{SELF_CALIBRATED, Sensors};
+pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
 pub use self::state::DamagedState;
 
 /// Most windows that are learned in silence after a device has refused lookups one after the other: at
@@ -56,6 +59,8 @@ pub struct Learning {
     refusals: u32,
     /// Windows that are still to be learned before the next lookup is offered.
     silence: u32,
+    /// The device's boot that a window was taken of last ([`Learning::take`]).
+    boot: Option<u32>,
 }
 
 /// What became of a window.
@@ -114,6 +119,7 @@ impl Learning {
             versions: Versions::default(),
             refusals: 0,
             silence: 0,
+            boot: None,
         }
     }
 
@@ -207,32 +213,23 @@ impl Learning {
             start: self.warm.take(),
             ..self.network.clone()
         };
-        let before = self.sensors.correction().is_some();
-        let (segment, said) = self.sensors.look(&window.segment());
-        if before != self.sensors.correction().is_some() {
-            // What was known was seen through other sensors.
-            self.map = self.map.forgotten();
-        }
-        let identified = match network::identify_window(&segment, config, on_step) {
-            Ok(identified) => identified,
-            Err(why) => {
+        let raw = window.segment();
+        let evidence = Evidence::of(&raw);
+        let mut said = evidence.remarks.clone();
+        said.extend(self.hear(&evidence));
+        let segment = corrected(&raw, self.sensors.correction().as_ref());
+        let (identified, findings, verdict) = alone(window, &segment, config, said, on_step);
+        let (identified, curve) = match (identified, verdict) {
+            (Some(identified), Ok(curve)) => (*identified, curve),
+            (identified, verdict) => {
                 return Outcome::Unfit {
-                    why: why.to_string(),
-                    identified: None,
-                    findings: said,
+                    why: verdict.err().unwrap_or_default(),
+                    identified,
+                    findings,
                 };
             }
         };
-        let Judgement { findings, gate } = judge(&segment, &identified, &said);
-        if gate.refuses() {
-            return Outcome::Unfit {
-                why: gate.why.join("; "),
-                identified: Some(Box::new(identified)),
-                findings,
-            };
-        }
         self.warm = Some(identified.parameters.clone());
-        let curve = network::curve(&segment, &identified, time_s(window));
         let (seen, taught) = self.learn(curve, always);
         let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
         let law = self.map.along(f_hz, &identified.i_amplitude_a, now_s);

@@ -7,7 +7,7 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{BlindError, Correction, Found, SelfCalibration, of_segment};
+use ihd_survey::calibration::blind::{BlindError, Correction, Found, of_segment};
 use serde::{Deserialize, Serialize};
 
 /// What is said once when something begins to be taken out of the windows.
@@ -83,45 +83,80 @@ pub struct Sensors {
     told: bool,
 }
 
-impl Sensors {
-    /// Looks at a window; the same window with what is known by now taken out, and what is to be said of it: once when a
-    /// correction begins, and always what is wrong with this window.
-    pub fn look(&mut self, segment: &Segment) -> (Segment, Vec<Remark>) {
-        let mut remarks = Vec::new();
+/// What one window says of its device's sensors.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    /// Whether the window is too noisy to say anything.
+    pub noisy: bool,
+    /// Lag of the current in nanoseconds and series capacitance in nanofarad; none where the window does not show them.
+    pub found: Option<[Found; 2]>,
+    /// What is wrong with this window; it does not travel.
+    #[serde(skip)]
+    pub remarks: Vec<Remark>,
+}
+
+impl Evidence {
+    /// Of a window as it was sampled.
+    pub fn of(segment: &Segment) -> Self {
+        let mut evidence = Self::default();
         if noisiest(segment) > MOST_NOISE {
-            return (self.corrected(segment), remarks);
+            evidence.noisy = true;
+            return evidence;
         }
+        let scaled = |f: Found, by: f64| Found {
+            value: by * f.value,
+            sigma: by.abs() * f.sigma,
+        };
         match of_segment(segment, None, None, Some(settling_s())) {
-            Ok(found) if found.is_sound() => self.count(&found),
+            // Of a window the kind of sensor is not worth choosing.
+            Ok(found) if found.is_sound() => {
+                let lag_ns = scaled(found.as_skew_s, -1e9);
+                evidence.found = Some([lag_ns, scaled(found.capacitance_f, 1e9)]);
+            }
             Ok(found) => {
                 let faults = found.remarks(false).into_iter();
-                remarks.extend(faults.filter(|r| r.code == "sensor_nonlinear"));
+                let nonlinear = faults.filter(|r| r.code == "sensor_nonlinear");
+                evidence.remarks.extend(nonlinear);
             }
-            Err(why @ BlindError::BridgeVoltage) => remarks.push(why.remark()),
+            Err(why @ BlindError::BridgeVoltage) => evidence.remarks.push(why.remark()),
             Err(_) => {}
+        }
+        evidence
+    }
+}
+
+/// A window with what is known of its sensors taken out.
+pub(super) fn corrected(segment: &Segment, correction: Option<&Correction>) -> Segment {
+    correction.map_or_else(|| segment.clone(), |c| c.applied(segment))
+}
+
+impl Sensors {
+    /// Looks at a window; the same window with what is known by now taken out, and what is to be said of it.
+    #[cfg(test)]
+    fn look(&mut self, segment: &Segment) -> (Segment, Vec<Remark>) {
+        let evidence = Evidence::of(segment);
+        let mut said = evidence.remarks.clone();
+        said.extend(self.count(&evidence));
+        (corrected(segment, self.correction().as_ref()), said)
+    }
+
+    /// Takes in what a window says; what is to be said of all windows since: once when a correction begins.
+    pub fn count(&mut self, evidence: &Evidence) -> Vec<Remark> {
+        let mut remarks = Vec::new();
+        if evidence.noisy {
+            return remarks;
+        }
+        if let Some([lag_ns, capacitance_nf]) = evidence.found {
+            self.lag_ns.add(lag_ns);
+            self.capacitance_nf.add(capacitance_nf);
+            self.windows = self.windows.saturating_add(1);
         }
         remarks.extend(self.gain_remark());
         if self.correction().is_some() && !self.told {
             self.told = true;
             remarks.push(self.correction_remark());
         }
-        (self.corrected(segment), remarks)
-    }
-
-    fn corrected(&self, segment: &Segment) -> Segment {
-        let taken_out = |c: Correction| c.applied(segment);
-        self.correction().map_or_else(|| segment.clone(), taken_out)
-    }
-
-    fn count(&mut self, found: &SelfCalibration) {
-        let scaled = |f: Found, by: f64| Found {
-            value: by * f.value,
-            sigma: by.abs() * f.sigma,
-        };
-        // Of a window the kind of sensor is not worth choosing.
-        self.lag_ns.add(scaled(found.as_skew_s, -1e9));
-        self.capacitance_nf.add(scaled(found.capacitance_f, 1e9));
-        self.windows = self.windows.saturating_add(1);
+        remarks
     }
 
     /// How far the current is behind in seconds, with its deviation; `None` before the first window.

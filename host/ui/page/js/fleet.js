@@ -3,16 +3,21 @@
 
 import { heats } from "./telemetry.js";
 
-/** How long a result of the network stands for now, in milliseconds. */
+/** How long after its window a result of the network stands for now, in milliseconds. */
 export const RESULT_LASTS_MS = 10_000;
+/** How far, as a share, the frequency of now may be from the window's: R grows about as the frequency does. */
+export const SAME_FREQUENCY = 0.01;
+/** Windows of a device whose times are kept: more than ten seconds of them. */
+const WINDOWS_KEPT = 128;
 
 /** States in which the last half-cycle is none of now. */
 const SILENT = new Set(["searching", "suspended", "incompatible"]);
 
 /**
  * @typedef {{at_ms: number, boot: number, seq: number, f_sw_hz: number, r_ohm: number, l_h: number, pass: boolean,
- *   why: string}} Result
- * @typedef {{r_ohm: number | null, l_h: number | null, source: "network" | "device" | "none", at_ms: number}} Now
+ *   why: string}} Result at_ms: when it was stored
+ * @typedef {{r_ohm: number | null, l_h: number | null, source: "network" | "device" | "none", at_ms: number,
+ *   window: {boot: number, seq: number} | null}} Now at_ms: when its window was stored, or the half-cycle was heard of
  */
 
 export class Fleet {
@@ -25,8 +30,10 @@ export class Fleet {
     this.telemetry = new Map();
     /** When each was heard last, by the page's clock. @type {Map<string, number>} */
     this.heard_ms = new Map();
-    /** @type {Map<string, Result>} newest result that the gate let pass */
+    /** The result of the newest window that the gate let pass. @type {Map<string, Result & {taken_ms: number}>} */
     this.results = new Map();
+    /** When the last windows of each were stored, by boot and number. @type {Map<string, Map<string, number>>} */
+    this.windows = new Map();
     stream.on("devices", (reports) => this.setReports(reports));
     stream.on("telemetry", (event) => {
       for (const [name, one] of Object.entries(event.devices)) {
@@ -41,7 +48,7 @@ export class Fleet {
   /** @param {any[]} reports */
   setReports(reports) {
     this.reports = new Map(reports.map((report) => [report.name, report]));
-    for (const map of [this.telemetry, this.heard_ms, this.results]) {
+    for (const map of [this.telemetry, this.heard_ms, this.results, this.windows]) {
       for (const name of map.keys()) if (!this.reports.has(name)) map.delete(name);
     }
   }
@@ -63,33 +70,50 @@ export class Fleet {
   }
 
   /**
-   * A result that was read from the store when the page was loaded.
+   * A window of a device.
+   * @param {string} name
+   * @param {{boot: number, seq: number, at_ms: number}} window
+   */
+  addWindow(name, { boot, seq, at_ms }) {
+    const times = this.windows.get(name) ?? new Map();
+    times.set(`${boot}/${seq}`, at_ms);
+    if (times.size > WINDOWS_KEPT) times.delete(times.keys().next().value);
+    this.windows.set(name, times);
+  }
+
+  /**
+   * A result. It is as old as its window, however late it came; a window that was never heard of is too old to tell of now.
    * @param {string} name
    * @param {Result} result
    */
   addResult(name, result) {
+    const taken_ms = this.windows.get(name)?.get(`${result.boot}/${result.seq}`);
+    if (!result.pass || taken_ms === undefined) return;
     const known = this.results.get(name);
-    if (result.pass && (!known || known.at_ms < result.at_ms)) this.results.set(name, result);
+    if (!known || known.taken_ms <= taken_ms) this.results.set(name, { ...result, taken_ms });
   }
 
   /**
-   * R and L now: the network's last result that passed within 10 s, else the device's own.
+   * R and L now: the network's of the last window that passed, where it is younger than 10 s and of the frequency of now;
+   * else the device's own.
    * @param {string} name
    * @returns {Now}
    */
   now(name) {
     const live = this.live(name);
-    if (!heats(live)) return { r_ohm: null, l_h: null, source: "none", at_ms: 0 };
+    if (!live || !heats(live)) return { r_ohm: null, l_h: null, source: "none", at_ms: 0, window: null };
     const result = this.results.get(name);
-    if (result && this.stream.daemonNow_ms() - result.at_ms < RESULT_LASTS_MS) {
-      return { r_ohm: result.r_ohm, l_h: result.l_h, source: "network", at_ms: result.at_ms };
+    if (result && this.stream.daemonNow_ms() - result.taken_ms < RESULT_LASTS_MS
+      && Math.abs(result.f_sw_hz / live.f_sw_hz - 1) <= SAME_FREQUENCY) {
+      const { boot, seq } = result;
+      return { r_ohm: result.r_ohm, l_h: result.l_h, source: "network", at_ms: result.taken_ms, window: { boot, seq } };
     }
-    const own = /** @type {import("./telemetry.js").Live} */ (live);
-    return { r_ohm: own.r_ohm, l_h: own.l_h, source: "device", at_ms: this.stream.lastAt_ms };
+    return { r_ohm: live.r_ohm, l_h: live.l_h, source: "device", at_ms: this.stream.lastAt_ms, window: null };
   }
 
   /** @param {any} notice */
   #notice(notice) {
+    if (notice.event === "window-stored") this.addWindow(notice.device, notice);
     if (notice.event === "result-stored") this.addResult(notice.device, notice);
   }
 }

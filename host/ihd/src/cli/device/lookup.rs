@@ -16,7 +16,7 @@ use crate::cli::output;
 const MAX_FILE: u64 = 4_096;
 
 /// The bytes of a file, for the device to judge.
-pub(super) fn read(file: &Path) -> Result<Vec<u8>> {
+pub(in crate::cli) fn read(file: &Path) -> Result<Vec<u8>> {
     let cannot = || format!("cannot read {}", file.display());
     let opened = std::fs::File::open(file).with_context(cannot)?;
     let mut blob = Vec::new();

@@ -4,7 +4,7 @@ mod direct;
 mod heating;
 mod hob;
 mod list;
-mod lookup;
+pub(super) mod lookup;
 mod recording;
 mod text;
 mod trigger;

@@ -58,7 +58,7 @@ impl Model {
 }
 
 /// A number and its standard deviation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Found {
     /// The number.
     pub value: f64,

@@ -54,6 +54,8 @@ export class Numbers {
   async #lastResult() {
     const { api, fleet, device } = this.context;
     try {
+      const windows = await api.get(api.path(["devices", device, "windows"], { limit: 64 }));
+      for (const window of windows.reverse()) fleet.addWindow(device, window);
       const [fit] = await api.get(api.path(["devices", device, "training"], { limit: 1 }));
       if (fit && fit.r_ohm !== null && fit.l_h !== null) fleet.addResult(device, fit);
     } catch {
@@ -116,6 +118,7 @@ export class Numbers {
     };
     setText(this.source, texts[now.source]);
     setAttribute(this.source, "data-value", now.source);
+    setAttribute(this.source, "data-window", now.window ? `${now.window.boot}/${now.window.seq}` : "");
   }
 }
 

@@ -1,0 +1,123 @@
+//! `[fleet]` of the configuration.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+
+/// Longest name of an edge.
+const LONGEST_NAME: usize = 64;
+
+/// Where the fleet is, and who the daemon is there (docs/fleet.md).
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FleetConfig {
+    /// Address of the server: `nats://HOST:PORT` or `tls://HOST:PORT`; several with commas between.
+    pub url: String,
+    /// The edge's name in the fleet; the host's name without.
+    pub edge: Option<String>,
+    /// File with an NKey's seed.
+    pub nkey_file: Option<PathBuf>,
+    /// File with a token.
+    pub token_file: Option<PathBuf>,
+    /// PEM file of the authority that the server's certificate is of; that of the system without.
+    pub ca: Option<PathBuf>,
+    /// Whether finished recordings go to the fleet's object store.
+    #[serde(default)]
+    pub captures: bool,
+}
+
+impl FleetConfig {
+    /// Whether the values can work.
+    ///
+    /// # Errors
+    /// Key and value of what cannot.
+    pub fn check(&self) -> Result<(), String> {
+        let schemes = ["nats://", "tls://"];
+        for url in self.url.split(',') {
+            if !schemes.iter().any(|scheme| url.trim().starts_with(scheme)) {
+                return Err(format!(
+                    "fleet.url = {:?}: an address begins with nats:// or tls://",
+                    self.url
+                ));
+            }
+        }
+        if self.nkey_file.is_some() && self.token_file.is_some() {
+            return Err("fleet.nkey_file and fleet.token_file: one of them, not both".to_owned());
+        }
+        self.edge.as_deref().map_or(Ok(()), check_name)
+    }
+
+    /// The edge's name: as it is configured, or what of the host's name may stand in a subject.
+    pub fn edge_name(&self) -> String {
+        self.edge.clone().unwrap_or_else(host_name)
+    }
+}
+
+fn plain(c: char) -> bool {
+    matches!(c, 'a'..='z' | '0'..='9' | '-' | '_')
+}
+
+/// Names stand in subjects and keys.
+fn check_name(name: &str) -> Result<(), String> {
+    match !name.is_empty() && name.len() <= LONGEST_NAME && name.chars().all(plain) {
+        true => Ok(()),
+        false => Err(format!(
+            "fleet.edge = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
+        )),
+    }
+}
+
+/// What of the host's name may stand in a subject.
+pub fn host_name() -> String {
+    let name = ["/proc/sys/kernel/hostname", "/etc/hostname"]
+        .iter()
+        .find_map(|path| std::fs::read_to_string(path).ok())
+        .or_else(|| std::env::var("COMPUTERNAME").ok())
+        .unwrap_or_default();
+    let name = name.trim().to_lowercase();
+    let name: String = name
+        .chars()
+        .map(|c| if plain(c) { c } else { '-' })
+        .take(LONGEST_NAME)
+        .collect();
+    match name.is_empty() {
+        true => "edge".to_owned(),
+        false => name,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(text: &str) -> FleetConfig {
+        toml::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn what_cannot_work_is_named() {
+        assert_eq!(
+            config("url = \"nats://h:4222, tls://i:4222\"").check(),
+            Ok(())
+        );
+        for (text, word) in [
+            ("url = \"http://h\"", "nats://"),
+            ("url = \"nats://h\"\nedge = \"a.b\"", "fleet.edge"),
+            ("url = \"nats://h\"\nedge = \"\"", "fleet.edge"),
+            (
+                "url = \"tls://h\"\nnkey_file = \"a\"\ntoken_file = \"b\"",
+                "not both",
+            ),
+        ] {
+            let why = config(text).check().unwrap_err();
+            assert!(why.contains(word), "{why}");
+        }
+        assert!(toml::from_str::<FleetConfig>("url = \"nats://h\"\ntoken = \"x\"").is_err());
+    }
+
+    #[test]
+    fn without_a_name_an_edge_has_one_that_may_stand_in_a_subject() {
+        let name = config("url = \"nats://h\"").edge_name();
+        assert!(check_name(&name).is_ok(), "{name:?}");
+    }
+}

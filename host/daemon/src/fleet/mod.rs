@@ -1,0 +1,191 @@
+//! What a daemon that is an edge of a fleet has for whoever talks to the fleet (docs/fleet.md): what is due there, and what comes back.
+//!
+//! The daemon itself knows no server. While the fleet is trusted ([`Daemon::trust_fleet`]), windows that are due there are not learned from
+//! here; what is found elsewhere is learned from as if it had been found here.
+
+mod config;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use ihd_store::{Due, DueWindow, EventRow};
+use tokio::sync::oneshot;
+
+pub use self::config::{FleetConfig, host_name};
+use crate::daemon::Daemon;
+use crate::learning::{Studied, Task, Work};
+use crate::store_thread::StoreTrouble;
+
+/// Whether windows are for a fleet, and whether it is there.
+#[derive(Debug, Default)]
+pub struct Trust {
+    /// The daemon is an edge.
+    pub is_edge: bool,
+    trusted: AtomicBool,
+}
+
+impl Trust {
+    /// For a daemon that is an edge, or not; nothing is trusted yet.
+    pub fn new(is_edge: bool) -> Self {
+        Self {
+            is_edge,
+            trusted: AtomicBool::new(false),
+        }
+    }
+
+    /// Whether windows are left to the fleet now.
+    pub fn holds(&self) -> bool {
+        self.trusted.load(Ordering::Relaxed)
+    }
+}
+
+/// What became of something that was found elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Received {
+    /// It is stored.
+    Stored,
+    /// A result of this window was stored before.
+    Known,
+    /// The device or its boot is not known here: it is another edge's, or from before the store.
+    Foreign,
+}
+
+/// Why something that was found elsewhere is not stored; it may be tried again.
+#[derive(Debug, thiserror::Error)]
+pub enum ReceiveError {
+    /// The store.
+    #[error(transparent)]
+    Store(#[from] StoreTrouble),
+    /// Others had to be learned first, and there was no room.
+    #[error("there is no room in the queue of what is to be learned")]
+    NoRoom,
+}
+
+impl Daemon {
+    /// Leaves windows to the fleet from now on, or learns from them here.
+    pub fn trust_fleet(&self, yes: bool) {
+        self.trust().trusted.store(yes, Ordering::Relaxed);
+    }
+
+    /// Whether windows are left to the fleet now.
+    pub fn trusts_fleet(&self) -> bool {
+        self.trust().holds()
+    }
+
+    /// The oldest windows that are due at the fleet, at most so many, without those that are being learned from here.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreTrouble> {
+        let mut due = self.in_store(move |store| store.due(limit)).await?;
+        if let Some(learner) = self.learner() {
+            due.retain(|w| !learner.holds(&w.device, w.boot, w.seq));
+        }
+        Ok(due)
+    }
+
+    /// How many windows are due at the fleet.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn count_due(&self) -> Result<u64, StoreTrouble> {
+        self.in_store(ihd_store::Store::count_due).await
+    }
+
+    /// What there is of a window that is due.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn read_due(&self, due: DueWindow) -> Result<Due, StoreTrouble> {
+        self.in_store(move |store| store.read_due(&due)).await
+    }
+
+    /// The fleet has acknowledged these.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn sent(&self, sent: Vec<DueWindow>) -> Result<(), StoreTrouble> {
+        self.in_store(move |store| store.sent(sent)).await
+    }
+
+    /// The skew in seconds that is to be taken out of the current of a device's windows, as far as they have shown it.
+    pub fn skew_s(&self, device: &str) -> Option<f64> {
+        self.learner()?.skew_s(device)
+    }
+
+    /// What only this daemon's store knows: by it a fleet knows what it sends.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn fleet_secret(&self) -> Result<[u8; 16], StoreTrouble> {
+        self.in_store(ihd_store::Store::fleet_secret).await
+    }
+
+    /// Events that the fleet has not acknowledged, oldest first.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn due_events(&self, limit: usize) -> Result<Vec<(i64, EventRow)>, StoreTrouble> {
+        self.in_store(move |store| store.due_events(limit)).await
+    }
+
+    /// The fleet has acknowledged all events up to this number.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn events_sent(&self, up_to: i64) -> Result<(), StoreTrouble> {
+        self.in_store(move |store| store.events_sent(up_to)).await
+    }
+
+    /// Learns from what was found elsewhere, stores it, and pushes the lookup where it says something new. Once this has returned, it is
+    /// committed.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; it may be tried again.
+    pub async fn receive(
+        &self,
+        device: &str,
+        boot: u32,
+        studied: Studied,
+    ) -> Result<Received, ReceiveError> {
+        let Some(handle) = self.handle_of(device) else {
+            return Ok(Received::Foreign);
+        };
+        let (name, address, seq) = (device.to_owned(), handle.face.address.clone(), studied.seq);
+        let known = self.in_store(move |store| {
+            if store.has_result(&name, boot, seq)? {
+                return Ok(Err(Received::Known));
+            }
+            let Some(session) = store.session_of_boot(&name, boot)? else {
+                return Ok(Err(Received::Foreign));
+            };
+            Ok(Ok((store.device(&name, &address)?, session)))
+        });
+        let (device_id, session) = match known.await? {
+            Ok(ids) => ids,
+            Err(received) => return Ok(received),
+        };
+        let Some(learner) = self.learner() else {
+            return Err(ReceiveError::NoRoom);
+        };
+        let (stored, is_stored) = oneshot::channel();
+        let power_w = studied.power_w;
+        learner.offer(Task {
+            device: device.to_owned(),
+            device_id,
+            session,
+            boot,
+            work: Work::Studied(Box::new(studied)),
+            power_w,
+            truth: None,
+            stored: Some(stored),
+        });
+        drop(learner);
+        is_stored.await.map_err(|_| ReceiveError::NoRoom)?;
+        Ok(Received::Stored)
+    }
+
+    fn trust(&self) -> &Arc<Trust> {
+        &self.inner.trust
+    }
+}

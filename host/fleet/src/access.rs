@@ -1,0 +1,248 @@
+//! How the server is reached, and who one is there.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use async_nats::jetstream::{self, Context};
+use async_nats::{Client, ConnectOptions, Event, ServerAddr};
+use ihd_daemon::fleet::FleetConfig;
+
+/// Longest wait for a connection, and for an answer.
+const WITHIN: Duration = Duration::from_secs(5);
+
+/// Oldest server that has what is needed: several filters of a consumer, and that a stream refuses a subject's second message.
+const OLDEST: (u64, u64, u64) = (2, 10, 23);
+
+/// Published messages whose acknowledgement may be outstanding.
+const IN_FLIGHT: usize = 256;
+
+/// Address and credentials.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    /// Addresses of one server or of a cluster's, with commas between.
+    pub url: String,
+    /// File with an NKey's seed.
+    pub nkey_file: Option<PathBuf>,
+    /// File with a token.
+    pub token_file: Option<PathBuf>,
+    /// PEM file of the authority that the server's certificate is of; that of the system without.
+    pub ca: Option<PathBuf>,
+}
+
+impl From<&FleetConfig> for Access {
+    fn from(config: &FleetConfig) -> Self {
+        Self {
+            url: config.url.clone(),
+            nkey_file: config.nkey_file.clone(),
+            token_file: config.token_file.clone(),
+            ca: config.ca.clone(),
+        }
+    }
+}
+
+/// Why there is no connection.
+#[derive(Debug, thiserror::Error)]
+pub enum AccessError {
+    /// An address that is none.
+    #[error("{url:?} is no address of a NATS server: nats://HOST:PORT or tls://HOST:PORT")]
+    Address {
+        /// As it was given.
+        url: String,
+    },
+    /// A file of credentials.
+    #[error("cannot read {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system reports.
+        source: std::io::Error,
+    },
+    /// A file that holds no seed of a user.
+    #[error("{} holds no NKey seed: one line that begins with SU", path.display())]
+    Seed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Nobody answers, or says no.
+    #[error("{url} cannot be reached: {source}")]
+    Connect {
+        /// The address, without secrets.
+        url: String,
+        /// What the client reports.
+        source: async_nats::ConnectError,
+    },
+    /// The server lacks what is needed.
+    #[error(
+        "{url} is nats-server {version}: ihd needs 2.10.23 or later, 2.12 is recommended (docs/fleet.md)"
+    )]
+    Old {
+        /// The address, without secrets.
+        url: String,
+        /// As the server says.
+        version: String,
+    },
+}
+
+/// How the connection is watched.
+pub type OnEvent = dyn Fn(Event) + Send + Sync;
+
+impl Access {
+    /// The addresses without what is secret in them.
+    pub fn shown(&self) -> String {
+        let shown = |url: &str| match (url.split_once("://"), url.rsplit_once('@')) {
+            (Some((scheme, _)), Some((_, host))) => format!("{scheme}://{host}"),
+            _ => url.to_owned(),
+        };
+        let urls = self.url.split(',').map(|url| shown(url.trim()));
+        urls.collect::<Vec<_>>().join(",")
+    }
+
+    fn addresses(&self) -> Result<Vec<ServerAddr>, AccessError> {
+        let parse = |url: &str| {
+            url.trim()
+                .parse()
+                .map_err(|_| AccessError::Address { url: self.shown() })
+        };
+        self.url.split(',').map(parse).collect()
+    }
+
+    fn options(&self, name: &str) -> Result<ConnectOptions, AccessError> {
+        let mut options = ConnectOptions::new()
+            .name(name)
+            .connection_timeout(WITHIN)
+            .request_timeout(Some(WITHIN))
+            .custom_inbox_prefix(format!("_INBOX_{name}"))
+            .require_tls(self.url.contains("tls://"));
+        if let Some(path) = &self.nkey_file {
+            options = options.nkey(seed(path)?);
+        }
+        if let Some(path) = &self.token_file {
+            options = options.token(read(path)?.trim().to_owned());
+        }
+        if let Some(path) = &self.ca {
+            // Looked at here: the client would only say that the connection failed.
+            read(path)?;
+            options = options.add_root_certificates(path.clone());
+        }
+        Ok(options)
+    }
+
+    /// Connects, once; `name` is how the connection is called, and in whose inbox its answers come.
+    ///
+    /// # Errors
+    /// [`AccessError`].
+    pub async fn connect(&self, name: &str) -> Result<Context, AccessError> {
+        let client = self.options(name)?.connect(self.addresses()?);
+        let client = client.await.map_err(|source| AccessError::Connect {
+            url: self.shown(),
+            source,
+        })?;
+        self.check(&client)?;
+        Ok(context(client))
+    }
+
+    /// A connection that is made as soon as it can be, and again whenever it is cut; `on_event` hears of it.
+    ///
+    /// # Errors
+    /// [`AccessError`] where the files or the address cannot work.
+    pub async fn keep_connected(
+        &self,
+        name: &str,
+        on_event: Box<OnEvent>,
+    ) -> Result<Context, AccessError> {
+        let on_event = std::sync::Arc::new(on_event);
+        let options = self.options(name)?.retry_on_initial_connect();
+        let options = options.event_callback(move |event| {
+            let on_event = std::sync::Arc::clone(&on_event);
+            async move { on_event(event) }
+        });
+        let client = options.connect(self.addresses()?).await;
+        let client = client.map_err(|source| AccessError::Connect {
+            url: self.shown(),
+            source,
+        })?;
+        Ok(context(client))
+    }
+
+    /// Whether the server has what is needed.
+    ///
+    /// # Errors
+    /// [`AccessError::Old`].
+    pub fn check(&self, client: &Client) -> Result<(), AccessError> {
+        let version = client.server_info().version;
+        match is_at_least(&version, OLDEST) {
+            true => Ok(()),
+            false => Err(AccessError::Old {
+                url: self.shown(),
+                version,
+            }),
+        }
+    }
+}
+
+fn context(client: Client) -> Context {
+    jetstream::ContextBuilder::new()
+        .timeout(WITHIN)
+        .ack_timeout(WITHIN)
+        .max_ack_inflight(IN_FLIGHT)
+        .build(client)
+}
+
+fn is_at_least(version: &str, oldest: (u64, u64, u64)) -> bool {
+    let number = |part: &str| {
+        let digits: String = part.chars().take_while(char::is_ascii_digit).collect();
+        digits.parse().unwrap_or(0)
+    };
+    let mut parts = version.split('.').map(number);
+    let mut next = || parts.next().unwrap_or(0);
+    (next(), next(), next()) >= oldest
+}
+
+fn read(path: &Path) -> Result<String, AccessError> {
+    std::fs::read_to_string(path).map_err(|source| AccessError::File {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn seed(path: &Path) -> Result<String, AccessError> {
+    let text = read(path)?;
+    let seed = text
+        .lines()
+        .map(str::trim)
+        .find(|line| line.starts_with("SU"));
+    seed.map(str::to_owned).ok_or_else(|| AccessError::Seed {
+        path: path.to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_in_an_address_are_not_shown() {
+        let access = |url: &str| Access {
+            url: url.into(),
+            ..Access::default()
+        };
+        let shown = access("nats://me:pass@h:4222, tls://token@i:4222").shown();
+        assert_eq!(shown, "nats://h:4222,tls://i:4222");
+        assert_eq!(access("nats://h").shown(), "nats://h");
+    }
+
+    #[test]
+    fn versions_are_compared_by_their_numbers() {
+        for (version, enough) in [
+            ("2.9.10", false),
+            ("2.10.22", false),
+            ("2.10.23", true),
+            ("2.10.23-RC.1", true),
+            ("2.15.1", true),
+            ("3.0", true),
+            ("", false),
+        ] {
+            assert_eq!(is_at_least(version, OLDEST), enough, "{version}");
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! From the fleet to the learner: results of this edge's hobs. A result is acknowledged once it is stored, and comes again until then.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use async_nats::jetstream::consumer::{Consumer, pull};
+use async_nats::jetstream::{self, AckKind};
+use futures_util::StreamExt;
+use ihd_daemon::fleet::Received;
+
+use super::{Link, TRY_AGAIN};
+use crate::engine::{self, EngineError};
+use crate::messages::ResultMessage;
+use crate::names;
+
+/// Results that are taken in at once.
+const AT_ONCE: usize = 32;
+
+/// When a result that could not be stored comes again.
+const AGAIN_AFTER: Duration = Duration::from_secs(5);
+
+/// How long one request for results waits.
+const ASK_FOR: Duration = Duration::from_secs(5);
+
+/// Takes results in until the edge ends.
+pub async fn run(link: Arc<Link>) {
+    loop {
+        if link.is_connected() && link.serves() {
+            let taken = link.unless_stopping(take(&link)).await;
+            match taken {
+                None => return,
+                Some(Ok(())) => {}
+                Some(Err(why)) => link.failed("results", &why),
+            }
+        }
+        if !link.wait(TRY_AGAIN).await {
+            return;
+        }
+    }
+}
+
+/// Until the consumer breaks, or this daemon has other devices.
+async fn take(link: &Link) -> Result<(), EngineError> {
+    let hobs = link.hobs();
+    if hobs.is_empty() {
+        return Ok(());
+    }
+    let consumer = consumer(link, &hobs).await?;
+    while link.hobs() == hobs && link.is_connected() {
+        let fetched = consumer.fetch().max_messages(AT_ONCE).expires(ASK_FOR);
+        let fetched = fetched.messages().await;
+        let fetched = fetched.map_err(|e| EngineError::new(names::RESULTS, e))?;
+        let taken = fetched.for_each_concurrent(AT_ONCE, |message| async {
+            match message {
+                Ok(message) => take_one(link, message).await,
+                Err(why) => link.failed("results", &why),
+            }
+        });
+        taken.await;
+    }
+    Ok(())
+}
+
+/// The one that the operator has made; on a server where every key may do all, it is made and kept up to date.
+async fn consumer(link: &Link, hobs: &[String]) -> Result<Consumer<pull::Config>, EngineError> {
+    let config = engine::edge_consumer(&link.edge, hobs);
+    let context = &link.context;
+    let made = context.create_consumer_on_stream(config, names::RESULTS);
+    if let Ok(consumer) = made.await {
+        return Ok(consumer);
+    }
+    let name = names::edge_consumer(&link.edge);
+    let found = context.get_consumer_from_stream(&name, names::RESULTS);
+    found.await.map_err(|e| EngineError {
+        why: format!(
+            "{e}: the operator makes it, `ihd fleet init --edge {}={}`",
+            link.edge,
+            hobs.join(",")
+        ),
+        ..EngineError::new(&name, "")
+    })
+}
+
+async fn take_one(link: &Link, message: jetstream::Message) {
+    let result = match ResultMessage::from_bytes(&message.payload) {
+        Ok(result) => result,
+        Err(why) => {
+            tracing::warn!(subject = %message.subject, %why, "a result cannot be used");
+            let _ = message.ack_with(AckKind::Term).await;
+            return;
+        }
+    };
+    let (hob, boot, seq) = (result.hob, result.boot, result.studied.seq);
+    if *message.subject != *names::result(&hob, boot, seq) {
+        tracing::warn!(subject = %message.subject, hob, "a result says it is another window's");
+        let _ = message.ack_with(AckKind::Term).await;
+        return;
+    }
+    let received = link.daemon.receive(&hob, boot, result.studied).await;
+    let key = (hob, boot, seq);
+    match received {
+        Ok(received) => {
+            link.state().answers.came(&key);
+            if received == Received::Foreign {
+                let (hob, boot, seq) = key;
+                tracing::info!(hob, boot, seq, "a result of a boot that is not known here");
+            }
+            // Where this is lost, it comes again and is known.
+            let _ = message.ack().await;
+        }
+        Err(why) => {
+            tracing::debug!(%why, "a result is taken in later");
+            let _ = message.ack_with(AckKind::Nak(Some(AGAIN_AFTER))).await;
+        }
+    }
+}

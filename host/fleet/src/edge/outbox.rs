@@ -1,0 +1,206 @@
+//! From the store to the fleet: windows that nobody has identified, results of those that were identified here. What the fleet has not
+//! acknowledged stays due, and is sent again under the same number.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use async_nats::jetstream::context::{PublishAckFuture, PublishErrorKind};
+use async_nats::jetstream::message::PublishMessage;
+use ihd_daemon::learning::{Numbers, Studied};
+use ihd_daemon::model::What;
+use ihd_store::{Due, DueWindow, ResultRow};
+use tokio::sync::broadcast::error::RecvError;
+
+use super::{Link, TRY_AGAIN, now_ms};
+use crate::identity::Identity;
+use crate::messages::{MessageError, ResultMessage, WindowMessage};
+use crate::names;
+
+/// Windows under way at once.
+const BATCH: usize = 64;
+
+/// Between two looks where nothing was heard of.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// Why something was not sent.
+#[derive(Debug, thiserror::Error)]
+enum SendError {
+    #[error(transparent)]
+    Store(#[from] ihd_daemon::StoreTrouble),
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    #[error("{0}")]
+    Publish(#[from] async_nats::jetstream::context::PublishError),
+}
+
+/// What is on its way.
+struct UnderWay {
+    due: DueWindow,
+    is_window: bool,
+    acknowledged: PublishAckFuture,
+}
+
+/// Sends what is due until the edge ends.
+pub async fn run(link: Arc<Link>) {
+    let identity = loop {
+        match link.daemon.fleet_secret().await {
+            Ok(secret) => break Identity::new(secret),
+            Err(why) => link.failed("store", &why),
+        }
+        if !link.wait(TRY_AGAIN).await {
+            return;
+        }
+    };
+    let mut notices = link.daemon.watch();
+    loop {
+        let now = Instant::now();
+        let trusted = link.is_connected() && link.state().answers.are_in_time(now);
+        link.daemon.trust_fleet(trusted);
+        let sent = match link.is_connected() && link.serves() {
+            true => match send_some(&link, &identity).await {
+                Ok(sent) => {
+                    link.works();
+                    sent
+                }
+                Err(why) => {
+                    link.failed("sending", &why);
+                    link.daemon.trust_fleet(false);
+                    if !link.wait(TRY_AGAIN).await {
+                        return;
+                    }
+                    0
+                }
+            },
+            false => 0,
+        };
+        // Whole batches follow each other.
+        if sent == BATCH {
+            continue;
+        }
+        let news = async {
+            loop {
+                match notices.recv().await {
+                    Ok(notice) if matches!(notice.what, What::WindowStored { .. }) => return,
+                    Ok(_) => {}
+                    Err(RecvError::Lagged(_)) => return,
+                    // The daemon is ending; so is the edge.
+                    Err(RecvError::Closed) => std::future::pending().await,
+                }
+            }
+        };
+        let next = tokio::time::timeout(LOOK_EVERY, news);
+        if link.unless_stopping(next).await.is_none() {
+            return;
+        }
+    }
+}
+
+/// Sends a batch and waits for its acknowledgements; how many were due.
+async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError> {
+    let due = link.daemon.due(BATCH).await?;
+    let count = due.len();
+    let mut under_way = Vec::new();
+    let mut sent = Vec::new();
+    let mut failed = None;
+    for due in due {
+        match send(link, identity, &due).await {
+            Ok(Some((is_window, acknowledged))) => under_way.push(UnderWay {
+                due,
+                is_window,
+                acknowledged,
+            }),
+            Ok(None) => sent.push(due),
+            Err(why) => {
+                failed = Some(why);
+                break;
+            }
+        }
+    }
+    for one in under_way {
+        match one.acknowledged.await {
+            Ok(_) => {
+                if one.is_window {
+                    let key = (one.due.device.clone(), one.due.boot, one.due.seq);
+                    link.state().answers.sent(key, Instant::now());
+                }
+                sent.push(one.due);
+            }
+            // Another one has published a result of this window before.
+            Err(why) if !one.is_window && why.kind() == PublishErrorKind::WrongLastSequence => {
+                sent.push(one.due);
+            }
+            Err(why) => failed = Some(why.into()),
+        }
+    }
+    link.daemon.sent(sent).await?;
+    failed.map_or(Ok(count), Err)
+}
+
+/// Publishes what there is of a window that is due; none where there is nothing any more.
+async fn send(
+    link: &Link,
+    identity: &Identity,
+    due: &DueWindow,
+) -> Result<Option<(bool, PublishAckFuture)>, SendError> {
+    let (hob, boot, seq) = (&due.device, due.boot, due.seq);
+    let (subject, message, is_window) = match link.daemon.read_due(due.clone()).await? {
+        Due::Window(window) => {
+            let message = WindowMessage {
+                hob: hob.clone(),
+                boot,
+                at_ms: due.at_ms,
+                skew_s: link.daemon.skew_s(hob),
+                window: *window,
+            };
+            let message = PublishMessage::build()
+                .payload(message.to_bytes()?.into())
+                .message_id(identity.of_window(hob, boot, seq));
+            (names::window(hob), message, true)
+        }
+        Due::Result(row) => {
+            let message = ResultMessage {
+                hob: hob.clone(),
+                boot,
+                by: link.edge.clone(),
+                window_at_ms: due.at_ms,
+                at_ms: now_ms(),
+                studied: studied(*row),
+            };
+            let message = PublishMessage::build()
+                .payload(message.to_bytes()?.into())
+                .expected_last_subject_sequence(0);
+            (names::result(hob, boot, seq), message, false)
+        }
+        Due::Gone => {
+            tracing::warn!(hob, boot, seq, "its samples are gone: it is not sent");
+            return Ok(None);
+        }
+    };
+    let under_way = link.context.send_publish(subject, message).await?;
+    Ok(Some((is_window, under_way)))
+}
+
+/// What the store has of a result; whoever reads it learns no map from it.
+fn studied(row: ResultRow) -> Studied {
+    Studied {
+        seq: row.seq,
+        half_cycle: row.half_cycle,
+        f_sw_hz: row.f_sw_hz,
+        power_w: row.power_w,
+        numbers: Numbers {
+            i_crest_a: row.i_crest_a,
+            r_ohm: row.r_ohm,
+            l_h: row.l_h,
+            sigma_r_pct: row.sigma_r_pct,
+            sigma_l_pct: row.sigma_l_pct,
+            iterations: row.iterations,
+        },
+        refused: (!row.pass).then_some(row.why),
+        steps: Vec::new(),
+        remarks: Vec::new(),
+        trajectory: None,
+        curve: None,
+        evidence: Default::default(),
+        busy_s: 0.0,
+    }
+}

@@ -1,0 +1,117 @@
+//! What hobs do now, once a second, for whoever listens: dashboards, MQTT. No stream keeps it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::StreamExt;
+use ihd_daemon::model::DeviceReport;
+use serde::{Deserialize, Serialize};
+
+use super::{Link, TRY_AGAIN, now_ms};
+use crate::{discovery, names};
+
+/// Between two states.
+const TELL_EVERY: Duration = Duration::from_secs(1);
+
+/// Where Home Assistant says that it has begun.
+const BIRTH: &str = "homeassistant.status";
+
+/// What a hob does now (JSON).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StateMessage {
+    /// Milliseconds since 1970, UTC.
+    pub at_ms: i64,
+    /// State, in the words of docs/daemon.md.
+    pub state: String,
+    /// What stands on the coil; none where that is not known.
+    pub pot: Option<String>,
+    /// Mean power of the half-cycle in watt.
+    pub power_w: Option<f64>,
+    /// Power asked for in watt.
+    pub asked_w: Option<u16>,
+    /// The device's own R at the crest of the current, in ohm.
+    pub r_ohm: Option<f64>,
+    /// The device's own L at the crest of the current, in henry.
+    pub l_h: Option<f64>,
+    /// Switching frequency in hertz, 0 with the inverter off.
+    pub f_sw_hz: Option<u32>,
+    /// How much warmer the pot is than when it was put on, in kelvin.
+    pub pot_rise_k: Option<f64>,
+    /// Version of the lookup in use.
+    pub lookup_version: u32,
+}
+
+impl StateMessage {
+    /// Of what the daemon knows of a device.
+    pub fn of(device: &DeviceReport) -> Self {
+        let live = device.live.as_ref();
+        let finite = |x: f64| x.is_finite().then_some(x);
+        Self {
+            at_ms: now_ms(),
+            state: device.state.word().to_owned(),
+            pot: live.map(|l| l.pot.clone()),
+            power_w: live.and_then(|l| finite(l.power_w)),
+            asked_w: live.map(|l| l.asked_w),
+            r_ohm: live.and_then(|l| finite(l.r_ohm)),
+            l_h: live.and_then(|l| finite(l.l_h)),
+            f_sw_hz: live.map(|l| l.f_sw_hz),
+            pot_rise_k: device
+                .pot_temperature
+                .as_ref()
+                .and_then(|t| finite(t.rise_k)),
+            lookup_version: device.lookup.on_device.unwrap_or(0),
+        }
+    }
+}
+
+/// Tells until the edge ends; what Home Assistant asks for at its start, too.
+pub async fn run(link: Arc<Link>) {
+    loop {
+        if link.is_connected() {
+            let told = link.unless_stopping(tell(&link)).await;
+            match told {
+                None => return,
+                Some(Err(why)) => link.failed("states", &why),
+                Some(Ok(())) => {}
+            }
+        }
+        if !link.wait(TRY_AGAIN).await {
+            return;
+        }
+    }
+}
+
+async fn tell(link: &Link) -> Result<(), String> {
+    let client = link.context.client();
+    let births = client.subscribe(BIRTH).await;
+    let mut births = births.map_err(|e| e.to_string())?;
+    let mut discovered = Vec::new();
+    let mut tick = tokio::time::interval(TELL_EVERY);
+    while link.is_connected() {
+        tokio::select! {
+            _ = tick.tick() => {}
+            birth = births.next() => match birth {
+                Some(birth) if &birth.payload[..] == b"online" => discovered.clear(),
+                Some(_) => {}
+                None => return Err("the subscription ended".to_owned()),
+            },
+        }
+        for device in link.daemon.devices() {
+            if !crate::messages::is_hob(&device.name) {
+                continue;
+            }
+            if !discovered.contains(&device.name) {
+                for (subject, payload) in discovery::of_hob(&device.name) {
+                    let sent = client.publish(subject, payload.into()).await;
+                    sent.map_err(|e| e.to_string())?;
+                }
+                discovered.push(device.name.clone());
+            }
+            let state = serde_json::to_vec(&StateMessage::of(&device));
+            let state = state.map_err(|e| e.to_string())?;
+            let sent = client.publish(names::state(&device.name), state.into());
+            sent.await.map_err(|e| e.to_string())?;
+        }
+    }
+    Ok(())
+}

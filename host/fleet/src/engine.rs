@@ -1,0 +1,333 @@
+//! Streams, consumers and buckets on the server: what `ihd fleet init` makes, with its limits (docs/fleet.md).
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use async_nats::jetstream::consumer::{AckPolicy, pull};
+use async_nats::jetstream::context::CreateStreamErrorKind;
+use async_nats::jetstream::stream::{
+    self, DirectGetErrorKind, DiscardPolicy, RetentionPolicy, StorageType,
+};
+use async_nats::jetstream::{Context, kv, object_store};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+use crate::names;
+
+/// A day.
+const DAY: Duration = Duration::from_secs(86_400);
+
+/// How long a worker has for a window before another one gets it; it asks for more while it is at it.
+pub const ACK_WAIT: Duration = Duration::from_secs(30);
+
+/// Deliveries of a window from which on it is given up: it has cost so many workers their time, or their life.
+pub const MOST_DELIVERIES: i64 = 5;
+
+/// Windows at a worker's thread: one that it is at, one that waits.
+pub const PER_THREAD: usize = 2;
+
+/// How long the server knows a window that comes twice. Whoever sends it later than that costs a worker's time, no more: a result is
+/// unique by its subject.
+const DUPLICATES_WITHIN: Duration = Duration::from_secs(3_600);
+
+/// For how long the entry of an edge or a worker stays that nobody renews.
+pub const SILENT_AFTER: Duration = Duration::from_secs(30);
+
+/// Largest value in a bucket, in bytes: all that is known of a hob's pots.
+const LARGEST_VALUE: i32 = 1 << 18;
+
+/// Limits of the fleet. Streams that are full refuse, so that whoever publishes keeps what it has.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Bytes of windows that wait for a worker.
+    pub windows_bytes: i64,
+    /// Windows of one hob that wait: none takes the room of all.
+    pub windows_of_a_hob: i64,
+    /// Days that a window waits at most.
+    pub windows_days: u32,
+    /// Bytes of results.
+    pub results_bytes: i64,
+    /// Days that results are kept: as long as an edge may be away and none of its windows be identified twice.
+    pub results_days: u32,
+    /// Bytes of events; the oldest go first.
+    pub events_bytes: i64,
+    /// Bytes of windows that were given up.
+    pub dead_bytes: i64,
+    /// Bytes of captures.
+    pub captures_bytes: i64,
+    /// Lookups of a hob that are remembered, 1 to 64.
+    pub lookups: u8,
+    /// Threads of workers that the fleet is made for: twice as many windows may be with workers.
+    pub threads: u32,
+    /// Copies of everything, 1, 3 or 5 (a cluster).
+    pub replicas: u8,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            windows_bytes: 10_000_000_000,
+            windows_of_a_hob: 100_000,
+            windows_days: 30,
+            results_bytes: 10_000_000_000,
+            results_days: 30,
+            events_bytes: 1_000_000_000,
+            dead_bytes: 1_000_000_000,
+            captures_bytes: 10_000_000_000,
+            lookups: 16,
+            threads: 64,
+            replicas: 1,
+        }
+    }
+}
+
+/// Why something on the server is not as it should be.
+#[derive(Debug, thiserror::Error)]
+#[error("{what}: {why}")]
+pub struct EngineError {
+    /// Which stream, bucket or consumer.
+    pub what: String,
+    /// What the server says.
+    pub why: String,
+    /// Whether it is not there.
+    pub is_missing: bool,
+}
+
+impl EngineError {
+    /// Of what the client reports.
+    pub fn new(what: &str, why: impl std::fmt::Display) -> Self {
+        let why = why.to_string();
+        let is_missing = why.contains("not found");
+        Self {
+            what: what.to_owned(),
+            why,
+            is_missing,
+        }
+    }
+}
+
+fn failed<E: std::fmt::Display>(what: &str) -> impl FnOnce(E) -> EngineError + '_ {
+    move |why| EngineError::new(what, why)
+}
+
+impl Limits {
+    fn streams(&self) -> [stream::Config; 4] {
+        let subject = |kind: &str| vec![format!("ihd.{}.*.{kind}", names::VERSION)];
+        let base = |name: &str, subjects: Vec<String>| stream::Config {
+            name: name.to_owned(),
+            subjects,
+            storage: StorageType::File,
+            num_replicas: usize::from(self.replicas),
+            duplicate_window: DUPLICATES_WITHIN,
+            discard: DiscardPolicy::New,
+            allow_direct: true,
+            ..stream::Config::default()
+        };
+        let at_most = |count: i64, config: stream::Config| stream::Config {
+            max_messages_per_subject: count,
+            discard_new_per_subject: true,
+            ..config
+        };
+        let once = |config| at_most(1, config);
+        [
+            stream::Config {
+                retention: RetentionPolicy::WorkQueue,
+                max_bytes: self.windows_bytes,
+                max_age: DAY * self.windows_days,
+                ..at_most(
+                    self.windows_of_a_hob,
+                    base(names::WINDOWS, subject("window")),
+                )
+            },
+            stream::Config {
+                max_bytes: self.results_bytes,
+                max_age: DAY * self.results_days,
+                ..once(base(names::RESULTS, subject("result.*.*")))
+            },
+            stream::Config {
+                max_bytes: self.events_bytes,
+                discard: DiscardPolicy::Old,
+                ..base(names::EVENTS, subject("event"))
+            },
+            stream::Config {
+                max_bytes: self.dead_bytes,
+                ..once(base(names::DEAD, subject("dead.*.*")))
+            },
+        ]
+    }
+
+    /// Key-value buckets are streams; made by hand because nobody may roll one up: with that right, whoever may write one key could empty
+    /// the bucket.
+    fn buckets(&self) -> [stream::Config; 6] {
+        let bucket = |name: &str, history: i64, max_age: Duration| stream::Config {
+            name: names::bucket_stream(name),
+            subjects: vec![names::key(name, ">")],
+            max_messages_per_subject: history,
+            max_message_size: LARGEST_VALUE,
+            max_age,
+            discard: DiscardPolicy::New,
+            storage: StorageType::File,
+            num_replicas: usize::from(self.replicas),
+            duplicate_window: match max_age.is_zero() {
+                true => Duration::from_secs(120),
+                false => max_age,
+            },
+            allow_direct: true,
+            deny_delete: true,
+            allow_rollup: false,
+            ..stream::Config::default()
+        };
+        let forever = Duration::ZERO;
+        [
+            bucket(names::LOOKUPS, i64::from(self.lookups), forever),
+            bucket(names::HOBS, 1, forever),
+            bucket(names::EDGES, 1, SILENT_AFTER),
+            bucket(names::WORKER_CARDS, 1, SILENT_AFTER),
+            bucket(names::POTS, 1, forever),
+            bucket(names::SETTINGS, 1, forever),
+        ]
+    }
+
+    fn captures(&self) -> object_store::Config {
+        object_store::Config {
+            bucket: names::CAPTURES.to_owned(),
+            max_bytes: self.captures_bytes,
+            num_replicas: usize::from(self.replicas),
+            ..object_store::Config::default()
+        }
+    }
+
+    /// The consumer that all workers share. The server gives a window again as often as it must; a worker that gets one for the sixth
+    /// time moves it to the dead, so that none is ever stuck between.
+    fn workers(&self) -> pull::Config {
+        pull::Config {
+            durable_name: Some(names::WORKERS.to_owned()),
+            ack_policy: AckPolicy::Explicit,
+            ack_wait: ACK_WAIT,
+            max_deliver: -1,
+            max_ack_pending: i64::from(self.threads.max(1)) * PER_THREAD as i64,
+            ..pull::Config::default()
+        }
+    }
+}
+
+/// The consumer of an edge: results of its hobs. What it has not stored comes again.
+pub fn edge_consumer(edge: &str, hobs: &[String]) -> pull::Config {
+    pull::Config {
+        durable_name: Some(names::edge_consumer(edge)),
+        filter_subjects: hobs.iter().map(names::results).collect(),
+        ack_policy: AckPolicy::Explicit,
+        ack_wait: ACK_WAIT,
+        max_deliver: -1,
+        max_ack_pending: 256,
+        ..pull::Config::default()
+    }
+}
+
+/// Makes the consumer by which an edge gets the results of its hobs: its own key may not (docs/fleet-security.md).
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn init_edge(context: &Context, edge: &str, hobs: &[String]) -> Result<(), EngineError> {
+    let config = edge_consumer(edge, hobs);
+    let made = context.create_consumer_on_stream(config, names::RESULTS);
+    made.await.map(drop).map_err(failed(names::RESULTS))
+}
+
+/// Makes what is not there, and brings what is to the limits. Nothing is deleted.
+///
+/// # Errors
+/// [`EngineError`] naming what the server refuses.
+pub async fn init(context: &Context, limits: &Limits) -> Result<(), EngineError> {
+    for config in limits.streams() {
+        let name = config.name.clone();
+        let made = context.create_or_update_stream(config).await;
+        made.map_err(|e| match e.kind() {
+            CreateStreamErrorKind::TimedOut => EngineError::new(&name, NO_JETSTREAM),
+            _ => EngineError::new(&name, e),
+        })?;
+    }
+    let windows = context.get_stream_no_info(names::WINDOWS).await;
+    let windows = windows.map_err(failed(names::WINDOWS))?;
+    let workers = windows.create_consumer(limits.workers()).await;
+    workers.map_err(failed(names::WORKERS))?;
+    for config in limits.buckets() {
+        let name = config.name.clone();
+        let made = context.create_or_update_stream(config).await;
+        made.map_err(failed(&name))?;
+    }
+    if context.get_object_store(names::CAPTURES).await.is_err() {
+        let made = context.create_object_store(limits.captures()).await;
+        made.map_err(failed(names::CAPTURES))?;
+    }
+    let settings = bucket(context, names::SETTINGS).await?;
+    let text = serde_json::to_vec(limits).unwrap_or_default();
+    let put = settings.put("limits", text.into()).await;
+    put.map_err(failed(names::SETTINGS))?;
+    Ok(())
+}
+
+const NO_JETSTREAM: &str =
+    "the server does not answer for JetStream: is it started with -js, and may this user use it?";
+
+/// A bucket of the fleet.
+///
+/// # Errors
+/// [`EngineError`]; where it is not there, `ihd fleet init` makes it.
+pub async fn bucket(context: &Context, name: &str) -> Result<kv::Store, EngineError> {
+    let found = context.get_key_value(name).await;
+    found.map_err(|e| missing(name, e))
+}
+
+/// What a bucket holds, by key: read one by one, as every key may that may read at all.
+///
+/// # Errors
+/// As [`bucket`].
+pub async fn entries(
+    context: &Context,
+    name: &str,
+) -> Result<BTreeMap<String, Bytes>, EngineError> {
+    let stream = context.get_stream_no_info(names::bucket_stream(name)).await;
+    let stream = stream.map_err(|e| missing(name, e))?;
+    let all = names::key(name, ">");
+    let prefix = names::key(name, "");
+    let mut entries = BTreeMap::new();
+    let mut from = 1;
+    loop {
+        let next = stream.direct_get_next_for_subject(&*all, Some(from)).await;
+        let message = match next {
+            Ok(message) => message,
+            Err(e) if e.kind() == DirectGetErrorKind::NotFound => return Ok(entries),
+            Err(e) => return Err(missing(name, e)),
+        };
+        from = message.sequence + 1;
+        let key = message.subject.strip_prefix(&prefix).unwrap_or_default();
+        match message.headers.get("KV-Operation") {
+            Some(_) => entries.remove(key),
+            None => entries.insert(key.to_owned(), message.payload),
+        };
+    }
+}
+
+/// A stream of the fleet.
+///
+/// # Errors
+/// As [`bucket`].
+pub async fn stream(context: &Context, name: &str) -> Result<stream::Stream, EngineError> {
+    let found = context.get_stream(name).await;
+    found.map_err(|e| missing(name, e))
+}
+
+/// An error of something that `ihd fleet init` makes.
+pub(crate) fn missing(name: &str, why: impl std::fmt::Display) -> EngineError {
+    let error = EngineError::new(name, why);
+    match error.is_missing {
+        true => EngineError {
+            why: "the server has none: `ihd fleet init --url …` makes what a fleet needs"
+                .to_owned(),
+            ..error
+        },
+        false => error,
+    }
+}

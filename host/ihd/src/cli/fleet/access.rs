@@ -1,0 +1,72 @@
+//! Where the fleet is, for commands that are no daemon.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use ihd_fleet::{Access, Context};
+use tokio::runtime::Runtime;
+
+/// Address and credentials of the fleet.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Fleet")]
+pub struct AccessArgs {
+    /// Address of the server, nats://HOST:PORT or tls://HOST:PORT; several of a cluster with commas between. Without it $IHD_FLEET_URL, or
+    /// [fleet] of ihd.toml
+    #[arg(long, value_name = "URL")]
+    url: Option<String>,
+    /// File with an NKey's seed (docs/fleet-security.md)
+    #[arg(long, value_name = "FILE", conflicts_with = "token_file")]
+    nkey_file: Option<PathBuf>,
+    /// File with a token
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// PEM file of the authority that the server's certificate is of; that of the system without
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Configuration of a daemon whose [fleet] is used where nothing else is said; without one ihd.toml of this folder
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+impl AccessArgs {
+    /// Who is asked for, and as whom.
+    ///
+    /// # Errors
+    /// When nobody says where the fleet is.
+    pub fn access(&self) -> Result<Access> {
+        let given = self.url.clone();
+        let given = given.or_else(|| std::env::var("IHD_FLEET_URL").ok());
+        let of_file = match given {
+            Some(_) => None,
+            None => super::super::configured::config(self.config.as_deref())?.fleet,
+        };
+        let mut access = of_file.as_ref().map(Access::from).unwrap_or_default();
+        if let Some(url) = given {
+            access.url = url;
+        }
+        ensure_usage!(
+            !access.url.is_empty(),
+            "which fleet? --url nats://HOST:PORT, $IHD_FLEET_URL, or [fleet] url in ihd.toml"
+        );
+        if self.nkey_file.is_some() || self.token_file.is_some() {
+            (access.nkey_file, access.token_file) =
+                (self.nkey_file.clone(), self.token_file.clone());
+        }
+        access.ca = self.ca.clone().or(access.ca);
+        Ok(access)
+    }
+
+    /// Does something with the fleet.
+    ///
+    /// # Errors
+    /// [`ihd_fleet::AccessError`], or what was done.
+    pub fn with<T>(&self, what: impl AsyncFnOnce(&Access, Context) -> Result<T>) -> Result<T> {
+        let access = self.access()?;
+        Runtime::new()?.block_on(async {
+            let name = format!("ihd-{}", std::process::id());
+            let context = access.connect(&name).await?;
+            what(&access, context).await
+        })
+    }
+}

@@ -1,0 +1,185 @@
+//! `ihd fleet status`, `devices`, `backlog`.
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use ihd_daemon::model::FleetReport;
+use ihd_fleet::{names, status};
+use serde::Serialize;
+
+use super::{AccessArgs, Amiss, ago};
+use crate::report::table::Table;
+
+/// After how long a hob or an edge that was not heard of is amiss, in milliseconds.
+const SILENT_MS: i64 = 60_000;
+
+/// What is where: windows, results, backlog, dead, workers, edges
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+    /// End with code 7 where windows are dead, no worker is there for a backlog, or an edge was not heard of for a minute
+    #[arg(long)]
+    check: bool,
+}
+
+/// The hobs of all edges
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// Only those whose firmware differs from that of most of their board, or from `ihd fleet init --build`
+    #[arg(long)]
+    outdated: bool,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Windows that wait for a worker, by hob
+#[derive(Debug, Args)]
+pub struct BacklogArgs {
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn report(access: &AccessArgs) -> Result<FleetReport> {
+    access.with(async |access, context| Ok(status::report(&context, &access.shown()).await?))
+}
+
+impl StatusArgs {
+    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
+        let report = report(access)?;
+        match self.json {
+            true => say!("{}", serde_json::to_string_pretty(&report)?)?,
+            false => say!("{}", words(&report).trim_end())?,
+        }
+        match amiss(&report) {
+            Some(why) if self.check => Err(Amiss(why).into()),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn amiss(report: &FleetReport) -> Option<String> {
+    let silent: Vec<&str> = report
+        .edges
+        .iter()
+        .filter(|edge| report.at_ms - edge.last_seen_ms > SILENT_MS)
+        .map(|edge| edge.name.as_str())
+        .collect();
+    match report {
+        r if r.dead > 0 => Some(format!("{} windows were given up: ihd fleet dead", r.dead)),
+        r if r.backlog > 0 && r.workers.is_empty() => Some(format!(
+            "{} windows wait, and there is no worker: ihd worker",
+            r.backlog
+        )),
+        _ if !silent.is_empty() => Some(format!("not heard of: {}", silent.join(", "))),
+        _ => None,
+    }
+}
+
+fn words(report: &FleetReport) -> String {
+    let mut text = format!(
+        "{}: {} windows ever, {} results, {} in the backlog, {} dead\n",
+        report.server, report.windows, report.results, report.backlog, report.dead
+    );
+    let mut workers = Table::new(&["worker", "threads", "at", "done", "failed", "ihd", "seen"]);
+    for worker in &report.workers {
+        workers.row([
+            worker.name.clone(),
+            worker.threads.to_string(),
+            worker.busy.to_string(),
+            worker.done.to_string(),
+            worker.failed.to_string(),
+            worker.version.clone(),
+            ago(worker.last_seen_ms),
+        ]);
+    }
+    let mut edges = Table::new(&["edge", "outbox", "learns", "ihd", "seen"]);
+    for edge in &report.edges {
+        let learns = if edge.trusts_fleet { "fleet" } else { "itself" };
+        edges.row([
+            edge.name.clone(),
+            edge.outbox.to_string(),
+            learns.to_owned(),
+            edge.version.clone(),
+            ago(edge.last_seen_ms),
+        ]);
+    }
+    match report.workers.is_empty() {
+        true => text.push_str("no worker: ihd worker\n"),
+        false => text.push_str(&format!("\n{}", workers.render())),
+    }
+    if !report.edges.is_empty() {
+        text.push_str(&format!("\n{}", edges.render()));
+    }
+    text.push_str(&format!(
+        "\n{} hobs, {} of them outdated: ihd fleet devices",
+        report.devices.len(),
+        report.devices.iter().filter(|d| d.outdated).count()
+    ));
+    text
+}
+
+impl DevicesArgs {
+    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
+        let mut report = report(access)?;
+        report.devices.retain(|d| d.outdated || !self.outdated);
+        if self.json {
+            return say!("{}", serde_json::to_string_pretty(&report.devices)?);
+        }
+        let mut table = Table::new(&[
+            "hob", "edge", "state", "pot", "firmware", "", "protocol", "lookup", "seen",
+        ]);
+        for device in &report.devices {
+            let outdated = if device.outdated { "outdated" } else { "" };
+            table.row([
+                device.name.clone(),
+                device.edge.clone(),
+                device.state.clone(),
+                device.pot.clone(),
+                device.build.clone(),
+                outdated.to_owned(),
+                format!("{}.{}", device.protocol.0, device.protocol.1),
+                device.lookup_version.to_string(),
+                ago(device.last_seen_ms),
+            ]);
+        }
+        say!("{}", table.render().trim_end())
+    }
+}
+
+#[derive(Serialize)]
+struct Waiting {
+    hob: String,
+    windows: usize,
+}
+
+impl BacklogArgs {
+    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
+        let waiting = access.with(async |_, context| {
+            let stream = ihd_fleet::engine::stream(&context, names::WINDOWS).await?;
+            let subjects = stream.info_with_subjects(names::window("*")).await;
+            let mut subjects = subjects.context(names::WINDOWS)?;
+            let mut waiting = Vec::new();
+            while let Some(next) = futures_util::StreamExt::next(&mut subjects).await {
+                let (subject, windows) = next.context(names::WINDOWS)?;
+                let hob = subject.split('.').nth(2).unwrap_or_default().to_owned();
+                waiting.push(Waiting { hob, windows });
+            }
+            waiting.sort_by(|a, b| (b.windows, &a.hob).cmp(&(a.windows, &b.hob)));
+            Ok(waiting)
+        })?;
+        if self.json {
+            return say!("{}", serde_json::to_string_pretty(&waiting)?);
+        }
+        let mut table = Table::new(&["hob", "windows"]);
+        for of in &waiting {
+            table.row([of.hob.clone(), of.windows.to_string()]);
+        }
+        match waiting.is_empty() {
+            true => say!("nothing waits"),
+            false => say!("{}", table.render().trim_end()),
+        }
+    }
+}

@@ -1,0 +1,361 @@
+//! A NATS server of the test's own: started, killed, stopped, started again with what it had kept.
+
+use std::fs::{self, File};
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+/// Names the program; `cargo xtask fleet` sets it.
+const PROGRAM: &str = "IHD_NATS_SERVER";
+
+/// How long a start, a stop or a reload may take: this machine may be busy.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// How often a wait looks.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+
+/// Where a server will be: what its configuration may name.
+pub struct Place {
+    /// Its own address of the loopback, so that a port of any other process is never in its way, and a client that
+    /// tries again while it is down never gets the server's own port as its source.
+    pub address: Ipv4Addr,
+    /// Its folder: configuration, store, log, certificates.
+    pub folder: PathBuf,
+}
+
+impl Place {
+    /// What a configuration says after `listen:`: this address and a port that the system finds.
+    pub fn any_port(&self) -> String {
+        format!("\"{}:-1\"", self.address)
+    }
+
+    /// The lines that every configuration here begins with: where it listens, and JetStream, safe on the disk.
+    pub fn basics(&self) -> String {
+        let (listen, store) = (self.any_port(), self.folder.join("store"));
+        format!(
+            "server_name: ihd-test\nlisten: {listen}\n\
+             jetstream {{ store_dir: {store:?}, sync_interval: always }}\n"
+        )
+    }
+}
+
+/// The server, which does not outlive its owner.
+pub struct Server {
+    child: Child,
+    /// Holds everything, and goes with the server.
+    folder: TempDir,
+    address: Ipv4Addr,
+    port: u16,
+    mqtt_port: Option<u16>,
+    /// Starts so far: each has a log of its own.
+    starts: usize,
+}
+
+impl Server {
+    /// One without users, with `more` lines of configuration (`mqtt { listen: … }`, `accounts { … }`).
+    pub fn start(more: &str) -> Self {
+        Self::configured(|place| place.basics() + more)
+    }
+
+    /// One with MQTT beside NATS, without users.
+    pub fn with_mqtt() -> Self {
+        Self::configured(|place| {
+            format!(
+                "{}mqtt {{ listen: {} }}\n",
+                place.basics(),
+                place.any_port()
+            )
+        })
+    }
+
+    /// One with the whole configuration that `write` makes for its place.
+    pub fn configured(write: impl FnOnce(&Place) -> String) -> Self {
+        let folder = tempfile::Builder::new().prefix("ihd-nats-").tempdir();
+        let folder = folder.expect("a folder for the server");
+        let address = own_address();
+        let place = Place {
+            address,
+            folder: folder.path().to_owned(),
+        };
+        fs::write(folder.path().join("nats.conf"), write(&place)).expect("its configuration");
+        let child = spawn(folder.path(), 1).expect("nats-server starts");
+        let mut server = Self {
+            child,
+            folder,
+            address,
+            port: 0,
+            mqtt_port: None,
+            starts: 1,
+        };
+        server.wait_until_ready();
+        server.port = server.port_of_file();
+        server.mqtt_port = server.mqtt_port_of_log();
+        server
+    }
+
+    /// What a client calls it: `nats://127.x.y.z:port`.
+    pub fn url(&self) -> String {
+        format!("nats://{}", self.address())
+    }
+
+    /// Where clients of NATS connect.
+    pub fn address(&self) -> SocketAddr {
+        (self.address, self.port).into()
+    }
+
+    /// Where clients of MQTT connect.
+    pub fn mqtt_address(&self) -> SocketAddr {
+        let port = self.mqtt_port.expect("a configuration with mqtt");
+        (self.address, port).into()
+    }
+
+    /// Its process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Its folder: `nats.conf`, `store/`, and what its configuration names.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// What it has logged since its last start.
+    pub fn log(&self) -> String {
+        fs::read_to_string(log_file(self.folder(), self.starts)).unwrap_or_default()
+    }
+
+    /// `kill -9`, as when the power goes; and its end.
+    pub fn kill9(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Asks it to end (SIGTERM), and its end.
+    pub fn stop(&mut self) -> ExitStatus {
+        self.signal("TERM");
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child of ours") {
+                return status;
+            }
+            assert!(Instant::now() < deadline, "it goes on:\n{}", self.log());
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Starts it again, at the same address with the same store; kills it first where it still runs.
+    pub fn restart(&mut self) {
+        self.kill9();
+        // The ports that it had, where the configuration asked for any.
+        let any = format!("{}:-1", self.address);
+        self.rewrite(|text| {
+            // The client's comes first in every configuration here.
+            let text = text.replacen(&any, &self.address().to_string(), 1);
+            match self.mqtt_port {
+                Some(port) => text.replacen(&any, &format!("{}:{port}", self.address), 1),
+                None => text,
+            }
+        });
+        self.starts += 1;
+        self.child = spawn(self.folder.path(), self.starts).expect("nats-server starts again");
+        self.wait_until_ready();
+    }
+
+    /// Changes its configuration; [`Server::reload`] or [`Server::restart`] make it so.
+    pub fn rewrite(&self, change: impl FnOnce(String) -> String) {
+        let file = self.folder().join("nats.conf");
+        let text = fs::read_to_string(&file).expect("its configuration");
+        fs::write(file, change(text)).expect("its configuration");
+    }
+
+    /// Has it read its configuration anew (SIGHUP) and waits until it has, or has refused.
+    ///
+    /// # Errors
+    /// What it says of a configuration that it refuses.
+    pub fn reload(&self) -> Result<(), String> {
+        let before = self.log().len();
+        self.signal("HUP");
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let log = self.log();
+            let since = log.get(before..).unwrap_or_default();
+            if since.contains("Reloaded server configuration") {
+                return Ok(());
+            }
+            if let Some(line) = since.lines().find(|l| l.contains("Failed to reload")) {
+                return Err(line.to_owned());
+            }
+            assert!(Instant::now() < deadline, "no word of a reload:\n{log}");
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Stops its process without its end (SIGSTOP): connections stay, nothing is answered.
+    pub fn freeze(&self) {
+        self.signal("STOP");
+    }
+
+    /// Ends [`Server::freeze`].
+    pub fn thaw(&self) {
+        self.signal("CONT");
+    }
+
+    fn signal(&self, name: &str) {
+        let mut kill = Command::new("kill");
+        kill.arg(format!("-{name}")).arg(self.pid().to_string());
+        let sent = kill.status().is_ok_and(|status| status.success());
+        assert!(sent, "no server to send {name} to:\n{}", self.log());
+    }
+
+    fn wait_until_ready(&mut self) {
+        let deadline = Instant::now() + PATIENCE;
+        while !self.log().contains("Server is ready") {
+            if let Some(status) = self.child.try_wait().expect("a child of ours") {
+                let said = fs::read_to_string(self.folder().join("stderr")).unwrap_or_default();
+                panic!("nats-server ended ({status}): {said}\n{}", self.log());
+            }
+            assert!(Instant::now() < deadline, "not ready:\n{}", self.log());
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// The port that it found for itself, from the file that it leaves for that.
+    fn port_of_file(&self) -> u16 {
+        let end = format!("_{}.ports", self.pid());
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            // It begins with the program's name, whatever that is here.
+            let files = fs::read_dir(self.folder().join("ports")).expect("its folder");
+            let mut files = files.flatten().map(|file| file.path());
+            let file = files.find(|file| file.to_string_lossy().ends_with(&end));
+            let text = file.and_then(|file| fs::read_to_string(file).ok());
+            let found = text.and_then(|text| {
+                let urls = serde_json::from_str::<serde_json::Value>(&text).ok()?;
+                let url = urls["nats"][0].as_str()?.to_owned();
+                url.rsplit(':').next()?.parse().ok()
+            });
+            if let Some(port) = found {
+                return port;
+            }
+            assert!(Instant::now() < deadline, "no port:\n{}", self.log());
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// The port of MQTT, which is in the log alone.
+    fn mqtt_port_of_log(&self) -> Option<u16> {
+        let log = self.log();
+        let line = log.lines().find(|l| l.contains("for MQTT clients on"))?;
+        line.rsplit(':').next()?.trim().parse().ok()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            eprintln!("the server's log:\n{}", self.log());
+        }
+        self.kill9();
+    }
+}
+
+/// The program: `IHD_NATS_SERVER`, else one on the PATH.
+fn program() -> PathBuf {
+    let named = std::env::var_os(PROGRAM);
+    named.unwrap_or_else(|| "nats-server".into()).into()
+}
+
+fn spawn(folder: &Path, start: usize) -> io::Result<Child> {
+    let ports = folder.join("ports");
+    fs::create_dir_all(&ports)?;
+    let mut command = Command::new(program());
+    command
+        .arg("--config")
+        .arg(folder.join("nats.conf"))
+        .arg("--ports_file_dir")
+        .arg(ports)
+        .arg("--log")
+        .arg(log_file(folder, start))
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(File::create(folder.join("stderr"))?);
+    command.spawn().map_err(|why| {
+        let what = format!(
+            "{:?} does not start ({why}): `cargo xtask fleet` brings it, or name one in {PROGRAM}",
+            program()
+        );
+        io::Error::new(why.kind(), what)
+    })
+}
+
+fn log_file(folder: &Path, start: usize) -> PathBuf {
+    folder.join(format!("log-{start}"))
+}
+
+/// An address of the loopback that no other server of this machine's tests has.
+fn own_address() -> Ipv4Addr {
+    static NEXT: AtomicU8 = AtomicU8::new(2);
+    let [_, _, high, low] = std::process::id().to_be_bytes();
+    Ipv4Addr::new(127, high, low, NEXT.fetch_add(1, Relaxed))
+}
+
+mod tests {
+    use std::io::{BufRead, BufReader, Write};
+    use std::net::TcpStream;
+
+    use super::*;
+
+    /// Whether a client that says hello gets its PONG.
+    fn answers(server: &Server) -> bool {
+        let Ok(mut stream) = TcpStream::connect(server.address()) else {
+            return false;
+        };
+        stream
+            .set_read_timeout(Some(Duration::from_secs(1)))
+            .unwrap();
+        stream
+            .write_all(b"CONNECT {\"verbose\":false}\r\nPING\r\n")
+            .unwrap();
+        let lines = BufReader::new(stream).lines();
+        lines.map_while(Result::ok).any(|line| line == "PONG")
+    }
+
+    #[test]
+    #[ignore = "needs nats-server: cargo xtask test --only fleet"]
+    fn a_server_comes_back_at_its_own_port_after_each_kind_of_end() {
+        let mut server = Server::with_mqtt();
+        let (address, mqtt) = (server.address(), server.mqtt_address());
+        assert!(answers(&server));
+        server.freeze();
+        assert!(!answers(&server));
+        server.thaw();
+        assert!(answers(&server));
+        server.kill9();
+        assert!(!answers(&server));
+        server.restart();
+        assert!(answers(&server));
+        assert!(server.stop().code().is_some());
+        assert!(!answers(&server));
+        server.restart();
+        assert!(answers(&server));
+        assert_eq!((server.address(), server.mqtt_address()), (address, mqtt));
+        assert!(TcpStream::connect(mqtt).is_ok());
+    }
+
+    #[test]
+    #[ignore = "needs nats-server: cargo xtask test --only fleet"]
+    fn a_reload_takes_a_sound_configuration_and_tells_of_another() {
+        let server = Server::start("");
+        server.rewrite(|text| text + "max_payload: 1000\n");
+        server.reload().unwrap();
+        server.rewrite(|text| text + "no_such_thing: 1\n");
+        let why = server.reload().unwrap_err();
+        assert!(why.contains("no_such_thing"), "{why}");
+    }
+}
