@@ -8,6 +8,7 @@ mod config;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_store::{Due, DueWindow, EventRow};
 use tokio::sync::oneshot;
 
@@ -125,6 +126,17 @@ impl Daemon {
     /// What the store reports.
     pub async fn fleet_secret(&self) -> Result<[u8; 16], StoreTrouble> {
         self.in_store(ihd_store::Store::fleet_secret).await
+    }
+
+    /// What other hobs may learn of the pot on a device, where it is known well enough.
+    pub fn pot_entry(&self, device: &str, by: Provenance) -> Option<PotEntry> {
+        self.learner()?.pot_entry(device, by)
+    }
+
+    /// Pots that other hobs know, for every device to begin with; false where they are those of before.
+    pub fn use_library(&self, library: Library) -> bool {
+        self.learner()
+            .is_some_and(|learner| learner.use_library(library))
     }
 
     /// Events that the fleet has not acknowledged, oldest first.

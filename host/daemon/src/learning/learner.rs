@@ -6,6 +6,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use ihd_link::Window;
+use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_signal::truth::Truth;
 use ihd_store::NewResult;
 use ihd_train::learning::{DamagedState, Outcome, Taken, Taught};
@@ -203,6 +204,18 @@ impl Learner {
     /// was learned, what it was before.
     pub fn skew_s(&self, device: &str) -> Option<f64> {
         self.shared.lock().queue.skew_s(device)
+    }
+
+    /// What other hobs may learn of the pot on a device; none while a thread has what was learned, or where that is too little.
+    pub fn pot_entry(&self, device: &str, by: Provenance) -> Option<PotEntry> {
+        // Not while the others wait.
+        let map = self.shared.lock().queue.learning(device)?.map().clone();
+        map.entry(by)
+    }
+
+    /// Pots that other hobs know, for every device to begin with; false where they are those of before.
+    pub fn use_library(&self, library: Library) -> bool {
+        self.shared.lock().queue.use_library(Arc::new(library))
     }
 
     /// How busy it is.
