@@ -8,7 +8,7 @@ import { test } from 'node:test';
 import { Api } from './harness/api.mjs';
 import { browser, noProblems, open } from './harness/browser.mjs';
 import { withPalette } from './harness/png.mjs';
-import { Daemon, Hob, sleep, until } from './harness/processes.mjs';
+import { Daemon, Fake, Hob, sleep, until } from './harness/processes.mjs';
 
 const FOLDER = process.env.IHD_SCREENSHOTS;
 /** Powers that teach enough of the map to be looked at, in watt. */
@@ -25,6 +25,11 @@ const PICTURES = [
   ['training', 'training/bench', 'light', 1280, 860],
   ['events', 'events', 'light', 1280, 560],
   ['recordings', 'recordings/bench', 'light', 1280, 560],
+];
+/** Of a fleet, which no single machine has. */
+const PICTURES_OF_A_FLEET = [
+  ['fleet', 'fleet', 'light', 1280, 800],
+  ['fleet-dark', 'fleet', 'dark', 1280, 640],
 ];
 
 test('pictures for the documentation', { skip: FOLDER ? false : 'with --screenshots alone' }, async (t) => {
@@ -54,10 +59,20 @@ address = "tcp:${hob.address}"
     await sleep(STEP_S * 1000);
     if (k === 3 || k === 5) await record('record-stop');
   }
+  await pictures(t, daemon.url, PICTURES);
+});
+
+test('pictures of a fleet, which the fake daemon alone has', { skip: FOLDER ? false : 'with --screenshots alone' }, async (t) => {
+  const fake = await Fake.start(t, '--devices', '1', '--fleet', '1000');
+  await pictures(t, fake.url, PICTURES_OF_A_FLEET);
+});
+
+/** Each into the folder: name, view, theme, width and height. */
+async function pictures(t, url, wanted) {
   await mkdir(FOLDER, { recursive: true });
   const chromium = await browser(t);
-  for (const [name, view, colorScheme, width, height] of PICTURES) {
-    const { page, context, problems } = await open(chromium, `${daemon.url}/#/${view}`, { colorScheme, viewport: { width, height } });
+  for (const [name, view, colorScheme, width, height] of wanted) {
+    const { page, context, problems } = await open(chromium, `${url}/#/${view}`, { colorScheme, viewport: { width, height } });
     if (view.startsWith('live')) await page.getByRole('button', { name: '1 min', exact: true }).click();
     await sleep(5000);
     await page.evaluate(() => scrollTo(0, 0));
@@ -68,4 +83,4 @@ address = "tcp:${hob.address}"
     noProblems(problems);
     await context.close();
   }
-});
+}

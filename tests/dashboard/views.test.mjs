@@ -7,7 +7,7 @@ import { test } from 'node:test';
 import { browser, noProblems, open, overhang, violations } from './harness/browser.mjs';
 import { Fake, sleep, until } from './harness/processes.mjs';
 
-const VIEWS = ['devices', 'live', 'map', 'training', 'events', 'recordings'];
+const VIEWS = ['devices', 'live', 'map', 'training', 'events', 'recordings', 'fleet'];
 const FULL = process.env.IHD_DASHBOARD_FULL === '1';
 /** Theme and width; the full form has every pair. */
 const LOOKS = FULL ? [['light', 1280], ['light', 360], ['dark', 1280], ['dark', 360]] : [['light', 1280], ['dark', 360]];
@@ -22,9 +22,10 @@ const HOOKS = {
   training: [],
   events: ['events'],
   recordings: ['record-toggle'],
+  fleet: ['fleet-windows', 'fleet-results', 'fleet-backlog', 'fleet-dead', 'fleet-outbox', 'fleet-worker-count', 'fleet-devices'],
 };
 
-const address = (url, view, device = 'desk') => `${url}/#/${view}${['devices', 'events'].includes(view) ? '' : `/${device}`}`;
+const address = (url, view, device = 'desk') => `${url}/#/${view}${['devices', 'events', 'fleet'].includes(view) ? '' : `/${device}`}`;
 
 /** Goes to a view and waits until it has drawn what it read. */
 async function show(page, url, view, device) {

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, Done, Fit, History, Hob, JournalEntry, Lease,
+    Command, CommandError, DeviceReport, Done, Fit, FleetReport, History, Hob, JournalEntry, Lease,
     LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, WindowSummary, WindowWanted,
 };
 use tokio::sync::broadcast;
@@ -54,6 +54,8 @@ pub trait Backend: Send + Sync + 'static {
     fn devices(&self) -> Vec<DeviceReport>;
     /// One device.
     fn device(&self, name: &str) -> Option<DeviceReport>;
+    /// What is known of the fleet; `None`: the daemon is no edge of one.
+    fn fleet(&self) -> Option<Arc<FleetReport>>;
     /// Carries out a command.
     fn command<'a>(
         &'a self,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ihd_daemon::learning::LearnerFigures;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, Done, Fit, History, Hob, JournalEntry, Lease,
+    Command, CommandError, DeviceReport, Done, Fit, FleetReport, History, Hob, JournalEntry, Lease,
     LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, WindowSummary, WindowWanted,
 };
 use ihd_daemon::{Daemon, DaemonError, JournalFilter, LiveTap};
@@ -88,6 +88,10 @@ impl Backend for DaemonBackend {
 
     fn device(&self, name: &str) -> Option<DeviceReport> {
         self.daemon.device(name)
+    }
+
+    fn fleet(&self) -> Option<Arc<FleetReport>> {
+        self.daemon.fleet()
     }
 
     fn command<'a>(
@@ -250,6 +254,9 @@ impl Backend for DaemonBackend {
             f.telemetry_dropped as f64,
         ));
         all.extend(learner_figures(&f.learner));
+        if let Some(fleet) = self.daemon.fleet() {
+            all.extend(fleet_figures(&fleet));
+        }
         if let Some(bytes) = f.rss_bytes {
             let help = "Memory of the daemon that is resident";
             all.push(gauge("resident_memory_bytes", help, bytes as f64));
@@ -333,6 +340,37 @@ fn learner_figures(f: &LearnerFigures) -> Vec<Figure> {
     all
 }
 
+/// Of the fleet as this edge knew it last; `fleet_connected` says whether that is now.
+fn fleet_figures(fleet: &FleetReport) -> [Figure; 5] {
+    [
+        gauge(
+            "fleet_connected",
+            "1 where the fleet's server answers; else the others are what they were last",
+            f64::from(u8::from(fleet.connected)),
+        ),
+        gauge(
+            "fleet_outbox",
+            "Windows and results of this edge that the fleet has not acknowledged",
+            fleet.outbox as f64,
+        ),
+        gauge(
+            "fleet_backlog",
+            "Windows in the fleet that nobody has identified yet",
+            fleet.backlog as f64,
+        ),
+        gauge(
+            "fleet_dead",
+            "Windows in the fleet that were given up",
+            fleet.dead as f64,
+        ),
+        gauge(
+            "fleet_workers",
+            "Workers that the fleet knows",
+            fleet.workers.len() as f64,
+        ),
+    ]
+}
+
 /// JSON has no NaN.
 fn finite(x: f64) -> Option<f64> {
     x.is_finite().then_some(x)
@@ -370,5 +408,35 @@ impl From<LookupRow> for StoredLookup {
             why: row.why,
             blob: row.blob,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_daemon::model::FleetWorker;
+
+    #[test]
+    fn each_number_of_the_fleet_stands_under_its_name() {
+        let fleet = FleetReport {
+            connected: true,
+            outbox: 2,
+            backlog: 3,
+            dead: 4,
+            workers: vec![FleetWorker::default(); 5],
+            ..FleetReport::default()
+        };
+        let told: Vec<_> = fleet_figures(&fleet)
+            .iter()
+            .map(|f| (f.name, f.value))
+            .collect();
+        let expected = [
+            ("fleet_connected", 1.0),
+            ("fleet_outbox", 2.0),
+            ("fleet_backlog", 3.0),
+            ("fleet_dead", 4.0),
+            ("fleet_workers", 5.0),
+        ];
+        assert_eq!(told, expected);
     }
 }

@@ -35,6 +35,9 @@ pub struct SessionReport {
     pub role: Role,
     /// Whether the daemon wants tokens at all.
     pub token_needed: bool,
+    /// Whether it is an edge of a fleet, of which `/fleet` tells.
+    #[serde(default)]
+    pub fleet: bool,
 }
 
 /// Where a backup goes.

@@ -5,10 +5,10 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::PotModel;
 use crate::misfit::Place;
-use crate::parameters::{self, CENTRED, COUNT, Vector};
+use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 
 /// Steps of a descent at most.
-const MOST_STEPS: usize = 12;
+pub(crate) const MOST_STEPS: usize = 12;
 
 /// Fall of the cost at which it ends: far below what a number's deviation is.
 const SETTLED: f64 = 1e-3;
@@ -52,7 +52,7 @@ pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
 
 /// Derivatives of [`predicted`] by the numbers, in spreads; `used` of them.
 pub(crate) fn derivatives(
-    from: &PotModel,
+    prior: &Prior,
     steps: &Vector,
     data: &[Datum],
     used: usize,
@@ -61,9 +61,9 @@ pub(crate) fn derivatives(
     let at = |k: usize, step: f64| {
         let mut there = *steps;
         there[k] += step;
-        predicted(&parameters::moved(from, &there), data)
+        predicted(&parameters::moved(prior, &there), data)
     };
-    let here = predicted(&parameters::moved(from, steps), data);
+    let here = predicted(&parameters::moved(prior, steps), data);
     for k in 0..used {
         let up = at(k, STEP);
         // At the end of a range only one side is there.
@@ -101,9 +101,9 @@ pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
 /// A fitted pot.
 #[derive(Clone, Debug)]
 pub(crate) struct Fitted {
-    /// Where the descent began: the middle of the prior.
-    pub from: PotModel,
-    /// Where it ended, in spreads.
+    /// What was believed.
+    pub prior: Prior,
+    /// Where it ended, in spreads from its middle.
     pub steps: Vector,
     /// How many of the numbers were free.
     pub used: usize,
@@ -114,14 +114,14 @@ pub(crate) struct Fitted {
 impl Fitted {
     /// The model.
     pub fn model(&self) -> PotModel {
-        parameters::moved(&self.from, &self.steps)
+        parameters::moved(&self.prior, &self.steps)
     }
 }
 
-/// Descends from `from`; `used` numbers are free. `None` where the covariance is singular.
+/// Descends from a prior, beginning at some steps; `used` numbers are free. `None` where the covariance is singular.
 pub(crate) fn fit(
     data: &[Datum],
-    (from, begin): (&PotModel, Vector),
+    (prior, begin): (&Prior, Vector),
     used: usize,
     tau: [f64; 2],
     most_steps: usize,
@@ -129,17 +129,17 @@ pub(crate) fn fit(
     let white: Cholesky<f64, Dyn> = covariance(data, tau).cholesky()?;
     let seen = seen(data);
     let cost = |steps: &Vector| {
-        let left = &seen - predicted(&parameters::moved(from, steps), data);
+        let left = &seen - predicted(&parameters::moved(prior, steps), data);
         let whitened = white.l_dirty().solve_lower_triangular(&left)?;
-        let prior: f64 = steps.iter().map(|s| s * s).sum();
-        Some(0.5 * (whitened.norm_squared() + prior))
+        let believed: f64 = steps.iter().map(|s| s * s).sum();
+        Some(0.5 * (whitened.norm_squared() + believed))
     };
     let mut steps = begin;
     let mut best = cost(&steps)?;
     let mut damping = 1e-2;
     for _ in 0..most_steps.min(MOST_STEPS) {
-        let slopes = derivatives(from, &steps, data, used);
-        let left = &seen - predicted(&parameters::moved(from, &steps), data);
+        let slopes = derivatives(prior, &steps, data, used);
+        let left = &seen - predicted(&parameters::moved(prior, &steps), data);
         let slopes = white.l_dirty().solve_lower_triangular(&slopes)?;
         let left = white.l_dirty().solve_lower_triangular(&left)?;
         let normal = slopes.tr_mul(&slopes);
@@ -159,7 +159,7 @@ pub(crate) fn fit(
                 there[k] += change[k];
             }
             // Within what there is, so that the prior pays for what was moved.
-            there = parameters::steps(from, &parameters::moved(from, &there));
+            there = parameters::steps(prior, &parameters::moved(prior, &there));
             let found = cost(&there)?;
             if found < best {
                 (steps, best) = (there, found);
@@ -173,7 +173,7 @@ pub(crate) fn fit(
         }
     }
     Some(Fitted {
-        from: *from,
+        prior: *prior,
         steps,
         used,
         cost: best,
@@ -191,10 +191,10 @@ pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Fitted> {
     /// First look at each class.
     const LOOKS: usize = 3;
     let begin = [0.0; COUNT];
-    let looks =
-        parameters::classes().filter_map(|class| fit(data, (&class, begin), CENTRED, tau, LOOKS));
+    let looks = parameters::classes()
+        .filter_map(|class| fit(data, (&class.into(), begin), CENTRED, tau, LOOKS));
     let best = looks.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-    fit(data, (&best.from, best.steps), CENTRED, tau, MOST_STEPS)
+    fit(data, (&best.prior, best.steps), CENTRED, tau, MOST_STEPS)
 }
 
 /// The same pot off centre; `None` where that is no better by more than chance.
@@ -203,6 +203,6 @@ pub(crate) fn fit_off_centre(data: &[Datum], centred: &Fitted, tau: [f64; 2]) ->
     const WORTH: f64 = 4.0;
     let mut begin = centred.steps;
     begin[CENTRED] = 1.0;
-    let shifted = fit(data, (&centred.from, begin), COUNT, tau, MOST_STEPS)?;
+    let shifted = fit(data, (&centred.prior, begin), COUNT, tau, MOST_STEPS)?;
     (shifted.cost + WORTH < centred.cost).then_some(shifted)
 }

@@ -4,25 +4,12 @@
 //! was seen, errors of measurement. What is seen conditions all of it at once.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
-use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
-use crate::fit::{
-    Datum, Fitted, covariance, derivatives, fit, fit_any, fit_off_centre, predicted, seen,
-};
+use crate::ended::{Ended, ended};
+use crate::fit::{Datum, covariance, derivatives, predicted, seen};
 use crate::misfit::Place;
-use crate::parameters::{self, COUNT, Vector};
-
-/// Deviations of ln R and ln L that the misfit may have, of which the evidence chooses. The least ones are what the
-/// describing function is off by once a pot was fitted to it (docs/map.md).
-const MISFITS_R: [f64; 7] = [0.004, 0.008, 0.016, 0.03, 0.06, 0.12, 0.24];
-const MISFITS_L: [f64; 7] = [0.002, 0.004, 0.008, 0.016, 0.03, 0.06, 0.12];
-
-/// Misfits from which the physics is said not to describe the pot: twice what harmonics of the current make.
-pub const UNDESCRIBED: [f64; 2] = [0.025, 0.012];
-
-/// Data that the fit itself looks at: more say nothing new of seven numbers.
-const LOOKED_AT: usize = 48;
+use crate::parameters::{self, COUNT, Prior};
 
 /// Change of ln s a second that heating makes: 2 K/s and half of 1.1e-3 a kelvin (docs/map.md), and after how many
 /// seconds it ends.
@@ -45,35 +32,6 @@ pub struct Predicted {
     pub l_sigma: f64,
 }
 
-/// Where a fit ended, which all that is known follows from together with what was seen.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Ended {
-    /// The middle of the prior.
-    from: PotModel,
-    /// The pot, in spreads from there.
-    steps: Vector,
-    /// How many of its numbers were free.
-    used: usize,
-    /// Deviations of ln R and ln L around the physics.
-    misfit: [f64; 2],
-}
-
-impl Ended {
-    pub fn is_sound(&self) -> bool {
-        let finite = self.steps.iter().chain(&self.misfit).all(|x| x.is_finite());
-        let model = parameters::steps(&PotModel::PAPER, &self.from);
-        finite
-            && model.iter().all(|x| x.is_finite())
-            && self.used <= COUNT
-            && self.misfit.iter().all(|x| *x > 0.0)
-    }
-
-    /// The pot.
-    pub fn model(&self) -> PotModel {
-        parameters::moved(&self.from, &self.steps)
-    }
-}
-
 /// What is known of one pot.
 #[derive(Clone, Debug)]
 pub(crate) struct Knowledge {
@@ -83,22 +41,24 @@ pub(crate) struct Knowledge {
     factor: Cholesky<f64, Dyn>,
     /// K⁻¹ (seen − expected).
     weights: DVector<f64>,
+    /// ln of how likely all that was seen is, up to what is the same for every prior.
+    evidence: f64,
 }
 
 impl Knowledge {
-    /// From everything seen, at most some hundred data; `start` is the pot of before. `None` where there is nothing, or
-    /// the numbers are beyond a Cholesky factorisation.
-    pub fn of(data: Vec<Datum>, start: Option<&Ended>) -> Option<Self> {
+    /// From everything seen, at most some hundred data; `believed` is a known pot, `start` the pot of before. `None` where there
+    /// is nothing, or the numbers are beyond a Cholesky factorisation.
+    pub fn of(data: Vec<Datum>, believed: Option<&Prior>, start: Option<&Ended>) -> Option<Self> {
         if data.is_empty() {
             return None;
         }
-        let ended = ended(&thinned(&data), start)?;
+        let ended = ended(&data, believed, start)?;
         Self::conditioned(ended, data)
     }
 
     /// What follows from where a fit ended and from what was seen.
     pub fn conditioned(ended: Ended, data: Vec<Datum>) -> Option<Self> {
-        let slopes = derivatives(&ended.from, &ended.steps, &data, ended.used);
+        let slopes = derivatives(&ended.prior(), &ended.steps, &data, ended.used);
         let heat = heat(&ended.model(), &data);
         let all = covariance(&data, ended.misfit)
             + &slopes * slopes.transpose()
@@ -106,11 +66,14 @@ impl Knowledge {
         let factor = all.cholesky()?;
         // Linear in the numbers, the prior's middle would show `predicted − slopes · steps`.
         let expected = predicted(&ended.model(), &data) - &slopes * free(&ended);
-        let weights = factor.solve(&(seen(&data) - expected));
+        let left = seen(&data) - expected;
+        let weights = factor.solve(&left);
+        let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
         Some(Self {
             ended,
             data,
             slopes,
+            evidence: -0.5 * left.dot(&weights) - determinant,
             factor,
             weights,
         })
@@ -119,6 +82,25 @@ impl Knowledge {
     /// Where the fit ended.
     pub fn ended(&self) -> &Ended {
         &self.ended
+    }
+
+    /// ln of how likely all that was seen is under what was believed of the pot, but for a constant of the data.
+    pub fn evidence(&self) -> f64 {
+        self.evidence
+    }
+
+    /// Covariance of the numbers, as the lower triangle L of L Lᵀ in their units; `None` beyond a Cholesky factorisation.
+    /// A number that was not free keeps its spread.
+    pub fn factor_of_numbers(&self) -> Option<DMatrix<f64>> {
+        let known = self.slopes.tr_mul(&self.factor.solve(&self.slopes));
+        let mut steps = DMatrix::identity(COUNT, COUNT);
+        let used = self.ended.used;
+        let mut free = steps.view_mut((0, 0), (used, used));
+        free -= known;
+        let spread = self.ended.prior().spread;
+        let columns = DMatrix::from_fn(COUNT, COUNT, |row, k| parameters::column(&spread, k)[row]);
+        let all = &columns * steps * columns.transpose();
+        Some(all.cholesky()?.unpack())
     }
 
     /// Deviations of ln R and ln L around the physics.
@@ -166,7 +148,7 @@ impl Knowledge {
             .iter()
             .map(|&(f_hz, i_a)| place(f_hz, i_a, ahead_s))
             .collect();
-        let slopes = derivatives(&self.ended.from, &self.ended.steps, &at, self.ended.used);
+        let slopes = derivatives(&self.ended.prior(), &self.ended.steps, &at, self.ended.used);
         let mut cross = &self.slopes * slopes.transpose();
         let here: Vec<Place> = self.data.iter().map(Datum::place).collect();
         for (n, there) in at.iter().map(Datum::place).enumerate() {
@@ -202,37 +184,6 @@ fn free(ended: &Ended) -> DVector<f64> {
     DVector::from_fn(ended.used, |k, _| ended.steps[k])
 }
 
-/// Where the fit of a few data ends, from the pot of before where that still holds.
-fn ended(few: &[Datum], start: Option<&Ended>) -> Option<Ended> {
-    const FIRST: [f64; 2] = [0.01, 0.005];
-    let ended = |fitted: &Fitted, misfit| Ended {
-        from: fitted.from,
-        steps: fitted.steps,
-        used: fitted.used,
-        misfit,
-    };
-    let again = start.and_then(|s| {
-        let fitted = fit(few, (&s.from, s.steps), s.used, s.misfit, 4)?;
-        // As many squares as data: it holds.
-        (fitted.cost < few.len() as f64).then_some((fitted, s.misfit))
-    });
-    if let Some((fitted, misfit)) = again {
-        let misfit = evident(few, &fitted, misfit).unwrap_or(misfit);
-        return Some(ended(&fitted, misfit));
-    }
-    let mut fitted = fit_any(few, FIRST)?;
-    let mut misfit = evident(few, &fitted, FIRST)?;
-    if misfit[0] > MISFITS_R[0] || misfit[1] > MISFITS_L[0] {
-        let least = [MISFITS_R[1], MISFITS_L[1]];
-        if let Some(shifted) = fit_off_centre(few, &fitted, least) {
-            fitted = shifted;
-            misfit = evident(few, &fitted, least)?;
-        }
-    }
-    let fitted = fit(few, (&fitted.from, fitted.steps), fitted.used, misfit, 6)?;
-    Some(ended(&fitted, misfit))
-}
-
 fn place(f_hz: f64, i_a: f64, ahead_s: f64) -> Datum {
     Datum {
         f_hz,
@@ -244,7 +195,7 @@ fn place(f_hz: f64, i_a: f64, ahead_s: f64) -> Datum {
 }
 
 /// By how much ln R and ln L may have moved since each datum was seen, all by the same heat.
-fn heat(model: &PotModel, data: &[Datum]) -> DVector<f64> {
+pub(crate) fn heat(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     let hotter = PotModel {
         ln_s: model.ln_s + STEP_LN_S,
         ..*model
@@ -257,41 +208,4 @@ fn heat(model: &PotModel, data: &[Datum]) -> DVector<f64> {
         all[k] *= moved;
     }
     all
-}
-
-/// At most [`LOOKED_AT`] data, evenly from all.
-fn thinned(data: &[Datum]) -> Vec<Datum> {
-    let every = data.len().div_ceil(LOOKED_AT).max(1);
-    data.iter().copied().step_by(every).collect()
-}
-
-/// The misfits that the data speak for, one after the other for R and for L.
-fn evident(data: &[Datum], fitted: &Fitted, begin: [f64; 2]) -> Option<[f64; 2]> {
-    let slopes = derivatives(&fitted.from, &fitted.steps, data, fitted.used);
-    let numbers = &slopes * slopes.transpose();
-    let heat = heat(&fitted.model(), data);
-    let numbers = numbers + &heat * heat.transpose();
-    let steps = DVector::from_fn(fitted.used, |k, _| fitted.steps[k]);
-    let left = seen(data) - (predicted(&fitted.model(), data) - slopes * steps);
-    let evidence = |tau: [f64; 2]| {
-        let factor = (covariance(data, tau) + &numbers).cholesky()?;
-        let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
-        Some(-0.5 * left.dot(&factor.solve(&left)) - determinant)
-    };
-    let mut tau = begin;
-    for _ in 0..2 {
-        for (x, choices) in [MISFITS_R, MISFITS_L].iter().enumerate() {
-            let of = |choice: &f64| {
-                let mut there = tau;
-                there[x] = *choice;
-                evidence(there).map(|e| (e, *choice))
-            };
-            let best = choices
-                .iter()
-                .filter_map(of)
-                .max_by(|a, b| a.0.total_cmp(&b.0))?;
-            tau[x] = best.1;
-        }
-    }
-    Some(tau)
 }

@@ -10,9 +10,12 @@
 //! not, they follow what was taught, and their deviations say so.
 
 pub mod curve;
+mod ended;
 mod fit;
 pub mod gap_table;
+mod hypotheses;
 mod knowledge;
+pub mod library;
 mod misfit;
 mod parameters;
 pub mod pot_map;
@@ -21,6 +24,7 @@ mod surface_table;
 
 pub use curve::{Curve, Mean, MeasuredPoint};
 pub use knowledge::Predicted;
+pub use library::{Library, LibraryError, PotEntry, Provenance};
 pub use misfit::current_knots;
 pub use pot_map::{Cell, Cells, Kept, PotMap, Seen};
 pub use pot_model::PotModel;

@@ -1,6 +1,8 @@
 //! The numbers of a [`PotModel`] as a vector, in units in which each may be expected to move by about one, and what
 //! is believed of them before anything was seen.
 
+use serde::{Deserialize, Serialize};
+
 use crate::PotModel;
 
 /// Numbers that are fitted.
@@ -13,13 +15,67 @@ pub(crate) type Vector = [f64; COUNT];
 
 /// Deviation of each number around its beginning: metals of a class differ by these factors of α and s, hot and cold
 /// included; the base's radius, its lift, the coil against the paper's, its winding, and how far off centre pots are put.
-const SPREAD: Vector = [0.8, 0.4, 0.03, 0.006, 0.02, 0.03, 0.02];
+pub(crate) const SPREAD: Vector = [0.8, 0.4, 0.03, 0.006, 0.02, 0.03, 0.02];
 
 /// Where the gap's table and the metals end.
 const LEAST: Vector = [5.3, -16.5, 0.025, -0.002, -0.2, 0.0, 0.0];
 const MOST: Vector = [13.9, -9.0, 0.13, 0.065, 0.2, 0.5, 0.06];
 
-fn raw(model: &PotModel) -> Vector {
+/// Of which the first ones are the pot's own, α, s and radius; the others are where it stands and on which coil.
+pub(crate) const OF_POT: usize = 3;
+
+/// How far a pot's own numbers may move around the middle of a prior: the lower triangle L, row by row, of their covariance
+/// L Lᵀ.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PotSpread(pub [f64; OF_POT * (OF_POT + 1) / 2]);
+
+impl Default for PotSpread {
+    /// Of any pot of a class.
+    fn default() -> Self {
+        Self([SPREAD[0], 0.0, SPREAD[1], 0.0, 0.0, SPREAD[2]])
+    }
+}
+
+impl PotSpread {
+    /// Row `k`, up to its diagonal.
+    fn row(&self, k: usize) -> &[f64] {
+        &self.0[k * (k + 1) / 2..][..=k]
+    }
+
+    /// Whether it is one of any pot, which nobody need keep.
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Finite, and no wider nor narrower than a prior can be.
+    pub fn is_sound(&self) -> bool {
+        (0..OF_POT).all(|k| {
+            let row = self.row(k);
+            let within = row.iter().all(|x| x.abs() <= 2.0 * SPREAD[k]);
+            within && row[k] >= 1e-6 * SPREAD[k]
+        })
+    }
+}
+
+/// What is believed of a pot: a middle, and how far its own numbers may be from there. How far the others may be is one for
+/// all pots.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Prior {
+    pub from: PotModel,
+    pub spread: PotSpread,
+}
+
+impl From<PotModel> for Prior {
+    /// Of any pot of this class.
+    fn from(from: PotModel) -> Self {
+        Self {
+            from,
+            spread: PotSpread::default(),
+        }
+    }
+}
+
+pub(crate) fn raw(model: &PotModel) -> Vector {
     [
         model.ln_alpha,
         model.ln_s,
@@ -31,10 +87,9 @@ fn raw(model: &PotModel) -> Vector {
     ]
 }
 
-/// The model that is `steps` spreads away from `from`, within what there is.
-pub(crate) fn moved(from: &PotModel, steps: &Vector) -> PotModel {
-    let from = raw(from);
-    let at = |k: usize| (from[k] + steps[k] * SPREAD[k]).clamp(LEAST[k], MOST[k]);
+/// Each number within what there is.
+pub(crate) fn clamped(numbers: &Vector) -> PotModel {
+    let at = |k: usize| numbers[k].clamp(LEAST[k], MOST[k]);
     PotModel {
         ln_alpha: at(0),
         ln_s: at(1),
@@ -46,10 +101,53 @@ pub(crate) fn moved(from: &PotModel, steps: &Vector) -> PotModel {
     }
 }
 
-/// How many spreads `model` is away from `from`.
-pub(crate) fn steps(from: &PotModel, model: &PotModel) -> Vector {
-    let (from, to) = (raw(from), raw(model));
-    std::array::from_fn(|k| (to[k] - from[k]) / SPREAD[k])
+/// Whether each number is one and within what there is.
+pub(crate) fn is_sound(model: &PotModel) -> bool {
+    let ranges = LEAST.iter().zip(&MOST);
+    let mut all = raw(model).into_iter().zip(ranges);
+    all.all(|(x, (least, most))| (*least..=*most).contains(&x))
+}
+
+/// Column `k` of how far one spread of step `k` moves each number.
+pub(crate) fn column(spread: &PotSpread, k: usize) -> Vector {
+    let mut all = [0.0; COUNT];
+    if k < OF_POT {
+        (k..OF_POT).for_each(|n| all[n] = spread.row(n)[k]);
+    } else {
+        all[k] = SPREAD[k];
+    }
+    all
+}
+
+/// The model that is `steps` spreads away from the middle, within what there is.
+pub(crate) fn moved(prior: &Prior, steps: &Vector) -> PotModel {
+    let from = raw(&prior.from);
+    let by = |k: usize| {
+        if k < OF_POT {
+            let row = prior.spread.row(k).iter().zip(steps);
+            row.map(|(x, step)| x * step).sum()
+        } else {
+            steps[k] * SPREAD[k]
+        }
+    };
+    clamped(&std::array::from_fn(|k| from[k] + by(k)))
+}
+
+/// How many spreads `model` is away from the middle.
+pub(crate) fn steps(prior: &Prior, model: &PotModel) -> Vector {
+    let (from, to) = (raw(&prior.from), raw(model));
+    let mut steps = [0.0; COUNT];
+    for k in 0..COUNT {
+        let left = to[k] - from[k];
+        steps[k] = if k < OF_POT {
+            let row = prior.spread.row(k);
+            let known: f64 = row[..k].iter().zip(&steps).map(|(x, step)| x * step).sum();
+            (left - known) / row[k]
+        } else {
+            left / SPREAD[k]
+        };
+    }
+    steps
 }
 
 /// Pots to begin with: α in A/m, s in √(H/S), radius in metre.
@@ -78,6 +176,17 @@ pub(crate) fn classes() -> impl Iterator<Item = PotModel> {
     })
 }
 
+/// The same pot on a coil and in a place of which nothing is known.
+pub(crate) fn anywhere(pot: &PotModel) -> PotModel {
+    PotModel {
+        lift_m: 0.0,
+        offset_m: 0.0,
+        ln_turns: 0.0,
+        winding_r_ohm: WINDING_R_OHM,
+        ..*pot
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,13 +195,33 @@ mod tests {
     fn steps_and_models_are_the_same_thing() {
         for class in classes() {
             let there = [0.5, -0.3, 0.4, 0.7, -1.0, 0.9, 1.2];
+            let class = Prior::from(class);
             let back = steps(&class, &moved(&class, &there));
-            let clamped = class.ln_alpha > 13.0;
+            let clamped = class.from.ln_alpha > 13.0;
             for k in usize::from(clamped)..COUNT {
                 assert!((back[k] - there[k]).abs() < 1e-9, "{k}: {back:?}");
             }
         }
-        let far = moved(&PotModel::PAPER, &[1e9; COUNT]);
+        let far = moved(&PotModel::PAPER.into(), &[1e9; COUNT]);
         assert!((far.radius_m, far.lift_m) == (0.13, 0.065));
+    }
+
+    #[test]
+    fn numbers_of_a_known_pot_move_together() {
+        let known = Prior {
+            from: PotModel::PAPER,
+            spread: PotSpread([0.1, -0.05, 0.02, 0.001, 0.002, 0.003]),
+        };
+        let there = [1.0, 2.0, -1.0, 0.5, 0.1, 4.0, 0.3];
+        let model = moved(&known, &there);
+        assert!((model.ln_s - known.from.ln_s - (-0.05 + 2.0 * 0.02)).abs() < 1e-12);
+        assert!((model.radius_m - known.from.radius_m - (0.001 + 0.004 - 0.003)).abs() < 1e-12);
+        for (back, there) in steps(&known, &model).into_iter().zip(there) {
+            assert!((back - there).abs() < 1e-9);
+        }
+        assert_eq!(column(&known.spread, 0)[..3], [0.1, -0.05, 0.001]);
+        let wide = PotSpread([9.0, 0.0, 0.1, 0.0, 0.0, 0.01]);
+        assert!(known.spread.is_sound() && !wide.is_sound());
+        assert!(!PotSpread([f64::NAN; 6]).is_sound() && !PotSpread([0.0; 6]).is_sound());
     }
 }

@@ -1,14 +1,20 @@
 //! The map of one pot: what windows showed, fused, and what follows from it for every cell of a lookup.
 
+use std::sync::Arc;
+
 use ihd_shared::lookup::grid::{
     CURRENTS, FREQUENCIES, ONE, current_a, frequency_coordinate, frequency_hz, split,
 };
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::curve::Curve;
+use crate::ended::{Ended, UNDESCRIBED};
 use crate::fit::Datum;
-use crate::knowledge::{Ended, Knowledge, Predicted, UNDESCRIBED};
+use crate::hypotheses::{Compared, Hypotheses, KeptRecognised};
+use crate::knowledge::Predicted;
+use crate::library::{Found, Library, PotEntry, Provenance, SeenAt, shape_places};
 use crate::misfit::{current_knots, current_of_knots};
 use crate::surface_table::lagrange;
 
@@ -37,6 +43,10 @@ const OBSERVED_FROM: f64 = 0.5;
 
 /// Weight of a curve at which confidence is one half.
 const HALF_CONFIDENT: f64 = 0.25;
+
+/// Frequencies, and the ratio of the highest to the lowest, from which a pot is known well enough to be told of.
+const LEAST_CURVES: u32 = 3;
+const LEAST_RATIO: f64 = 1.19;
 
 /// What became of a window's curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,12 +97,13 @@ pub type Cells = [[Cell; CURRENTS]; FREQUENCIES];
 pub struct PotMap {
     curves: Vec<Curve>,
     learned: Option<Learned>,
+    library: Option<Arc<Library>>,
 }
 
 /// What was fitted, from what, and when.
 #[derive(Clone, Debug)]
 struct Learned {
-    known: Knowledge,
+    known: Hypotheses,
     curves: Vec<Curve>,
     at_s: f64,
 }
@@ -107,6 +118,9 @@ pub struct Kept {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct KeptLearned {
     ended: Ended,
+    /// Pots of the library that it may be; a build before the library reads past them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    recognised: Vec<KeptRecognised>,
     curves: Vec<Curve>,
     at_s: f64,
 }
@@ -117,7 +131,8 @@ impl PotMap {
         Kept {
             curves: self.curves.clone(),
             learned: self.learned.as_ref().map(|l| KeptLearned {
-                ended: *l.known.ended(),
+                ended: *l.known.any().ended(),
+                recognised: l.known.kept(),
                 curves: l.curves.clone(),
                 at_s: l.at_s,
             }),
@@ -133,18 +148,86 @@ impl PotMap {
         }
         let learned = match kept.learned {
             None => None,
-            Some(l) if sound(&l.curves) && l.ended.is_sound() && l.at_s.is_finite() => {
-                Some(Learned {
-                    known: Knowledge::conditioned(l.ended, data(&l.curves, l.at_s))?,
-                    curves: l.curves,
-                    at_s: l.at_s,
-                })
-            }
+            Some(l) if sound(&l.curves) && l.at_s.is_finite() => Some(Learned {
+                known: Hypotheses::from_kept(l.ended, l.recognised, data(&l.curves, l.at_s))?,
+                curves: l.curves,
+                at_s: l.at_s,
+            }),
             Some(_) => return None,
         };
         Some(Self {
             curves: kept.curves,
             learned,
+            library: None,
+        })
+    }
+
+    /// The same, which asks these pots when it sees one for the first time, and again at each frequency that it sees first.
+    /// Without entries nothing changes. A library is no part of what is kept.
+    #[must_use]
+    pub fn with_library(mut self, library: Arc<Library>) -> Self {
+        self.library = Some(library);
+        self
+    }
+
+    /// The pots that it asks; `None` where nobody gave any.
+    pub fn library(&self) -> Option<&Library> {
+        self.library.as_deref()
+    }
+
+    /// One that has seen nothing, with the same library.
+    #[must_use]
+    pub fn forgotten(&self) -> Self {
+        Self {
+            library: self.library.clone(),
+            ..Self::default()
+        }
+    }
+
+    /// Pots of the library that it may be, by their names, with their shares; what is left to 1 is any other.
+    pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
+        self.learned.iter().flat_map(|l| l.known.recognised())
+    }
+
+    /// What other hobs may learn from this one, of a pot that it knows well by itself: seen at three frequencies or more, of which
+    /// the highest is a quarter of an octave above the lowest. What it has from the library is not told on. `None` else, or where
+    /// `by` holds no names.
+    pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
+        let known = self.learned.as_ref()?.known.any();
+        let seen = self.seen_at()?;
+        if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
+            return None;
+        }
+        let factor = known.factor_of_numbers()?;
+        let (model, places) = (known.ended().model(), shape_places());
+        let (map, _) = known.joint(&places, 0.0);
+        let physics = physics(&model, &places);
+        let found = Found {
+            model,
+            factor,
+            misfit: known.misfit(),
+            beside: map - physics,
+            seen,
+        };
+        PotEntry::of(&found, by)
+    }
+
+    fn seen_at(&self) -> Option<SeenAt> {
+        let span = |all: &mut dyn Iterator<Item = f64>| {
+            let none = [f64::INFINITY, f64::NEG_INFINITY];
+            let [low, high] = all.fold(none, |[a, b], x| [a.min(x), b.max(x)]);
+            (low <= high).then_some([low, high])
+        };
+        let currents = self.curves.iter().flat_map(|c| c.means().map(|m| m.i_a));
+        Some(SeenAt {
+            f_sw_hz: span(&mut self.curves.iter().map(|c| c.f_sw_hz))?,
+            i_a: span(&mut { currents })?,
+            curves: self.curves.len() as u32,
+            windows: self
+                .curves
+                .iter()
+                .map(|c| c.windows)
+                .fold(0, u32::saturating_add),
         })
     }
 
@@ -159,46 +242,46 @@ impl PotMap {
         if !curve.is_sound() || curve.means().next().is_none() {
             return Seen::Nothing;
         }
-        let seen = self.compare(&curve);
-        if let Seen::Another { .. } = seen {
+        let (seen, off) = self.compare(&curve);
+        let another = matches!(seen, Seen::Another { .. });
+        if another {
             self.curves.clear();
         }
         let now_s = curve.t_s;
         let windows = self.take(curve);
-        let off = !matches!(seen, Seen::Same { chi2 } if chi2 < WORTH_FITTING);
         if off || windows.is_power_of_two() {
-            self.refresh(now_s);
+            self.fit(now_s, another);
         }
         seen
     }
 
-    fn compare(&self, curve: &Curve) -> Seen {
+    /// What a window is beside what is known, and whether it is worth another fit.
+    fn compare(&self, curve: &Curve) -> (Seen, bool) {
         let Some(learned) = &self.learned else {
-            return Seen::First;
+            return (Seen::First, true);
         };
         let means: Vec<_> = curve.means().filter(|m| m.i_a >= COUNTS_FROM_A).collect();
-        if means.is_empty() {
-            return Seen::Same { chi2: 1.0 };
-        }
-        let places: Vec<_> = means.iter().map(|m| (curve.f_sw_hz, m.i_a)).collect();
-        let (expected, mut covariance) = learned.known.joint(&places, curve.t_s - learned.at_s);
-        let count = means.len();
-        let off = nalgebra::DVector::from_fn(2 * count, |k, _| {
-            means[k % count].ln[k / count] - expected[k]
-        });
-        for k in 0..2 * count {
-            covariance[(k, k)] += means[k % count].variance[k / count];
-        }
-        let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
-        let (r, l) = (mean_square(0).sqrt(), mean_square(1).sqrt());
-        let chi2 = match covariance.cholesky() {
-            Some(factor) => off.dot(&factor.solve(&off)) / (2 * count) as f64,
-            None => return Seen::Same { chi2: 1.0 },
+        let compared = match means.is_empty() {
+            true => None,
+            false => learned
+                .known
+                .compare(curve, &means, curve.t_s - learned.at_s),
+        };
+        let Some(Compared {
+            chi2,
+            off: [r, l],
+            most_chi2,
+        }) = compared
+        else {
+            return (Seen::Same { chi2: 1.0 }, false);
         };
         if chi2 > ANOTHER && r.max(l) > NEVER_ANOTHER {
-            Seen::Another { chi2, r, l }
+            (Seen::Another { chi2, r, l }, true)
         } else {
-            Seen::Same { chi2 }
+            (
+                Seen::Same { chi2 },
+                most_chi2.is_nan() || most_chi2 >= WORTH_FITTING,
+            )
         }
     }
 
@@ -246,8 +329,16 @@ impl PotMap {
 
     /// Fits what has come until now, a time in seconds of the device.
     pub fn refresh(&mut self, now_s: f64) {
-        let start = self.learned.as_ref().map(|l| *l.known.ended());
-        let known = Knowledge::of(data(&self.curves, now_s), start.as_ref());
+        self.fit(now_s, false);
+    }
+
+    fn fit(&mut self, now_s: f64, another: bool) {
+        let before = self.learned.as_ref();
+        // Another frequency tells pots apart that one shows alike.
+        let again = another || before.is_none_or(|l| l.curves.len() != self.curves.len());
+        let library = self.library.as_deref();
+        let all = data(&self.curves, now_s);
+        let known = Hypotheses::of(all, library, before.map(|l| &l.known), again);
         self.learned = known.map(|known| Learned {
             known,
             curves: self.curves.clone(),
@@ -257,7 +348,7 @@ impl PotMap {
 
     /// The pot's physics; `None` before a window came.
     pub fn model(&self) -> Option<PotModel> {
-        self.learned.as_ref().map(|l| l.known.ended().model())
+        self.learned.as_ref().map(|l| l.known.model())
     }
 
     /// Whether the physics describes the pot: one that stands far off centre, or that is made of parts, it may not.
@@ -363,6 +454,18 @@ impl PotMap {
     }
 }
 
+/// ln R and ln L of a model at places, R of all and then L of all.
+fn physics(model: &PotModel, places: &[(f64, f64)]) -> DVector<f64> {
+    let load = |k: usize| {
+        let (f_hz, i_a) = places[k % places.len()];
+        model.impedance(f_hz, i_a)
+    };
+    DVector::from_fn(2 * places.len(), |k, _| match k < places.len() {
+        true => load(k).r_ohm.ln(),
+        false => load(k).l_h.ln(),
+    })
+}
+
 /// What curves say at a time in seconds of the device.
 fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
     let of = |curve: &Curve| {
@@ -380,13 +483,13 @@ fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
 }
 
 /// R and L at one frequency over those at another that is near, by the pot's law at a middling current.
-fn carried(known: Option<&Knowledge>, from_hz: f64, to_hz: f64) -> [f64; 2] {
+fn carried(known: Option<&Hypotheses>, from_hz: f64, to_hz: f64) -> [f64; 2] {
     const I_A: f64 = 15.0;
     let Some(known) = known else {
         // R as the skin effect's root.
         return [(to_hz / from_hz).sqrt(), 1.0];
     };
-    let model = known.ended().model();
+    let model = known.model();
     let (from, to) = (model.impedance(from_hz, I_A), model.impedance(to_hz, I_A));
     [to.r_ohm / from.r_ohm, to.l_h / from.l_h]
 }

@@ -2,6 +2,7 @@
 
 import { EventEmitter } from 'node:events';
 
+import { Fleet } from './fleet.mjs';
 import { FAULTS, Hob, LEASE_MS, past } from './hob.mjs';
 import { Lookups } from './lookups.mjs';
 import { POTS, RATED_W } from './pot.mjs';
@@ -19,11 +20,12 @@ export class Refusal extends Error {
 }
 
 export class Daemon extends EventEmitter {
-  constructor({ devices, rate, historyS, heating, seed }) {
+  constructor({ devices, fleet, rate, historyS, heating, seed }) {
     super();
     this.setMaxListeners(0);
     this.startMs = Date.now();
     this.journal = [];
+    this.fleet = new Fleet({ devices: fleet, seed });
     this.recordings = [];
     /** Stretches in which nobody listened: [fromMs, toMs]. */
     this.silent = [];

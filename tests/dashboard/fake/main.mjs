@@ -13,6 +13,7 @@
 //     curl -d '{"ms":800}' localhost:8799/fake/slow                          # every answer takes so long
 //     curl -d '{"ms":20}' localhost:8799/fake/events                         # an event this often, whatever was asked for
 //     curl -d '{"device":"bench"}' localhost:8799/fake/truth
+//     curl -d '{"connected":false,"why":"no answer"}' localhost:8799/fake/fleet   # also devices: N, 0 is no edge of a fleet
 
 import { readFile } from 'node:fs/promises';
 import { createServer } from 'node:http';
@@ -28,6 +29,7 @@ const { values } = parseArgs({
   options: {
     port: { type: 'string', default: '8799' },
     devices: { type: 'string', default: '4' },
+    fleet: { type: 'string', default: '60' }, // hobs of the fleet that it is an edge of; 0: it is none
     rate: { type: 'string', default: '100' }, // half-cycles a second
     history: { type: 'string', default: '3600' }, // seconds of past
     heating: { type: 'boolean', default: false }, // all hobs heat from the beginning
@@ -43,6 +45,7 @@ const port = Number(values.port);
 const options = { slowMs: Number(values.slow), eventMs: Number(values.events), silentUntilMs: 0 };
 const daemon = new Daemon({
   devices: Number(values.devices),
+  fleet: Number(values.fleet),
   rate: Number(values.rate),
   historyS: Number(values.history),
   heating: values.heating,

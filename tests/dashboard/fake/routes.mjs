@@ -146,6 +146,8 @@ export function mend(daemon, options, what, body) {
       Object.assign(hob(), { detailSaid: body.detail, buildSaid: body.build });
       if (body.journal) daemon.note(Date.now(), hob().name, 'command', body.journal, body.journal);
       return {};
+    case 'fleet':
+      return daemon.fleet.change(body);
     case 'slow':
       options.slowMs = body.ms ?? 0;
       return { slow_ms: options.slowMs };
@@ -160,7 +162,7 @@ export function mend(daemon, options, what, body) {
       return { heats, pot: pot?.name ?? stretch.pot, asked_w: stretch.askedW, f_sw_hz: fSw, power_w: power, i_crest_a: i, r_ohm: r, l_h: l };
     }
     default:
-      throw new Refusal(404, 'no-route', 'fake: pot, fault, connected, incompatible, power, words, slow, events, silence, die, truth');
+      throw new Refusal(404, 'no-route', 'fake: pot, fault, connected, incompatible, power, words, fleet, slow, events, silence, die, truth');
   }
 }
 
@@ -168,10 +170,15 @@ export function mend(daemon, options, what, body) {
 export function api(daemon, tokens, options, request, response, path, query, body) {
   const reading = request.method === 'GET';
   const answer = (value) => json(response, 200, value);
-  if (path[0] === 'session') return session(tokens, request, response, body);
+  if (path[0] === 'session') return session(daemon, tokens, request, response, body);
   tokens.allow(request, reading ? 'read' : 'operate');
   if (path[0] === 'live' && reading) return watch(daemon, response, number(query, 'interval_ms', 200, 100, 5000), options);
   if (path[0] === 'hob') return answer(HOB);
+  if (path[0] === 'fleet') {
+    const report = daemon.fleet.report();
+    if (!report) throw new Refusal(404, 'no-fleet', 'this daemon belongs to no fleet: [fleet] url in ihd.toml makes it an edge (docs/fleet.md)');
+    return answer(report);
+  }
   if (path[0] === 'journal') return answer(journal(daemon, query));
   if (path[0] === 'recordings') {
     const newest = [...daemon.recordings].sort((a, b) => b.at_ms - a.at_ms);
@@ -193,10 +200,10 @@ export function api(daemon, tokens, options, request, response, path, query, bod
   throw new Refusal(405, 'method', 'not with this method; /api/v1/openapi.json lists what there is');
 }
 
-function session(tokens, request, response, body) {
+function session(daemon, tokens, request, response, body) {
   if (request.method === 'POST') return json(response, 204, undefined, tokens.begin(body.token));
   if (request.method === 'DELETE') return json(response, 204, undefined, Tokens.end());
-  return json(response, 200, { role: tokens.role(request), token_needed: tokens.needed });
+  return json(response, 200, { role: tokens.role(request), token_needed: tokens.needed, fleet: daemon.fleet.report() !== null });
 }
 
 /** An answer in JSON. */

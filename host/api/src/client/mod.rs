@@ -8,7 +8,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::model::{Command, CommandError, DeviceReport, Done, Lease, RecordingFile};
+use ihd_daemon::model::{
+    Command, CommandError, DeviceReport, Done, FleetReport, Lease, RecordingFile,
+};
 use rustls::crypto::ring;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -168,6 +170,14 @@ impl ApiClient {
     /// [`ClientError`].
     pub fn device(&self, name: &str) -> Result<DeviceReport, ClientError> {
         self.get(&device(name, ""))
+    }
+
+    /// The fleet, as the daemon knew it last.
+    ///
+    /// # Errors
+    /// [`ClientError`]; [`ClientError::Refused`] with status 404 where the daemon is no edge of one.
+    pub fn fleet(&self) -> Result<FleetReport, ClientError> {
+        self.get("/fleet")
     }
 
     /// Lookups of a device, newest first.

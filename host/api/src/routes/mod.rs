@@ -2,6 +2,7 @@
 
 mod devices;
 mod events;
+mod fleet;
 mod health;
 mod hob;
 mod live;
@@ -94,6 +95,7 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
         .routes(routes!(recordings::one))
         .routes(routes!(live::live))
         .routes(routes!(hob::hob))
+        .routes(routes!(fleet::fleet))
         .routes(routes!(session::session, session::open, session::close))
         .routes(routes!(store::backup))
         .routes(routes!(description));

@@ -24,7 +24,12 @@ pub(super) async fn session(
     // The guard has let in nobody without a role.
     let role = app.access.role(&headers).unwrap_or(Role::Read);
     let token_needed = app.access.tokens.is_some();
-    Ok(Json(SessionReport { role, token_needed }))
+    let fleet = app.backend.fleet().is_some();
+    Ok(Json(SessionReport {
+        role,
+        token_needed,
+        fleet,
+    }))
 }
 
 /// Shows a token, and gets a cookie that counts as it. Where no token is needed, there is no cookie.

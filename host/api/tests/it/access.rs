@@ -11,7 +11,7 @@ const ME: &str = "ihd-holder: test";
 const COMMANDS: &str = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
 
 /// Every route, with a method that it has.
-const ROUTES: [&str; 24] = [
+const ROUTES: [&str; 25] = [
     "GET /",
     "GET /healthz",
     "GET /metrics",
@@ -22,6 +22,7 @@ const ROUTES: [&str; 24] = [
     "GET /api/v1/devices/x/results",
     "GET /api/v1/events",
     "GET /api/v1/hob",
+    "GET /api/v1/fleet",
     "GET /api/v1/journal",
     "GET /api/v1/devices/x/history",
     "GET /api/v1/devices/x/windows",

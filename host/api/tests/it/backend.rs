@@ -10,9 +10,9 @@ use ihd_api::model::{StoredLookup, StoredResult};
 use ihd_api::{Server, Settings};
 use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, DeviceState, Done, Fit, History, Hob, JournalEntry, Lease,
-    Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve, PotPoint, RecordingFile,
-    Scope, WindowCounts, WindowSummary, WindowWanted,
+    Command, CommandError, DeviceReport, DeviceState, Done, Fit, FleetReport, History, Hob,
+    JournalEntry, Lease, Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve,
+    PotPoint, RecordingFile, Scope, WindowCounts, WindowSummary, WindowWanted,
 };
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, watch};
@@ -34,6 +34,8 @@ pub struct Asked {
     pub maps: Vec<Option<u32>>,
     pub journals: Vec<JournalFilter>,
     pub store_dead: bool,
+    /// What it knows of a fleet; none at first.
+    pub fleet: Option<Arc<FleetReport>>,
 }
 
 #[derive(Clone)]
@@ -207,6 +209,10 @@ impl Backend for Fake {
 
     fn device(&self, name: &str) -> Option<DeviceReport> {
         (name == NAME).then(|| self.report())
+    }
+
+    fn fleet(&self) -> Option<Arc<FleetReport>> {
+        self.asked.lock().unwrap().fleet.clone()
     }
 
     fn live(&self, every: Duration) -> Box<dyn Tap> {

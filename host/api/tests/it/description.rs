@@ -24,6 +24,7 @@ POST /api/v1/devices/{name}/commands -> 200 404 409 423 503
 GET /api/v1/devices/{name}/lookups -> 200 404
 GET /api/v1/devices/{name}/results -> 200 400 404
 GET /api/v1/events -> 200 503
+GET /api/v1/fleet -> 200 404
 GET /api/v1/hob -> 200
 GET /api/v1/devices/{name}/history -> 200 400 404
 GET /api/v1/devices/{name}/windows -> 200 400 404

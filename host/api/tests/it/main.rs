@@ -5,6 +5,7 @@ mod backend;
 mod client;
 mod description;
 mod events;
+mod fleet;
 mod greedy;
 mod http;
 mod live;

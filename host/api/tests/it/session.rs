@@ -43,7 +43,10 @@ fn the_cookie_is_good_for_what_its_token_is() {
         let cookie = cookie(&server, tokens.at_least(role).unwrap());
         let (status, body) = ask(server.address, &format!("GET {SESSION}"), &[&cookie], "");
         assert_eq!(status, 200);
-        let expected = format!("{{\"role\":\"{}\",\"token_needed\":true}}", role.name());
+        let expected = format!(
+            "{{\"role\":\"{}\",\"token_needed\":true,\"fleet\":false}}",
+            role.name()
+        );
         assert_eq!(body, expected);
         let (status, _) = ask(server.address, "GET /api/v1/devices", &[&cookie], "");
         assert_eq!(status, 200);
@@ -153,7 +156,10 @@ fn without_tokens_there_is_nothing_to_show() {
     let (status, body) = ask(server.address, &format!("GET {SESSION}"), &[], "");
     assert_eq!(
         (status, &*body),
-        (200, "{\"role\":\"operate\",\"token_needed\":false}")
+        (
+            200,
+            "{\"role\":\"operate\",\"token_needed\":false,\"fleet\":false}"
+        )
     );
     let line = format!("POST {SESSION}");
     let (status, head, _) = whole(server.address, &line, &[JSON], "{\"token\":\"x\"}");

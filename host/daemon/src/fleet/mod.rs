@@ -8,6 +8,7 @@ mod config;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_store::{Due, DueWindow, EventRow};
 use tokio::sync::oneshot;
 
@@ -77,10 +78,16 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreTrouble> {
-        let mut due = self.in_store(move |store| store.due(limit)).await?;
-        if let Some(learner) = self.learner() {
+        let learner = self.learner();
+        let held = learner.as_ref().map_or(0, |learner| {
+            let figures = learner.figures();
+            figures.waiting + figures.threads
+        });
+        let mut due = self.in_store(move |store| store.due(limit + held)).await?;
+        if let Some(learner) = learner {
             due.retain(|w| !learner.holds(&w.device, w.boot, w.seq));
         }
+        due.truncate(limit);
         Ok(due)
     }
 
@@ -119,6 +126,17 @@ impl Daemon {
     /// What the store reports.
     pub async fn fleet_secret(&self) -> Result<[u8; 16], StoreTrouble> {
         self.in_store(ihd_store::Store::fleet_secret).await
+    }
+
+    /// What other hobs may learn of the pot on a device, where it is known well enough.
+    pub fn pot_entry(&self, device: &str, by: Provenance) -> Option<PotEntry> {
+        self.learner()?.pot_entry(device, by)
+    }
+
+    /// Pots that other hobs know, for every device to begin with; false where they are those of before.
+    pub fn use_library(&self, library: Library) -> bool {
+        self.learner()
+            .is_some_and(|learner| learner.use_library(library))
     }
 
     /// Events that the fleet has not acknowledged, oldest first.
@@ -165,9 +183,16 @@ impl Daemon {
             Ok(ids) => ids,
             Err(received) => return Ok(received),
         };
-        let Some(learner) = self.learner() else {
-            return Err(ReceiveError::NoRoom);
-        };
+        let learner = self.learner().ok_or(ReceiveError::NoRoom)?;
+        if !learner.knows(device) {
+            // Not connected since the daemon began: what was learned before must not be begun anew.
+            let learned = self.in_store(move |store| store.learned(device_id)).await?;
+            if !learner.knows(device)
+                && let Err(why) = learner.add(device, learned.as_deref())
+            {
+                tracing::warn!(device, %why, "what was learned is lost");
+            }
+        }
         let (stored, is_stored) = oneshot::channel();
         let power_w = studied.power_w;
         learner.offer(Task {

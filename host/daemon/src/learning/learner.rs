@@ -6,6 +6,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use ihd_link::Window;
+use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_signal::truth::Truth;
 use ihd_store::NewResult;
 use ihd_train::learning::{DamagedState, Outcome, Taken, Taught};
@@ -189,6 +190,11 @@ impl Learner {
         Some(state.queue.learning(device)?.to_bytes())
     }
 
+    /// Whether the device was added, or a window of it came.
+    pub fn knows(&self, device: &str) -> bool {
+        self.shared.lock().queue.knows(device)
+    }
+
     /// Whether this window waits for a thread, or one has it.
     pub fn holds(&self, device: &str, boot: u32, seq: u32) -> bool {
         self.shared.lock().queue.holds(device, boot, seq)
@@ -198,6 +204,18 @@ impl Learner {
     /// was learned, what it was before.
     pub fn skew_s(&self, device: &str) -> Option<f64> {
         self.shared.lock().queue.skew_s(device)
+    }
+
+    /// What other hobs may learn of the pot on a device; none while a thread has what was learned, or where that is too little.
+    pub fn pot_entry(&self, device: &str, by: Provenance) -> Option<PotEntry> {
+        // Not while the others wait.
+        let map = self.shared.lock().queue.learning(device)?.map().clone();
+        map.entry(by)
+    }
+
+    /// Pots that other hobs know, for every device to begin with; false where they are those of before.
+    pub fn use_library(&self, library: Library) -> bool {
+        self.shared.lock().queue.use_library(Arc::new(library))
     }
 
     /// How busy it is.

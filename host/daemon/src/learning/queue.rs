@@ -1,8 +1,10 @@
 //! Who is next: one window of a device at a time, in their order, the devices in turn.
 
 use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ihd_map::library::Library;
 use ihd_train::Learning;
 
 use super::outcome::Task;
@@ -101,6 +103,8 @@ pub struct Queue {
     turns: VecDeque<String>,
     waiting: usize,
     came: u64,
+    /// Pots that other hobs know.
+    library: Option<Arc<Library>>,
 }
 
 impl Queue {
@@ -111,9 +115,13 @@ impl Queue {
 
     /// A device that is new, or begins anew: what waits of it stays.
     pub fn put(&mut self, device: &str, learning: Learning) {
+        let mut known = Known::new(learning);
+        if let Some(library) = &self.library {
+            known.learning.use_library(Arc::clone(library));
+        }
         let slot = self.slot(device);
         slot.notes.clear();
-        slot.known = Some(Box::new(Known::new(learning)));
+        slot.known = Some(Box::new(known));
     }
 
     /// Whether the device is known.
@@ -227,6 +235,9 @@ impl Queue {
         for note in self.take_notes(device) {
             note.tell(&mut known.learning);
         }
+        if let Some(library) = &self.library {
+            known.learning.use_library(Arc::clone(library));
+        }
         if let Some(slot) = self.devices.get_mut(device) {
             slot.studied = None;
             // Put anew meanwhile, that one counts.
@@ -235,6 +246,20 @@ impl Queue {
                 self.turns.push_back(device.to_owned());
             }
         }
+    }
+
+    /// Pots that other hobs know; false where they are those of before. A device whose window is being learned gets them behind it.
+    pub fn use_library(&mut self, library: Arc<Library>) -> bool {
+        if self.library.as_ref() == Some(&library) {
+            return false;
+        }
+        for slot in self.devices.values_mut() {
+            if let Some(known) = &mut slot.known {
+                known.learning.use_library(Arc::clone(&library));
+            }
+        }
+        self.library = Some(library);
+        true
     }
 
     /// Whether this window waits, or a thread has it.

@@ -3,7 +3,6 @@
 //! Each put names the revision that it follows (compare-and-set): of two who write at once one is told, looks again, and no lookup is
 //! overwritten unseen.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,6 +10,7 @@ use async_nats::jetstream::kv;
 use futures_util::stream::{SelectAll, StreamExt};
 use ihd_daemon::model::{Command, What};
 use ihd_shared::lookup::RlLookup;
+use ihd_store::LookupState;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{Link, TRY_AGAIN};
@@ -23,14 +23,6 @@ const HOLDER: &str = "fleet";
 
 /// Between two looks where nothing was heard of.
 const LOOK_EVERY: Duration = Duration::from_secs(30);
-
-/// What is known of the fleet's entry of a hob.
-#[derive(Default)]
-struct Known {
-    revision: u64,
-    /// The lookup that was put or tried last.
-    blob: Vec<u8>,
-}
 
 /// Follows both until the edge ends.
 pub async fn run(link: Arc<Link>) {
@@ -60,12 +52,10 @@ async fn follow(link: &Link) -> Result<(), String> {
         hints.push(heard.map_err(|e| e.to_string())?);
     }
     let mut notices = link.daemon.watch();
-    let mut known: BTreeMap<String, Known> = BTreeMap::new();
     let mut changed: Vec<String> = hobs.clone();
     while link.is_connected() && link.hobs() == hobs {
         for hob in std::mem::take(&mut changed) {
-            let known = known.entry(hob.clone()).or_default();
-            settle(link, &bucket, &hob, known).await?;
+            settle(link, &bucket, &hob).await?;
         }
         tokio::select! {
             () = tokio::time::sleep(LOOK_EVERY) => changed = hobs.clone(),
@@ -86,55 +76,49 @@ async fn follow(link: &Link) -> Result<(), String> {
     Ok(())
 }
 
-/// Brings a hob and the fleet's entry of it together: what somebody wants used is pushed, else the fleet gets what is in use.
-async fn settle(
-    link: &Link,
-    bucket: &kv::Store,
-    hob: &str,
-    known: &mut Known,
-) -> Result<(), String> {
-    let rows = link.daemon.lookups(hob).await;
-    let rows = rows.map_err(|e| e.to_string())?;
-    let active = rows
-        .iter()
-        .rfind(|row| row.state == ihd_store::LookupState::Active);
+/// Brings a hob and the fleet's entry of it together: what somebody wants used is pushed, until the hob takes it; else the fleet gets what is
+/// in use.
+async fn settle(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), String> {
     let entry = bucket.entry(hob).await.map_err(|e| e.to_string())?;
     let revision = entry.as_ref().map_or(0, |entry| entry.revision);
-    let message = entry
+    let there = entry
         .filter(|entry| entry.operation == kv::Operation::Put)
         .and_then(|entry| serde_json::from_slice::<LookupMessage>(&entry.value).ok());
-    if let Some(wanted) = message.as_ref().filter(|m| !m.in_use) {
-        if known.revision == revision {
-            // Tried before: it is told, and the hob goes on with what it has.
-            return Ok(());
-        }
-        known.revision = revision;
-        let outcome = push(link, hob, wanted).await;
+    if let Some(wanted) = there.as_ref().filter(|there| !there.in_use) {
         let by = &wanted.by;
-        match outcome {
+        match push(link, hob, wanted).await {
             Ok(said) => tracing::info!(hob, by, said, "a lookup of the fleet is in use"),
-            Err(why) => link.failed(&format!("lookup of {by} for {hob}"), &why),
+            Err(why) => {
+                link.failed(&format!("the lookup of {by} for {hob}"), &why);
+                return Ok(());
+            }
         }
+    }
+    let Some(active) = active(link, hob).await? else {
+        return Ok(());
+    };
+    let known = there.filter(|there| there.in_use);
+    let known = known.and_then(|there| there.blob().ok());
+    if known == Some(active.to_bytes().to_vec()) {
         return Ok(());
     }
-    let Some(active) = active else { return Ok(()) };
-    let lookup = RlLookup::from_bytes(&active.blob).map_err(|e| e.to_string())?;
-    let there = message.and_then(|m| m.blob().ok());
-    if there.as_deref() == Some(&active.blob[..]) || known.blob == active.blob {
-        return Ok(());
-    }
-    let message = LookupMessage::new(&lookup, &link.edge, true);
+    let message = LookupMessage::new(&active, &link.edge, true);
     let value = serde_json::to_vec(&message).map_err(|e| e.to_string())?;
     match bucket.update(hob, value.into(), revision).await {
-        Ok(revision) => {
-            known.revision = revision;
-            known.blob = active.blob.clone();
-            Ok(())
-        }
+        Ok(_) => Ok(()),
         // Somebody was faster: the hint of that brings us here again.
         Err(e) if e.kind() == kv::UpdateErrorKind::WrongLastRevision => Ok(()),
         Err(e) => Err(e.to_string()),
     }
+}
+
+/// The lookup that the hob uses, where it is not the built-in one.
+async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
+    let rows = link.daemon.lookups(hob).await;
+    let rows = rows.map_err(|e| e.to_string())?;
+    let active = rows.iter().rfind(|row| row.state == LookupState::Active);
+    let lookup = active.map(|row| RlLookup::from_bytes(&row.blob));
+    lookup.transpose().map_err(|e| e.to_string())
 }
 
 async fn push(link: &Link, hob: &str, wanted: &LookupMessage) -> Result<String, String> {

@@ -4,6 +4,7 @@
 //! ```text
 //!  store (the outbox) ─► outbox.rs ─► IHD_WINDOWS ─► workers ─► IHD_RESULTS ─► inbox.rs ─► learner, store
 //!                        events.rs ─► IHD_EVENTS          lookups.rs ◄─► ihd_lookups
+//!                        pots.rs   ◄─► ihd_pots
 //!                        cards.rs  ─► ihd_hobs, ihd_edges; states.rs ─► ihd.v1.<hob>.state
 //! ```
 
@@ -12,6 +13,7 @@ mod events;
 mod inbox;
 mod lookups;
 mod outbox;
+mod pots;
 mod states;
 mod trust;
 
@@ -95,6 +97,7 @@ impl Edge {
         tasks.spawn(events::run(Arc::clone(&link)));
         tasks.spawn(inbox::run(Arc::clone(&link)));
         tasks.spawn(lookups::run(Arc::clone(&link)));
+        tasks.spawn(pots::run(Arc::clone(&link)));
         tasks.spawn(cards::run(Arc::clone(&link)));
         tasks.spawn(states::run(Arc::clone(&link)));
         if config.captures {

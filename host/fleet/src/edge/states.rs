@@ -13,9 +13,6 @@ use crate::{discovery, names};
 /// Between two states.
 const TELL_EVERY: Duration = Duration::from_secs(1);
 
-/// Where Home Assistant says that it has begun.
-const BIRTH: &str = "homeassistant.status";
-
 /// What a hob does now (JSON).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StateMessage {
@@ -83,7 +80,7 @@ pub async fn run(link: Arc<Link>) {
 
 async fn tell(link: &Link) -> Result<(), String> {
     let client = link.context.client();
-    let births = client.subscribe(BIRTH).await;
+    let births = client.subscribe(discovery::STATUS).await;
     let mut births = births.map_err(|e| e.to_string())?;
     let mut discovered = Vec::new();
     let mut tick = tokio::time::interval(TELL_EVERY);

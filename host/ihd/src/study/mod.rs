@@ -8,4 +8,6 @@ pub mod map;
 #[cfg(feature = "pinn")]
 pub mod paper;
 pub mod parallel;
+#[cfg(feature = "pinn")]
+pub mod pots;
 pub mod temperature;

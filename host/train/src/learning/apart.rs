@@ -115,7 +115,7 @@ impl Learning {
         let said = self.sensors.count(evidence);
         if before != self.sensors.correction().is_some() {
             // What was known was seen through other sensors.
-            self.map = Default::default();
+            self.map = self.map.forgotten();
         }
         said
     }

@@ -19,8 +19,10 @@ mod state;
 mod tests;
 mod version;
 
+use std::sync::Arc;
+
 use ihd_link::Window;
-use ihd_map::{Curve, PotMap, Predicted, Seen};
+use ihd_map::{Curve, Library, PotMap, Predicted, Seen};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
@@ -154,10 +156,17 @@ impl Learning {
     pub fn forget(&mut self) {
         *self = Self {
             versions: self.versions,
-            // The load is forgotten, the board is the same.
+            // The load is forgotten, the board is the same, and so is what others know.
             sensors: self.sensors,
+            map: self.map.forgotten(),
             ..Self::new(self.network.clone())
         };
+    }
+
+    /// Asks these pots, which other hobs know, when it sees one for the first time. They are no part of [`Learning::to_bytes`]:
+    /// whoever restores a state gives them again.
+    pub fn use_library(&mut self, library: Arc<Library>) {
+        self.map = std::mem::take(&mut self.map).with_library(library);
     }
 
     /// What the windows showed of the device's sensors.

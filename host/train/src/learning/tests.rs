@@ -1,5 +1,6 @@
 //! Learning from windows of the simulated hob: restarts, and a pot that warms up.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_link::{Client, Event, Window};
@@ -317,4 +318,16 @@ fn ten_windows_at_30_db_know_the_whole_half_cycle() {
             "R {r_pct:.3} %, L {l_pct:.3} %"
         );
     }
+}
+
+#[test]
+fn a_load_is_forgotten_and_what_other_hobs_know_is_not() {
+    let mut learning = Learning::new(Config::default());
+    assert!(learning.map().library().is_none());
+    learning.use_library(Arc::default());
+    learning.forget();
+    assert!(learning.map().library().is_some());
+    // The library is nobody's state: whoever restores one gives it again.
+    let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
+    assert!(restored.map().library().is_none());
 }

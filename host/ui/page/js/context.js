@@ -17,11 +17,12 @@
  * @property {import("./leases.js").Leases} leases    power of this page
  * @property {import("./off.js").Off} off
  * @property {(hash: string) => void} navigate        `#/live/bench`
+ * @property {() => void} foundFleet                  the daemon is an edge: the navigation has the way to it
  * @property {(text: string) => void} announce        said to screen readers
  * @property {(question: Question) => Promise<string | null>} ask   a dialog; the chosen answer's `value`, null for none
  * @property {(text: string, why?: unknown) => void} complain   an error that a person has to see
  *
- * @typedef {{role: "read" | "operate" | "flash", token_needed: boolean}} Session
+ * @typedef {{role: "read" | "operate" | "flash", token_needed: boolean, fleet: boolean}} Session
  * @typedef {{rated_power_w: number, f_sw_min_hz: number, f_sw_max_hz: number, resonance_capacitance_f: number,
  *   resonance_margin: number, i_limit_a: number, lease_s: number}} Hob
  * @typedef {{title: string, text: string | (string | Node)[], answers: {label: string, value: string, danger?: boolean}[],

@@ -9,6 +9,15 @@ export const STATE_MARK = {
 };
 
 /**
+ * The mark of a state that another machine may have made up.
+ * @param {string} state
+ * @returns {string}
+ */
+export function stateMark(state) {
+  return Object.hasOwn(STATE_MARK, state) ? STATE_MARK[state] : "·";
+}
+
+/**
  * @param {string} state
  * @returns {string} class of page.css
  */
@@ -30,7 +39,7 @@ const POTS = {
  * @returns {string}
  */
 export function potText(pot) {
-  return POTS[pot] ?? words(pot);
+  return Object.hasOwn(POTS, pot) ? POTS[pot] : words(pot);
 }
 
 /** @type {Record<string, string>} */

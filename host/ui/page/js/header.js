@@ -29,7 +29,7 @@ export class Header {
         h("span", { class: "grow" }), this.#themeChooser(),
         parts.logout ? h("button", { type: "button", class: "small", on: { click: parts.logout } }, "Log out") : null),
       this.heating, this.offButton);
-    this.links = VIEWS.map((view) => h("a", { href: "#", data: { view: view.name } }, view.label));
+    this.links = VIEWS.map((view) => h("a", { href: "#", hidden: view.edge === true, data: { view: view.name } }, view.label));
     nav.replaceChildren(...this.links);
     this.#listen();
     this.showDevices();
@@ -45,6 +45,13 @@ export class Header {
     const known = VIEWS.find((candidate) => candidate.name === view);
     this.title = known ? `${known.label}${known.device && device ? ` ${device}` : ""}` : "ihd";
     this.#showTitle();
+  }
+
+  /** Whether the daemon is an edge of a fleet. @param {boolean} edge */
+  showFleet(edge) {
+    this.links.forEach((link, i) => {
+      if (VIEWS[i].edge) link.hidden = !edge;
+    });
   }
 
   /** The devices that there are. */

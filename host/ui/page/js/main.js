@@ -16,6 +16,8 @@ import { Theme } from "./theme.js";
 
 /** Between two intervals of the live stream, in milliseconds. */
 const LIVE_MS = 200;
+/** A daemon that was started just now may have its fleet so much later, in milliseconds. */
+const FLEET_LATER_MS = 5000;
 
 const main = /** @type {HTMLElement} */ (document.querySelector("#main"));
 const alarms = /** @type {HTMLElement} */ (document.querySelector("#alarms"));
@@ -87,6 +89,21 @@ const header = new Header(
   },
 );
 
+/** Shows the way to the fleet where the daemon is an edge of one: asked anew of a daemon that may be another. */
+async function lookForFleet() {
+  const found = (await readSession().catch(() => null))?.fleet === true;
+  header.showFleet(found);
+  return found;
+}
+header.showFleet(session.fleet === true);
+if (!session.fleet) setTimeout(lookForFleet, FLEET_LATER_MS);
+let wasStale = false;
+stream.on("state", async ({ stale }) => {
+  const back = wasStale && !stale;
+  wasStale = stale;
+  if (back && !(await lookForFleet())) setTimeout(lookForFleet, FLEET_LATER_MS);
+});
+
 /** @param {{view: string, device: string}} wanted */
 async function go(wanted) {
   const names = fleet.names();
@@ -116,6 +133,7 @@ function context() {
   return {
     api, stream, fleet, hob, session, theme, leases, off, announce, complain, ask,
     device: place.device,
+    foundFleet: () => header.showFleet(true),
     navigate: (hash) => {
       location.hash = hash;
     },

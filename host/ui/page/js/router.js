@@ -1,7 +1,7 @@
 // @ts-check
 /** Places of the page by hash: `#/live/bench`. */
 
-/** The views, in the order of the navigation. */
+/** The views, in the order of the navigation; `edge`: in it only where the daemon is an edge of a fleet. */
 export const VIEWS = [
   { name: "devices", label: "Devices", device: false },
   { name: "live", label: "Live", device: true },
@@ -9,6 +9,7 @@ export const VIEWS = [
   { name: "training", label: "Training", device: true },
   { name: "events", label: "Events", device: false },
   { name: "recordings", label: "Recordings", device: false },
+  { name: "fleet", label: "Fleet", device: false, edge: true },
 ];
 
 /**

@@ -6,6 +6,8 @@ mod hostile;
 mod map;
 #[cfg(feature = "pinn")]
 mod paper;
+#[cfg(feature = "pinn")]
+mod pots;
 mod temperature;
 
 use anyhow::Result;
@@ -17,6 +19,7 @@ use clap::{Args, Subcommand};
     ihd study estimators --quick\n  \
     ihd study hostile --short\n  \
     ihd study map --pot ferritic-18\n  \
+    ihd study pots --pot ferritic-18\n  \
     ihd study temperature --runs 12\n  \
     ihd study paper --quick --out paper-study")]
 pub struct StudyArgs {
@@ -32,6 +35,8 @@ enum Study {
     Map(map::MapArgs),
     #[cfg(feature = "pinn")]
     Paper(paper::PaperArgs),
+    #[cfg(feature = "pinn")]
+    Pots(pots::PotsArgs),
     Temperature(temperature::TemperatureArgs),
 }
 
@@ -45,6 +50,8 @@ impl StudyArgs {
             Study::Map(args) => args.run(),
             #[cfg(feature = "pinn")]
             Study::Paper(args) => args.run(),
+            #[cfg(feature = "pinn")]
+            Study::Pots(args) => args.run(),
             Study::Temperature(args) => args.run(),
         }
     }

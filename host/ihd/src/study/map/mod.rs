@@ -4,7 +4,7 @@
 pub mod figure;
 pub mod places;
 pub mod table;
-mod teach;
+pub mod teach;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 

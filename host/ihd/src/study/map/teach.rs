@@ -4,6 +4,7 @@ use ihd_link::Client;
 use ihd_map::{Curve, PotMap};
 use ihd_pinn::{Config, PinnError};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
+use ihd_signal::Segment;
 use ihd_signal::truth::MapTruth;
 use ihd_sim::adc::Noise;
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -42,7 +43,7 @@ pub fn runs(
     let truth = TrueLoad::new(plan.load, &pot, None)?.map(&mut |_| ())?;
     let heated = truth.reached() > 0;
     let points = if heated && !plan.closed_loop {
-        points(plan, &pot)?
+        points(plan.load, &plan.powers_w, &pot)?
     } else {
         Vec::new()
     };
@@ -74,26 +75,31 @@ pub fn runs(
 }
 
 /// A power, and a half-cycle of it.
-struct Point {
-    shown: Shown,
-    trial: Trial,
+pub struct Point {
+    /// Where the pot was shown.
+    pub shown: Shown,
+    /// The half-cycle, without noise.
+    pub trial: Trial,
 }
 
 /// Half-cycles from rest where the hob would heat with each power. Where that is says the table: the field model's own
 /// frequency lies a percent beside it.
-fn points(plan: &Plan, pot: &Pot) -> Result<Vec<Point>, InverterError> {
-    let kind = match plan.load {
+///
+/// # Errors
+/// [`InverterError`] where the simulator refuses the pot.
+pub fn points(kind: LoadKind, powers_w: &[u16], pot: &Pot) -> Result<Vec<Point>, InverterError> {
+    let table = match kind {
         LoadKind::Field => LoadKind::Surrogate,
         kind => kind,
     };
-    let load = TrueLoad::new(kind, pot, None)?;
+    let load = TrueLoad::new(table, pot, None)?;
     let mut points = Vec::new();
-    for &asked_w in &plan.powers_w {
+    for &asked_w in powers_w {
         let curve = load.heated_with(f64::from(asked_w))?;
         let f_sw_hz = curve.f_sw_hz;
         let trial = Trial::record(&Settings {
             f_sw_hz,
-            load: plan.load,
+            load: kind,
             pot: *pot,
             winding_r_ohm: WINDING_R_OHM,
             duration_s: 10e-3,
@@ -122,17 +128,25 @@ fn points(plan: &Plan, pot: &Pot) -> Result<Vec<Point>, InverterError> {
 /// What the network makes of each half-cycle with a seed's noise.
 fn curves(plan: &Plan, points: &[Point], seed: u64) -> Result<Vec<Curve>, PinnError> {
     let noise = Noise::from_snr_db(plan.snr_db, RATED_RMS.0, RATED_RMS.1);
+    let curve_of = |(k, point): (usize, &Point)| {
+        let segment = point.trial.with_noise(noise, seed * SEEDS_APART + k as u64);
+        identified(&segment, k as f64 * APART_S)
+    };
+    points.iter().enumerate().map(curve_of).collect()
+}
+
+/// R and L over current of a half-cycle, from a network that begins anew, at a time in seconds.
+///
+/// # Errors
+/// [`PinnError`] when the network cannot be trained on it.
+pub fn identified(segment: &Segment, t_s: f64) -> Result<Curve, PinnError> {
     let config = Config {
         // A busy machine must not decide on a table.
         deterministic: true,
         ..Config::default()
     };
-    let curve_of = |(k, point): (usize, &Point)| {
-        let segment = point.trial.with_noise(noise, seed * SEEDS_APART + k as u64);
-        let identified = identify_window(&segment, config.clone(), &mut |_| ())?;
-        Ok(curve(&segment, &identified, k as f64 * APART_S))
-    };
-    points.iter().enumerate().map(curve_of).collect()
+    let identified = identify_window(segment, config, &mut |_| ())?;
+    Ok(curve(segment, &identified, t_s))
 }
 
 /// Noise of another power is another noise.

@@ -1,0 +1,105 @@
+//! What the daemon tells of a fleet, over a socket and by the client.
+
+use std::sync::Arc;
+
+use ihd_api::ApiClient;
+use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::client::ClientError;
+use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
+
+use crate::backend::Running;
+use crate::http::ask;
+
+const FLEET: &str = "GET /api/v1/fleet";
+const SESSION: &str = "GET /api/v1/session";
+
+/// Two hobs of one edge, one worker; numbers that only 64 bits hold.
+fn report() -> FleetReport {
+    let device = |name: &str, outdated| FleetDevice {
+        name: name.into(),
+        edge: "cellar".into(),
+        state: "waiting-for-pot".into(),
+        pot: String::new(),
+        build: "ihd 0.1.0".into(),
+        protocol: (2, 6),
+        lookup_version: 17,
+        outdated,
+        last_seen_ms: 1_795_000_000_000,
+    };
+    FleetReport {
+        server: "tls://nats.example:4222".into(),
+        edge: "cellar".into(),
+        connected: false,
+        why: "the server does not answer".into(),
+        at_ms: 1_795_000_001_000,
+        outbox: 3,
+        windows: u64::MAX,
+        results: 40,
+        backlog: 2,
+        dead: 1,
+        workers: vec![FleetWorker {
+            name: "w1".into(),
+            version: "0.1.0".into(),
+            threads: 2,
+            busy: 1,
+            done: 40,
+            failed: 1,
+            last_seen_ms: 1_795_000_000_500,
+        }],
+        edges: vec![FleetEdge {
+            name: "cellar".into(),
+            version: "0.1.0".into(),
+            outbox: 3,
+            trusts_fleet: true,
+            last_seen_ms: 1_795_000_000_900,
+        }],
+        devices: vec![device("bench", false), device("<b>\u{202e}ä", true)],
+    }
+}
+
+fn edge(server: &Running) {
+    server.fake.asked.lock().unwrap().fleet = Some(Arc::new(report()));
+}
+
+#[test]
+fn an_edge_tells_all_that_it_knows() {
+    let server = Running::start();
+    edge(&server);
+    let client = ApiClient::new(&server.url, "me", None, None).unwrap();
+    assert_eq!(client.fleet().unwrap(), report());
+    let (_, session) = ask(server.address, SESSION, &[], "");
+    assert!(session.contains("\"fleet\":true"), "{session}");
+}
+
+#[test]
+fn a_daemon_without_a_fleet_says_how_it_would_have_one() {
+    let server = Running::start();
+    let client = ApiClient::new(&server.url, "me", None, None).unwrap();
+    match client.fleet().unwrap_err() {
+        ClientError::Refused {
+            status, problem, ..
+        } => {
+            assert_eq!((status, &*problem.error), (404, "no-fleet"));
+            assert!(problem.message.contains("[fleet] url in ihd.toml"));
+        }
+        other => panic!("{other}"),
+    }
+}
+
+/// As devices are: who may read may read it, who has no token may not.
+#[test]
+fn it_is_read_by_whoever_may_read() {
+    let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
+    edge(&server);
+    let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+    let bearer = format!(
+        "Authorization: Bearer {}",
+        tokens.at_least(Role::Read).unwrap()
+    );
+    assert_eq!(ask(server.address, FLEET, &[&bearer], "").0, 200);
+    let (status, body) = ask(server.address, FLEET, &[], "");
+    assert_eq!(status, 401);
+    assert!(!body.contains("cellar"), "{body}");
+    let other = "POST /api/v1/fleet";
+    assert_eq!(ask(server.address, other, &[&bearer], "").0, 403);
+}

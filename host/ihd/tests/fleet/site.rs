@@ -1,0 +1,290 @@
+//! An edge, its workers and what they have done: processes of `ihd` beside a server of the test's own.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use ihd_link::{Client, Event, Window};
+use ihd_shared::wire::messages::{FrontEnd, Hello, State};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
+use ihd_store::{Reader, ResultFilter, Settings, Store};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use super::process::{Process, ihd};
+
+/// What a window's result is known by.
+pub type Key = (String, u32, u32);
+
+/// Half-cycles between two windows of a device.
+const WINDOWS_EVERY: u8 = 20;
+
+/// Windows of a simulated hob that heats, with who it is.
+pub struct Tape {
+    pub hello: Hello,
+    pub front_end: FrontEnd,
+    pub windows: Vec<Window>,
+}
+
+/// Recorded once: at three powers, settled or not.
+pub fn tape() -> &'static Tape {
+    static TAPE: OnceLock<Tape> = OnceLock::new();
+    TAPE.get_or_init(|| {
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        let mut client = Client::connect(Box::new(hob)).expect("the simulated hob answers");
+        client.stream(1, WINDOWS_EVERY).expect("it streams");
+        let (mut windows, mut heats) = (Vec::new(), false);
+        for power_w in [1_500, 2_000, 1_000] {
+            client.set_power(power_w).expect("it heats");
+            let until = windows.len() + 4;
+            while windows.len() < until {
+                match client.next_event(Duration::from_secs(1)).expect("a link") {
+                    Some(Event::Window(window)) if heats => windows.push(*window),
+                    Some(Event::Telemetry(t)) => heats = t.state == State::Heating,
+                    Some(_) => {}
+                    None => panic!("the hob is silent"),
+                }
+            }
+        }
+        Tape {
+            hello: client.hello().clone(),
+            front_end: client.front_end().clone(),
+            windows,
+        }
+    })
+}
+
+/// A daemon that is an edge, whose store holds windows that are due.
+pub struct Site {
+    folder: TempDir,
+    pub edge: String,
+    pub hobs: Vec<String>,
+    process: Option<Process>,
+    /// Every window that was put in.
+    pub windows: BTreeSet<Key>,
+    /// Lines of `[learning]`, `[keep]`.
+    more: String,
+    /// Whether its hobs are simulated in the daemon; else nobody is there.
+    simulated: bool,
+    /// Where its API listens.
+    listen: String,
+}
+
+impl Site {
+    /// One with hobs `EDGE-0`, …, that nobody is connected to.
+    pub fn new(edge: &str, hobs: usize) -> Self {
+        Self {
+            folder: tempfile::tempdir().expect("a folder"),
+            edge: edge.to_owned(),
+            hobs: (0..hobs).map(|k| format!("{edge}-{k}")).collect(),
+            process: None,
+            windows: BTreeSet::new(),
+            more: String::new(),
+            simulated: false,
+            listen: free_address(),
+        }
+    }
+
+    /// One whose hobs are simulated in the daemon.
+    pub fn simulated(edge: &str, hobs: usize) -> Self {
+        Self {
+            simulated: true,
+            ..Self::new(edge, hobs)
+        }
+    }
+
+    /// Where its store is.
+    pub fn store(&self) -> PathBuf {
+        self.folder.path().join("store")
+    }
+
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Puts windows into its store, in turn of its hobs, that the fleet has not got; while it does not run.
+    pub fn fill(&mut self, count: usize) {
+        let tape = tape();
+        let opened = Store::open(&self.store(), &Settings::default()).expect("a store");
+        let mut store = opened.store;
+        let first = self.windows.len();
+        for (k, hob) in self.hobs.iter().enumerate() {
+            let device = store.device(hob, "tcp:127.0.0.1:9").expect("a device");
+            let hello = Hello {
+                boot_id: 1_000 + k as u32,
+                ..tape.hello.clone()
+            };
+            let session = store.begin_session(device, &hello, &tape.front_end);
+            let session = session.expect("a session");
+            let mine = (first..first + count).filter(|n| n % self.hobs.len() == k);
+            for n in mine {
+                let mut window = tape.windows[n % tape.windows.len()].clone();
+                window.seq = n as u32;
+                window.half_cycle = u32::from(WINDOWS_EVERY) * n as u32;
+                let kept = store.keep_window_for_fleet(session, &window);
+                assert!(kept.expect("kept").1);
+                self.windows
+                    .insert((hob.clone(), hello.boot_id, window.seq));
+            }
+        }
+    }
+
+    /// Lines for its configuration.
+    pub fn configure(&mut self, more: &str) {
+        more.clone_into(&mut self.more);
+    }
+
+    /// Starts the daemon; its devices do not answer.
+    pub fn start(&mut self, url: &str) {
+        let mut text = format!(
+            "store = \"store\"\nlisten = {:?}\ndiscover_usb = false\n{}\n\
+             [fleet]\nurl = {url:?}\nedge = {:?}\n",
+            self.listen, self.more, self.edge
+        );
+        for (k, hob) in self.hobs.iter().enumerate() {
+            // Nobody listens there.
+            let address = match self.simulated {
+                true => "sim".to_owned(),
+                false => format!("tcp:127.200.{}.{}:9", k / 250, k % 250 + 1),
+            };
+            text += &format!("[[device]]\nname = {hob:?}\naddress = {address:?}\n");
+        }
+        fs::write(self.path().join("ihd.toml"), text).expect("a configuration");
+        let log = fs::File::options()
+            .create(true)
+            .append(true)
+            .open(self.path().join("log"))
+            .expect("a log");
+        let mut command = ihd(self.path());
+        command
+            .args(["trainer", "--daemon"])
+            .env("RUST_LOG", "info,ihd_daemon=warn")
+            .stdout(Stdio::null())
+            .stderr(log);
+        self.process = Some(Process::spawn(&mut command).expect("the daemon starts"));
+    }
+
+    /// `ihd device ARGUMENTS` with its daemon, until that ends.
+    pub fn device(&self, arguments: &[&str]) -> String {
+        let mut command = ihd(self.path());
+        command.arg("device").args(arguments);
+        let out = command.output().expect("ihd device runs");
+        assert!(out.status.success(), "{arguments:?}: {out:?}");
+        String::from_utf8_lossy(&out.stdout).into_owned()
+    }
+
+    /// `kill -9`.
+    pub fn kill(&mut self) {
+        if let Some(mut process) = self.process.take() {
+            process.kill();
+        }
+    }
+
+    /// Asks it to end, and waits.
+    pub fn stop(&mut self) {
+        if let Some(mut process) = self.process.take() {
+            process.terminate();
+            let ended = process.wait(Duration::from_secs(40));
+            assert!(ended.is_some_and(|status| status.success()), "{ended:?}");
+        }
+    }
+
+    /// Whether it runs; its end is a defect.
+    pub fn assert_runs(&mut self) {
+        let ended = self.process.as_mut().and_then(Process::ended);
+        assert!(ended.is_none(), "{ended:?}: {}", self.log());
+    }
+
+    pub fn log(&self) -> String {
+        fs::read_to_string(self.path().join("log")).unwrap_or_default()
+    }
+
+    /// The results in its store.
+    pub fn results(&self) -> BTreeSet<Key> {
+        let filter = ResultFilter {
+            limit: Some(u32::MAX),
+            ..ResultFilter::default()
+        };
+        let read = Reader::open(&self.store()).and_then(|reader| reader.results(&filter));
+        let rows = read.unwrap_or_default();
+        rows.into_iter()
+            .map(|r| (r.device, r.boot, r.seq))
+            .collect()
+    }
+}
+
+/// An address of the loopback with a port that was free.
+fn free_address() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    listener.local_addr().expect("its address").to_string()
+}
+
+/// `ihd worker`.
+pub struct Worker {
+    process: Process,
+}
+
+impl Worker {
+    pub fn start(folder: &Path, url: &str, name: &str, options: &[&str]) -> Self {
+        let log = fs::File::options()
+            .create(true)
+            .append(true)
+            .open(folder.join(format!("{name}.log")))
+            .expect("a log");
+        let mut command = ihd(folder);
+        command
+            .args(["worker", "--url", url, "--name", name])
+            .args(options)
+            .stdout(Stdio::null())
+            .stderr(log);
+        Self {
+            process: Process::spawn(&mut command).expect("a worker starts"),
+        }
+    }
+
+    pub fn kill(&mut self) {
+        self.process.kill();
+    }
+
+    pub fn has_ended(&mut self) -> bool {
+        self.process.ended().is_some()
+    }
+}
+
+/// `ihd fleet --url URL …`: what it prints, and its exit code.
+pub fn fleet(url: &str, arguments: &[&str]) -> (String, i32) {
+    let folder = std::env::temp_dir();
+    let mut command = ihd(&folder);
+    command.args(["fleet", "--url", url]).args(arguments);
+    let out = command.output().expect("ihd fleet runs");
+    let text =
+        String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    (text, out.status.code().unwrap_or(-1))
+}
+
+/// `ihd fleet init`, with what is to be said beside.
+pub fn init(url: &str, options: &[&str]) {
+    let arguments: Vec<&str> = [&["init"], options].concat();
+    let (text, code) = fleet(url, &arguments);
+    assert_eq!(code, 0, "{text}");
+}
+
+/// `ihd fleet status --json`; none while the server is away.
+pub fn status(url: &str) -> Option<Value> {
+    let (text, code) = fleet(url, &["status", "--json"]);
+    (code == 0).then(|| serde_json::from_str(&text).expect("JSON"))
+}
+
+/// Waits until something holds.
+pub fn until(what: &str, within: Duration, mut holds: impl FnMut() -> bool) -> Duration {
+    let began = Instant::now();
+    while !holds() {
+        assert!(began.elapsed() < within, "{what}: not within {within:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    began.elapsed()
+}

@@ -1,0 +1,78 @@
+//! A simulated hob that heats, its edge, a worker and the server: results come back, teach the hob, and the edge goes on alone.
+
+use std::time::Duration;
+
+use serde_json::Value;
+
+use super::server::Server;
+use super::site::{Site, Worker, fleet, init, status, until};
+
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn json(url: &str, arguments: &[&str]) -> Value {
+    let (text, code) = fleet(url, arguments);
+    assert_eq!(code, 0, "{text}");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+/// The last lookup of the first hob: revision, and whether it is in use.
+fn last_lookup(url: &str) -> Option<(u64, bool)> {
+    let last = json(url, &["lookups", "ls", "--json"])[0].clone();
+    Some((last["revision"].as_u64()?, last["lookup"]["in_use"] == true))
+}
+
+#[test]
+#[ignore = "needs nats-server: cargo xtask fleet"]
+fn a_hob_is_taught_by_workers_and_without_them() {
+    let server = Server::start("");
+    let url = server.url();
+    init(&url, &[]);
+    let mut site = Site::simulated("lab", 1);
+    let hob = site.hobs[0].clone();
+    let mut worker = Worker::start(site.path(), &url, "w", &["--threads", "1"]);
+    site.start(&url);
+    let results = || {
+        status(&url)
+            .and_then(|s| s["results"].as_u64())
+            .unwrap_or(0)
+    };
+    until("the hob in the fleet", PATIENCE, || {
+        let devices = json(&url, &["devices", "--json"]);
+        devices[0]["name"] == *hob && devices[0]["state"] == "idle"
+    });
+    site.device(&[&hob, "power", "1500", "--for", "10"]);
+    until("results of the worker", PATIENCE, || results() >= 10);
+    until("results in the store", PATIENCE, || {
+        site.results().len() >= 10
+    });
+    until("its lookup in the fleet", PATIENCE, || {
+        last_lookup(&url).is_some_and(|(_, in_use)| in_use)
+    });
+    let (first, _) = last_lookup(&url).expect("a lookup");
+    let by_worker = status(&url).expect("it answers");
+    assert_eq!(by_worker["edges"][0]["trusts_fleet"], true, "{by_worker}");
+    assert!(by_worker["workers"][0]["name"] == "w", "{by_worker}");
+
+    // Somebody wants an older one used: the edge pushes it, and says that it is in use.
+    let (text, code) = fleet(&url, &["lookups", "rollback", &hob, &first.to_string()]);
+    assert_eq!(code, 0, "{text}");
+    until("the wanted lookup in use", PATIENCE, || {
+        last_lookup(&url).is_some_and(|(revision, in_use)| in_use && revision > first + 1)
+    });
+
+    // Nobody identifies any more: the edge waits for a while, and then learns by itself.
+    worker.kill();
+    let before = site.results().len();
+    site.device(&[&hob, "power", "1200", "--for", "40"]);
+    until("results of the edge itself", PATIENCE, || {
+        site.results().len() > before + 10
+    });
+    // A worker comes back: what was left to the fleet is identified, what the edge has found is known there.
+    let _worker = Worker::start(site.path(), &url, "again", &["--threads", "1"]);
+    until("as many results as windows", PATIENCE, || {
+        status(&url).is_some_and(|s| s["backlog"] == 0) && results() == site.results().len() as u64
+    });
+    site.stop();
+    let log = site.log();
+    assert!(!log.contains("ERROR"), "{log}");
+}

@@ -1,0 +1,313 @@
+//! What is known of one pot under several hypotheses: that it is any pot, or one that another hob knows, each weighed by how
+//! likely it makes what was seen.
+//!
+//! Cells are the mixture's mean, and their deviations hold how much the hypotheses differ. "Any pot" keeps a share whatever the
+//! evidence says: windows of one frequency cannot tell pots apart that differ elsewhere.
+
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+
+use crate::PotModel;
+use crate::curve::{Curve, Mean};
+use crate::ended::Ended;
+use crate::fit::Datum;
+use crate::knowledge::{Knowledge, Predicted};
+use crate::library::{Candidate, KeptShape, Library, Shape, shape_places, without};
+
+/// Share of each entry before anything was seen: of forty pots that may come, one. All of them together have half at most.
+const OF_AN_ENTRY: f64 = 1.0 / 40.0;
+const OF_ALL_ENTRIES: f64 = 0.5;
+
+/// Share that it keeps at least: one pot in twenty that fits an entry is another one. Its deviations in unseen cells after one window
+/// are some five times those of a pot that is known, so that theirs grow by half.
+const LEAST_NONE: f64 = 0.05;
+
+/// Deviations of "any pot", in the mean of the squares over the map, by which an entry's map may differ from its: docs/map.md has
+/// them too small by 1.8 at most.
+const BELIEVABLE: f64 = 2.0;
+
+/// Relative deviations of R and L that count there at least.
+const LEAST_SIGMA: [f64; 2] = [0.004, 0.002];
+
+/// Share below which a hypothesis is dropped.
+const DROPPED: f64 = 0.01;
+
+/// That it is one of the library's pots.
+#[derive(Clone, Debug)]
+struct Recognised {
+    entry: String,
+    share: f64,
+    shape: Shape,
+    /// Of the physics, once the shape is taken away.
+    known: Knowledge,
+}
+
+/// What is known of one pot.
+#[derive(Clone, Debug)]
+pub(crate) struct Hypotheses {
+    /// That it is any pot.
+    any: Knowledge,
+    others: Vec<Recognised>,
+}
+
+/// A hypothesis of the library as it is kept.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct KeptRecognised {
+    entry: String,
+    share: f64,
+    shape: KeptShape,
+    ended: Ended,
+}
+
+impl Recognised {
+    fn candidate(&self) -> Candidate {
+        Candidate {
+            id: self.entry.clone(),
+            prior: self.known.ended().prior(),
+            shape: self.shape.clone(),
+        }
+    }
+
+    /// Whether its map is within the deviations of what this hob would say alone, which no window need have shown: an honest
+    /// entry knows more and contradicts nothing, one made to fit what is seen first and to be wrong elsewhere does.
+    fn is_believable(&self, alone: &[Predicted]) -> bool {
+        let square = |(value, alone): (&Predicted, &Predicted)| {
+            let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
+            let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(LEAST_SIGMA[1]);
+            0.5 * (r * r + l * l)
+        };
+        let values = self.at(&shape_places(), 0.0);
+        let squares: f64 = values.iter().zip(alone).map(square).sum();
+        squares < BELIEVABLE * BELIEVABLE * alone.len() as f64
+    }
+
+    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
+        let mut all = self.known.at(places, ahead_s);
+        for (value, &(f_hz, i_a)) in all.iter_mut().zip(places) {
+            let beside = self.shape.at(f_hz, i_a);
+            let variance = self.shape.variance(f_hz, i_a);
+            value.r_ohm *= beside[0].exp();
+            value.l_h *= beside[1].exp();
+            value.r_sigma = (value.r_sigma.powi(2) + variance[0]).sqrt();
+            value.l_sigma = (value.l_sigma.powi(2) + variance[1]).sqrt();
+        }
+        all
+    }
+
+    fn compare(&self, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+        let less = |m: &Mean| {
+            let (beside, variance) = (self.shape.at(f_hz, m.i_a), self.shape.variance(f_hz, m.i_a));
+            Mean {
+                i_a: m.i_a,
+                ln: [0, 1].map(|x| m.ln[x] - beside[x]),
+                variance: [0, 1].map(|x| m.variance[x] + variance[x]),
+            }
+        };
+        let means: Vec<_> = means.iter().map(less).collect();
+        compare(&self.known, f_hz, &means, ahead_s)
+    }
+}
+
+impl KeptRecognised {
+    fn is_sound(&self) -> bool {
+        self.ended.is_sound() && self.shape.is_sound() && self.share > 0.0
+    }
+}
+
+/// How a window compares with what was expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Compared {
+    /// Squares a number under the hypothesis that expected it best.
+    pub chi2: f64,
+    /// How far R and L were from there, relative, in the mean.
+    pub off: [f64; 2],
+    /// Squares a number under the hypothesis that expected it least.
+    pub most_chi2: f64,
+}
+
+impl Hypotheses {
+    /// From everything seen; `before` is what was known before, and `again` says that the library is to be asked again. `None` as
+    /// [`Knowledge::of`].
+    pub fn of(
+        data: Vec<Datum>,
+        library: Option<&Library>,
+        before: Option<&Self>,
+        again: bool,
+    ) -> Option<Self> {
+        let any = Knowledge::of(data.clone(), None, before.map(|b| b.any.ended()))?;
+        let known = before.map_or(&[][..], |b| &b.others);
+        let candidates = match library {
+            Some(library) if again => library.candidates(&data),
+            _ => known.iter().map(Recognised::candidate).collect(),
+        };
+        let recognised = candidates.into_iter().filter_map(|candidate| {
+            let start = known.iter().find(|r| r.entry == candidate.id);
+            let start = start.map(|r| r.known.ended());
+            let alone = without(&candidate.shape, &data);
+            Some(Recognised {
+                known: Knowledge::of(alone, Some(&candidate.prior), start)?,
+                entry: candidate.id,
+                share: 0.0,
+                shape: candidate.shape,
+            })
+        });
+        let entries = library.map_or(1, |l| l.entries().len()).max(1) as f64;
+        Some(Self::weighed(any, recognised.collect(), entries))
+    }
+
+    /// Shares by evidence.
+    fn weighed(any: Knowledge, mut others: Vec<Recognised>, entries: f64) -> Self {
+        if !others.is_empty() {
+            let alone = any.at(&shape_places(), 0.0);
+            others.retain(|r| r.is_believable(&alone));
+        }
+        let highest = others.iter().map(|r| r.known.evidence());
+        let highest = highest.fold(any.evidence(), f64::max);
+        let of_all = OF_ALL_ENTRIES.min(entries * OF_AN_ENTRY);
+        let none = (1.0 - of_all) * (any.evidence() - highest).exp();
+        for r in &mut others {
+            r.share = of_all / entries * (r.known.evidence() - highest).exp();
+        }
+        let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
+        others.retain(|r| r.share >= DROPPED * sum);
+        let left: f64 = others.iter().map(|r| r.share).sum();
+        let most = (left / (none + left)).min(1.0 - LEAST_NONE);
+        others.iter_mut().for_each(|r| r.share *= most / left);
+        Self { any, others }
+    }
+
+    /// What is kept of the library's hypotheses.
+    pub fn kept(&self) -> Vec<KeptRecognised> {
+        let kept = |r: &Recognised| KeptRecognised {
+            entry: r.entry.clone(),
+            share: r.share,
+            shape: r.shape.kept().clone(),
+            ended: *r.known.ended(),
+        };
+        self.others.iter().map(kept).collect()
+    }
+
+    /// From what was kept and seen; `None` where nothing could have taught it.
+    pub fn from_kept(any: Ended, others: Vec<KeptRecognised>, data: Vec<Datum>) -> Option<Self> {
+        let sum: f64 = others.iter().map(|r| r.share).sum();
+        // A share that is no number is none either.
+        let within = sum < 1.0;
+        if !within || !any.is_sound() || !others.iter().all(KeptRecognised::is_sound) {
+            return None;
+        }
+        let restored = others.into_iter().map(|r| {
+            let shape = Shape::of(r.shape);
+            Some(Recognised {
+                known: Knowledge::conditioned(r.ended, without(&shape, &data))?,
+                entry: r.entry,
+                share: r.share,
+                shape,
+            })
+        });
+        Some(Self {
+            others: restored.collect::<Option<_>>()?,
+            any: Knowledge::conditioned(any, data)?,
+        })
+    }
+
+    /// That it is any pot: what this hob found by itself.
+    pub fn any(&self) -> &Knowledge {
+        &self.any
+    }
+
+    /// The library's entries that it may be, with their shares.
+    pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
+        self.others.iter().map(|r| (r.entry.as_str(), r.share))
+    }
+
+    /// Share of "any pot".
+    fn share_of_any(&self) -> f64 {
+        1.0 - self.others.iter().map(|r| r.share).sum::<f64>()
+    }
+
+    /// How well the physics describes the likeliest one: deviations of ln R and ln L around it.
+    pub fn misfit(&self) -> [f64; 2] {
+        self.likeliest().misfit()
+    }
+
+    fn likeliest(&self) -> &Knowledge {
+        let best = self
+            .others
+            .iter()
+            .max_by(|a, b| a.share.total_cmp(&b.share));
+        let best = best.filter(|r| r.share > self.share_of_any());
+        best.map_or(&self.any, |r| &r.known)
+    }
+
+    /// The pot.
+    pub fn model(&self) -> PotModel {
+        self.likeliest().ended().model()
+    }
+
+    /// R and L with their deviations at places, `ahead_s` seconds after the last datum.
+    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
+        if self.others.is_empty() {
+            return self.any.at(places, ahead_s);
+        }
+        let others = self.others.iter();
+        let mut each: Vec<_> = others.map(|r| (r.share, r.at(places, ahead_s))).collect();
+        each.push((self.share_of_any(), self.any.at(places, ahead_s)));
+        let mixed = |k: usize, x: fn(&Predicted) -> (f64, f64)| {
+            let of = each.iter().map(|(share, all)| (*share, x(&all[k])));
+            let mean: f64 = of.clone().map(|(share, (x, _))| share * x.ln()).sum();
+            let variance: f64 = of
+                .map(|(share, (x, sigma))| share * (sigma * sigma + (x.ln() - mean).powi(2)))
+                .sum();
+            (mean.exp(), variance.sqrt())
+        };
+        (0..places.len())
+            .map(|k| {
+                let (r_ohm, r_sigma) = mixed(k, |p| (p.r_ohm, p.r_sigma));
+                let (l_h, l_sigma) = mixed(k, |p| (p.l_h, p.l_sigma));
+                Predicted {
+                    r_ohm,
+                    l_h,
+                    r_sigma,
+                    l_sigma,
+                }
+            })
+            .collect()
+    }
+
+    /// A window of `means` beside what each hypothesis expects there; `None` where none can tell.
+    ///
+    /// The best one counts: a pot is another one only where it is so whatever was believed of it, so that a wrong entry never
+    /// makes a pot forgotten.
+    pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+        let f_hz = curve.f_sw_hz;
+        let others = self.others.iter();
+        let others = others.filter_map(|r| r.compare(f_hz, means, ahead_s));
+        let any = compare(&self.any, f_hz, means, ahead_s);
+        any.into_iter().chain(others).reduce(|a, b| {
+            let best = if b.chi2 < a.chi2 { b } else { a };
+            Compared {
+                most_chi2: a.most_chi2.max(b.most_chi2),
+                ..best
+            }
+        })
+    }
+}
+
+fn compare(known: &Knowledge, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+    let places: Vec<_> = means.iter().map(|m| (f_hz, m.i_a)).collect();
+    let (expected, mut covariance) = known.joint(&places, ahead_s);
+    let count = means.len();
+    let off = DVector::from_fn(2 * count, |k, _| {
+        means[k % count].ln[k / count] - expected[k]
+    });
+    for k in 0..2 * count {
+        covariance[(k, k)] += means[k % count].variance[k / count];
+    }
+    let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
+    let chi2 = off.dot(&covariance.cholesky()?.solve(&off)) / (2 * count) as f64;
+    Some(Compared {
+        chi2,
+        off: [0, 1].map(|x| mean_square(x).sqrt()),
+        most_chi2: chi2,
+    })
+}

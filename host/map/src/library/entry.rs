@@ -1,0 +1,430 @@
+//! One pot as one or more hobs know it.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::LibraryError;
+use super::shape::{self, KeptShape, Range};
+use crate::PotModel;
+use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
+
+/// The layout of [`PotEntry`].
+pub const ENTRY_VERSION: u32 = 1;
+
+/// Bytes of an entry at most.
+pub const MOST_ENTRY_BYTES: usize = 2_048;
+
+/// Bytes of a name at most: of an entry, a hob, a build.
+const MOST_NAME: usize = 48;
+
+/// Hobs that an entry names at most.
+pub(crate) const MOST_HOBS: usize = 8;
+
+/// Numbers of a lower triangle.
+const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
+
+/// How far α (its ln), s (its ln) and the base's radius in metre, as two hobs find them, may differ beside what each says of its
+/// own. ln s: a pot is taught warm and met cold, half of 1.1e-3 to 1.9e-3 a kelvin (ferritic steel, cast iron) over some 80 K.
+/// The others are what a coil that is not the paper's shifts (docs/pots.md, "What transfers").
+const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
+
+/// Deviation of a pot's own numbers, in spreads of any pot, from which nothing is gained by telling others.
+const WORTH_TELLING: f64 = 1.0;
+
+/// Switching frequencies in hertz and currents in ampere that a hob can have.
+const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
+const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
+
+/// Squares of the distance of two pots from which they are two: 1 % of chance with three numbers.
+const SAME_POT: f64 = 11.34;
+
+/// By how much the shapes of one pot seen twice differ less, in units of 1e-5: two percent.
+const SAME_SHAPE: u16 = 2_000;
+
+/// Who saw a pot, and when.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Name of the hob: letters, digits, `-`, `_` and `.`. Whoever takes an entry from others sets it to the name under which that hob
+    /// proved itself, not to what the entry says.
+    pub hob: String,
+    /// Build of the program that fitted it.
+    pub build: String,
+    /// When, in seconds since 1970.
+    pub t_unix_s: u64,
+}
+
+/// What a pot was seen at.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeenAt {
+    /// Lowest and highest switching frequency in hertz.
+    pub f_sw_hz: [f64; 2],
+    /// Lowest and highest amplitude of the current in ampere.
+    pub i_a: [f64; 2],
+    /// Switching frequencies.
+    pub curves: u32,
+    /// Windows of them.
+    pub windows: u32,
+}
+
+/// What a pot is made of, as far as two numbers tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MetalClass {
+    /// Ferritic steel.
+    Ferritic,
+    /// Grey cast iron.
+    CastIron,
+    /// It does not saturate: austenitic steel, aluminium.
+    NotMagnetic,
+}
+
+/// A pot in the library.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PotEntry {
+    version: u32,
+    id: String,
+    model: PotModel,
+    /// Lower triangle L, row by row, of the seven numbers' covariance L Lᵀ, in their units, in the order of `parameters`.
+    factor: Vec<f64>,
+    misfit: [f64; 2],
+    /// What the map is beside the model, in units of 1e-5.
+    shape: Vec<i16>,
+    seen: SeenAt,
+    label: Option<String>,
+    hobs: Vec<String>,
+    build: String,
+    t_unix_s: u64,
+}
+
+/// What a hob found of a pot.
+pub(crate) struct Found {
+    pub model: PotModel,
+    /// Lower triangle of the numbers' covariance.
+    pub factor: DMatrix<f64>,
+    pub misfit: [f64; 2],
+    /// The map less the model, at [`super::shape_places`].
+    pub beside: DVector<f64>,
+    pub seen: SeenAt,
+}
+
+impl PotEntry {
+    /// Of a fit; `None` where a number is none that an entry can have.
+    pub(crate) fn of(found: &Found, by: Provenance) -> Option<Self> {
+        let Found {
+            model,
+            factor,
+            misfit,
+            beside,
+            seen,
+        } = found;
+        let triangle = (0..COUNT).flat_map(|row| (0..=row).map(move |k| factor[(row, k)]));
+        let entry = Self {
+            version: ENTRY_VERSION,
+            id: format!("{}-{}", by.hob, by.t_unix_s),
+            model: *model,
+            factor: triangle.collect(),
+            misfit: *misfit,
+            shape: shape::codes(beside),
+            seen: *seen,
+            label: None,
+            hobs: vec![by.hob],
+            build: by.build,
+            t_unix_s: by.t_unix_s,
+        };
+        entry.check().is_ok().then_some(entry)
+    }
+
+    /// The same with a name that people gave the pot.
+    #[must_use]
+    pub fn labelled(self, label: &str) -> Self {
+        Self {
+            label: Some(label.to_owned()),
+            ..self
+        }
+    }
+
+    /// Its name: that of the hob that saw it first, and when.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// What people call it.
+    pub fn label(&self) -> Option<&str> {
+        self.label.as_deref()
+    }
+
+    /// The pot where the last hob saw it: lift, offset, turns and winding are that place's and that coil's.
+    pub fn model(&self) -> &PotModel {
+        &self.model
+    }
+
+    /// Deviations of ln R and ln L around the physics: how well it fits.
+    pub fn misfit(&self) -> [f64; 2] {
+        self.misfit
+    }
+
+    /// What it was seen at.
+    pub fn seen(&self) -> SeenAt {
+        self.seen
+    }
+
+    /// Hobs that saw it, the first one first; at most eight.
+    pub fn hobs(&self) -> &[String] {
+        &self.hobs
+    }
+
+    /// Build of the program that fitted it last.
+    pub fn build(&self) -> &str {
+        &self.build
+    }
+
+    /// When it was fitted last, in seconds since 1970.
+    pub fn t_unix_s(&self) -> u64 {
+        self.t_unix_s
+    }
+
+    /// Diameter of its base in metre, with its deviation.
+    pub fn diameter_m(&self) -> (f64, f64) {
+        let deviation_m = self.covariance()[(2, 2)].sqrt();
+        (2.0 * self.model.radius_m, 2.0 * deviation_m)
+    }
+
+    /// What it is made of: from α and s, which no heat and no place changes by as much as metals differ.
+    pub fn metal(&self) -> MetalClass {
+        // Between the classes of `parameters`, in ln α and ln s: 304 and aluminium let a tenth through of what iron does.
+        if self.model.ln_s < 4e-6_f64.ln() {
+            MetalClass::NotMagnetic
+        } else if self.model.ln_alpha < 2_900.0_f64.ln() {
+            MetalClass::Ferritic
+        } else {
+            MetalClass::CastIron
+        }
+    }
+
+    /// As bytes: JSON, below [`MOST_ENTRY_BYTES`].
+    pub fn to_bytes(&self) -> Vec<u8> {
+        // Text and numbers: nothing of it can fail to be JSON.
+        serde_json::to_vec(self).unwrap_or_default()
+    }
+
+    /// From bytes that anybody may have made.
+    ///
+    /// # Errors
+    /// [`LibraryError`]; nothing of such bytes is used.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
+        #[derive(Deserialize)]
+        struct Version {
+            version: u32,
+        }
+        if bytes.len() > MOST_ENTRY_BYTES {
+            return Err(LibraryError::TooLarge {
+                bytes: bytes.len(),
+                most: MOST_ENTRY_BYTES,
+            });
+        }
+        let Version { version } = serde_json::from_slice(bytes)?;
+        if version != ENTRY_VERSION {
+            return Err(LibraryError::Version(version));
+        }
+        let entry: Self = serde_json::from_slice(bytes)?;
+        entry.check()?;
+        Ok(entry)
+    }
+
+    /// Whether a hob can have found these numbers.
+    ///
+    /// # Errors
+    /// [`LibraryError`] with what is wrong.
+    pub fn check(&self) -> Result<(), LibraryError> {
+        let unsound = |what| Err(LibraryError::Unsound(what));
+        if self.version != ENTRY_VERSION {
+            return Err(LibraryError::Version(self.version));
+        }
+        let names = self.hobs.iter().chain([&self.id, &self.build]);
+        if !names.into_iter().all(|name| is_name(name)) || self.hobs.is_empty() {
+            return unsound("a name");
+        }
+        if self.hobs.len() > MOST_HOBS || self.label.as_deref().is_some_and(|l| !is_label(l)) {
+            return unsound("too many or too long names");
+        }
+        if !parameters::is_sound(&self.model) {
+            return unsound("a number of the pot");
+        }
+        let wide = |row: usize| {
+            let numbers = self.row(row);
+            let sigma = numbers.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let most = if row < OF_POT { WORTH_TELLING } else { 2.0 };
+            let within = sigma <= most * parameters::SPREAD[row];
+            !(within && numbers[row] >= 1e-6 * parameters::SPREAD[row])
+        };
+        if self.factor.len() != TRIANGLE || (0..COUNT).any(wide) {
+            return unsound("a deviation");
+        }
+        if !self.misfit.iter().all(|x| (1e-4..=0.5).contains(x)) {
+            return unsound("the misfit");
+        }
+        if !self.shape().is_likely() {
+            return unsound("its shape");
+        }
+        let rises = |[low, high]: [f64; 2], range: &std::ops::RangeInclusive<f64>| {
+            range.contains(&low) && range.contains(&high) && low <= high
+        };
+        if !rises(self.seen.f_sw_hz, &FREQUENCIES_HZ) || !rises(self.seen.i_a, &CURRENTS_A) {
+            return unsound("what it was seen at");
+        }
+        Ok(())
+    }
+
+    /// Row of the factor, up to its diagonal.
+    fn row(&self, row: usize) -> &[f64] {
+        &self.factor[row * (row + 1) / 2..][..=row]
+    }
+
+    fn numbers(&self) -> Vector3<f64> {
+        let all = parameters::raw(&self.model);
+        Vector3::from_fn(|k, _| all[k])
+    }
+
+    /// Of α, s and radius.
+    fn covariance(&self) -> Matrix3<f64> {
+        let l = Matrix3::from_fn(|row, k| if k <= row { self.row(row)[k] } else { 0.0 });
+        l * l.transpose()
+    }
+
+    /// Of α, s and radius as another hob would find them.
+    fn elsewhere(&self) -> Matrix3<f64> {
+        self.covariance() + transfer()
+    }
+
+    /// What is believed of this pot on another coil, in another place.
+    pub(crate) fn prior(&self) -> Prior {
+        let l = self.elsewhere().cholesky().map(|c| c.unpack());
+        // A sum of squares and a positive diagonal has a factor.
+        let spread = l.map_or_else(PotSpread::default, |l| {
+            PotSpread([
+                l[(0, 0)],
+                l[(1, 0)],
+                l[(1, 1)],
+                l[(2, 0)],
+                l[(2, 1)],
+                l[(2, 2)],
+            ])
+        });
+        Prior {
+            from: parameters::anywhere(&self.model),
+            spread,
+        }
+    }
+
+    /// What it is beside the physics, and where that was found.
+    pub(crate) fn shape(&self) -> KeptShape {
+        let range = Range {
+            f_sw_hz: self.seen.f_sw_hz,
+            i_a: self.seen.i_a,
+            misfit: self.misfit,
+        };
+        KeptShape {
+            codes: self.shape.clone(),
+            range,
+        }
+    }
+
+    /// Whether both may be one pot.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let shapes = self.shape.iter().zip(&other.shape);
+        let alike = shapes
+            .map(|(a, b)| a.abs_diff(*b))
+            .all(|by| by < SAME_SHAPE);
+        alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
+    }
+
+    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice. What is known badly counts as known as
+    /// well as it transfers, or all pots would be one.
+    fn squares_to(&self, other: &Self) -> Option<f64> {
+        let apart = self.numbers() - other.numbers();
+        let all = (self.known_well() + other.known_well() + transfer()).cholesky()?;
+        Some(apart.dot(&all.solve(&apart)))
+    }
+
+    /// Covariance of α, s and radius, none of them wider than its transfer.
+    fn known_well(&self) -> Matrix3<f64> {
+        let covariance = self.covariance();
+        let shrink = Vector3::from_fn(|k, _| (TRANSFER[k] / covariance[(k, k)].sqrt()).min(1.0));
+        let shrink = Matrix3::from_diagonal(&shrink);
+        shrink * covariance * shrink
+    }
+
+    /// Takes in what another hob found of the same pot: the mean of both by their weights, in which nobody counts for more than the
+    /// transfer allows, however certain he says that he is.
+    pub(crate) fn merge(&mut self, other: &Self) -> Option<()> {
+        let hobs = self.hobs.len() as f64;
+        // The transfer's share of a mean of several hobs is theirs divided by their number.
+        let (a, b) = (
+            (self.covariance() + transfer() / hobs).try_inverse()?,
+            other.elsewhere().try_inverse()?,
+        );
+        let covariance = (a + b).try_inverse()?;
+        let mean = covariance * (a * self.numbers() + b * other.numbers());
+        // The transfer counts when it is used.
+        let left = covariance - transfer() / (hobs + 1.0);
+        let floor = self
+            .covariance()
+            .diagonal()
+            .inf(&other.covariance().diagonal());
+        let deviation = |k: usize| left[(k, k)].max(0.25 * floor[k]).sqrt();
+        let shapes = self.shape.iter().zip(&other.shape);
+        let shape = shapes.map(|(a, b)| {
+            // Between two codes: a code.
+            ((hobs * f64::from(*a) + f64::from(*b)) / (hobs + 1.0)).round() as i16
+        });
+        let mut merged = Self {
+            shape: shape.collect(),
+            model: parameters::clamped(&{
+                let mut all = parameters::raw(&other.model);
+                (0..OF_POT).for_each(|k| all[k] = mean[k]);
+                all
+            }),
+            factor: other.factor.clone(),
+            misfit: [0, 1].map(|x| self.misfit[x].max(other.misfit[x])),
+            seen: self.seen.and(&other.seen),
+            label: self.label.clone().or_else(|| other.label.clone()),
+            build: other.build.clone(),
+            t_unix_s: self.t_unix_s.max(other.t_unix_s),
+            ..self.clone()
+        };
+        for row in 0..COUNT {
+            for k in 0..OF_POT.min(row + 1) {
+                let own = if k == row { deviation(k) } else { 0.0 };
+                merged.factor[row * (row + 1) / 2 + k] = own;
+            }
+        }
+        merged.hobs.extend(other.hobs.iter().cloned());
+        merged.check().ok()?;
+        *self = merged;
+        Some(())
+    }
+}
+
+impl SeenAt {
+    fn and(&self, other: &Self) -> Self {
+        let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        Self {
+            f_sw_hz: wider(self.f_sw_hz, other.f_sw_hz),
+            i_a: wider(self.i_a, other.i_a),
+            curves: self.curves.saturating_add(other.curves),
+            windows: self.windows.saturating_add(other.windows),
+        }
+    }
+}
+
+fn transfer() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::from(TRANSFER.map(|x| x * x)))
+}
+
+fn is_name(name: &str) -> bool {
+    let letter = |c: u8| c.is_ascii_alphanumeric() || b"-_.+".contains(&c);
+    (1..=MOST_NAME).contains(&name.len()) && name.bytes().all(letter)
+}
+
+fn is_label(label: &str) -> bool {
+    label.len() <= MOST_NAME && !label.chars().any(char::is_control)
+}
