@@ -14,6 +14,8 @@ const SCRIPT_PERCENT = 5;
 const HEAP_MB = 150;
 /** Growth of the heap after garbage collection that is none: noise of the measurement, over half an hour. */
 const LEAK_MB_PER_H = 8;
+/** Of a table that is scrolled. */
+const FRAMES = 200;
 const MEASURED_S = FULL ? 60 : 12;
 const SOAK_S = Number(process.env.IHD_SOAK_S ?? (FULL ? 1800 : 0));
 
@@ -108,7 +110,7 @@ test('events at 50 Hz, ten times what the page asks for', async (t) => {
 test('going round through the views leaves nothing behind', async (t) => {
   const { fake, meter, page, problems } = await watch(t);
   const round = async () => {
-    for (const view of ['devices', 'live/bench', 'map/desk', 'training/desk', 'events', 'recordings/desk', 'live/desk']) {
+    for (const view of ['devices', 'live/bench', 'map/desk', 'training/desk', 'events', 'fleet', 'recordings/desk', 'live/desk']) {
       await page.goto(`${fake.url}/#/${view}`);
       await page.locator(`main .view-${view.split('/')[0]}`).waitFor();
       await sleep(250);
@@ -126,6 +128,29 @@ test('going round through the views leaves nothing behind', async (t) => {
   assert.ok(after.Nodes - before.Nodes < 60 * rounds + 500, `${after.Nodes - before.Nodes} more nodes after ${rounds} rounds`);
   noProblems(problems);
 });
+
+test('a fleet of a thousand devices, looked at and scrolled', { skip: FULL ? false : 'in the full form (--full)' }, async (t) => {
+  const { fake, meter, page, problems } = await watch(t, '--fleet', '1000');
+  await page.goto(`${fake.url}/#/fleet`);
+  await page.getByTestId('fleet-count').waitFor();
+  await sleep(2000);
+  const found = await meter.over(20);
+  const before = await meter.metrics();
+  await page.getByTestId('fleet-devices').evaluate(scrolled, FRAMES);
+  const perFrame = (1000 * ((await meter.metrics()).TaskDuration - before.TaskDuration)) / FRAMES;
+  t.diagnostic(`the fleet's page, 1000 devices: ${words(found)}; scrolled by 300 px a frame: ${perFrame.toFixed(1)} ms of a core a frame`);
+  assert.ok(found.script <= SCRIPT_PERCENT, `script ${found.script} %`);
+  assert.ok(found.heapMostMb <= HEAP_MB, words(found));
+  noProblems(problems);
+});
+
+/** In the page: an element is scrolled, so many frames long. */
+async function scrolled(box, frames) {
+  for (let k = 0; k < frames; k++) {
+    box.scrollTop = (box.scrollTop + 300) % (box.scrollHeight - box.clientHeight);
+    await new Promise(requestAnimationFrame);
+  }
+}
 
 test('for half an hour: no leak', { skip: SOAK_S ? false : 'in the full form (--full, or IHD_SOAK_S)' }, async (t) => {
   const { fake, meter, page, problems } = await watch(t);

@@ -410,33 +410,3 @@ impl From<LookupRow> for StoredLookup {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ihd_daemon::model::FleetWorker;
-
-    #[test]
-    fn each_number_of_the_fleet_stands_under_its_name() {
-        let fleet = FleetReport {
-            connected: true,
-            outbox: 2,
-            backlog: 3,
-            dead: 4,
-            workers: vec![FleetWorker::default(); 5],
-            ..FleetReport::default()
-        };
-        let told: Vec<_> = fleet_figures(&fleet)
-            .iter()
-            .map(|f| (f.name, f.value))
-            .collect();
-        let expected = [
-            ("fleet_connected", 1.0),
-            ("fleet_outbox", 2.0),
-            ("fleet_backlog", 3.0),
-            ("fleet_dead", 4.0),
-            ("fleet_workers", 5.0),
-        ];
-        assert_eq!(told, expected);
-    }
-}

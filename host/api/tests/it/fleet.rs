@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
-use ihd_api::ApiClient;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
+use ihd_api::{ApiClient, Backend, DaemonBackend};
 use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
+use ihd_daemon::{Config, Daemon};
+use serde_json::Value;
 
 use crate::backend::Running;
 use crate::http::ask;
@@ -102,4 +104,80 @@ fn it_is_read_by_whoever_may_read() {
     assert!(!body.contains("cellar"), "{body}");
     let other = "POST /api/v1/fleet";
     assert_eq!(ask(server.address, other, &[&bearer], "").0, 403);
+}
+
+/// A daemon without a hob, on a store of its own.
+async fn daemon(folder: &tempfile::TempDir) -> Daemon {
+    let mut config = Config::parse("discover_usb = false", "test").unwrap();
+    config.store = folder.path().join("store");
+    let open = |_: &_| panic!("there is no device to open");
+    Daemon::start(config, Arc::new(open)).await.unwrap()
+}
+
+fn figures_of_a_fleet(backend: &DaemonBackend) -> Vec<(&'static str, f64)> {
+    let figures = backend.figures().into_iter();
+    let named = figures.filter(|f| f.name.starts_with("fleet"));
+    named.map(|f| (f.name, f.value)).collect()
+}
+
+#[tokio::test]
+async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = daemon(&folder).await;
+    let backend = DaemonBackend::new(daemon.clone());
+    assert_eq!(backend.fleet(), None);
+    assert_eq!(figures_of_a_fleet(&backend), []);
+    daemon.tell_fleet(report());
+    daemon.tell_fleet(FleetReport {
+        connected: true,
+        outbox: 2,
+        backlog: 3,
+        dead: 4,
+        workers: vec![FleetWorker::default(); 5],
+        ..report()
+    });
+    assert_eq!(backend.fleet().map(|fleet| fleet.backlog), Some(3));
+    let expected = [
+        ("fleet_connected", 1.0),
+        ("fleet_outbox", 2.0),
+        ("fleet_backlog", 3.0),
+        ("fleet_dead", 4.0),
+        ("fleet_workers", 5.0),
+    ];
+    assert_eq!(figures_of_a_fleet(&backend), expected);
+    drop(backend);
+    daemon.stop().await;
+}
+
+/// A terminal's escape, a line break and a megabyte, wherever another machine can put a text.
+#[tokio::test]
+async fn no_text_of_another_machine_is_passed_on_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = daemon(&folder).await;
+    let mut told = serde_json::to_value(report()).unwrap();
+    let bad = format!("\u{1b}[2J\n{}", "x".repeat(1 << 20));
+    let hostile = texts(&mut told, &mut |text| text.clone_from(&bad));
+    daemon.tell_fleet(serde_json::from_value(told).unwrap());
+    let known = daemon.fleet().unwrap();
+    let mut known = serde_json::to_value(&*known).unwrap();
+    let seen = texts(&mut known, &mut |text| {
+        assert!(text.chars().all(|c| !c.is_control()), "{text:.40}");
+        assert!(text.len() < 1_000, "{} bytes", text.len());
+    });
+    // Server, edge and why; two of the worker, two of the edge, five of each hob.
+    assert_eq!((hostile, seen), (17, 17));
+    daemon.stop().await;
+}
+
+/// Calls `see` with every text of a document; how many there were.
+fn texts(value: &mut Value, see: &mut impl FnMut(&mut String)) -> usize {
+    match value {
+        Value::String(text) => {
+            see(text);
+            1
+        }
+        Value::Array(all) => all.iter_mut().map(|v| texts(v, see)).sum(),
+        Value::Object(all) => all.values_mut().map(|v| texts(v, see)).sum(),
+        _ => 0,
+    }
 }
