@@ -1,9 +1,11 @@
 //! Speed of the map: `cargo bench --profile full -p ihd-map`. Target: the fit of a pot that was never seen within 50 ms of one core.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use ihd_map::{Curve, MeasuredPoint, PotMap, PotModel};
+use ihd_map::library::{Library, MOST_ENTRIES};
+use ihd_map::{Curve, MeasuredPoint, PotEntry, PotMap, PotModel, Provenance};
 
 /// A curve of a ferritic pot of 18 cm, with the errors of a window at 40 dB.
 fn curve(f_hz: f64, most_a: f64, t_s: f64) -> Curve {
@@ -62,6 +64,17 @@ fn bench(c: &mut Criterion) {
     for curve in &curves {
         known.observe(curve.clone());
     }
+    for entries in [1, 20, MOST_ENTRIES] {
+        let library = Arc::new(library(&known, entries));
+        let name = format!("a pot that was never seen, one curve, {entries} pots in the library");
+        c.bench_function(&name, |b| {
+            b.iter(|| {
+                let mut map = PotMap::default().with_library(library.clone());
+                map.observe(black_box(curves[2].clone()));
+                map
+            });
+        });
+    }
     c.bench_function("five curves fitted again", |b| {
         b.iter(|| {
             let mut map = known.clone();
@@ -87,6 +100,31 @@ fn bench(c: &mut Criterion) {
             );
         },
     );
+}
+
+/// The known pot, and others of many sizes and metals.
+fn library(known: &PotMap, entries: usize) -> Library {
+    let by = Provenance {
+        hob: "bench".into(),
+        build: "bench".into(),
+        t_unix_s: 0,
+    };
+    let pot = known.entry(by).expect("well known").to_bytes();
+    let pot: serde_json::Value = serde_json::from_slice(&pot).expect("JSON");
+    let mut library = Library::default();
+    for k in 0..entries {
+        let mut other = pot.clone();
+        let (size, metal) = ((k % 8) as f64, (k / 8) as f64);
+        other["hobs"][0] = format!("hob-{}", k / 8).into();
+        other["model"]["radius_m"] = (0.105 - 9.5e-3 * size).into();
+        let ln_alpha = pot["model"]["ln_alpha"].as_f64().expect("a number");
+        other["model"]["ln_alpha"] = (ln_alpha + 0.35 * metal).into();
+        let bytes = serde_json::to_vec(&other).expect("JSON");
+        let other = PotEntry::from_bytes(&bytes).expect("sound");
+        library.add(other).expect("sound");
+    }
+    assert_eq!(library.entries().len(), entries);
+    library
 }
 
 criterion_group!(benches, bench);

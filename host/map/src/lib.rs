@@ -21,6 +21,7 @@ mod parameters;
 pub mod pot_map;
 pub mod pot_model;
 mod surface_table;
+mod telling;
 
 pub use curve::{Curve, Mean, MeasuredPoint};
 pub use knowledge::Predicted;

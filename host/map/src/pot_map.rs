@@ -5,7 +5,6 @@ use std::sync::Arc;
 use ihd_shared::lookup::grid::{
     CURRENTS, FREQUENCIES, ONE, current_a, frequency_coordinate, frequency_hz, split,
 };
-use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
@@ -13,8 +12,8 @@ use crate::curve::Curve;
 use crate::ended::{Ended, UNDESCRIBED};
 use crate::fit::Datum;
 use crate::hypotheses::{Compared, Hypotheses, KeptRecognised};
-use crate::knowledge::Predicted;
-use crate::library::{Found, Library, PotEntry, Provenance, SeenAt, shape_places};
+use crate::knowledge::{Knowledge, Predicted};
+use crate::library::Library;
 use crate::misfit::{current_knots, current_of_knots};
 use crate::surface_table::lagrange;
 
@@ -43,10 +42,6 @@ const OBSERVED_FROM: f64 = 0.5;
 
 /// Weight of a curve at which confidence is one half.
 const HALF_CONFIDENT: f64 = 0.25;
-
-/// Frequencies, and the ratio of the highest to the lowest, from which a pot is known well enough to be told of.
-const LEAST_CURVES: u32 = 3;
-const LEAST_RATIO: f64 = 1.19;
 
 /// What became of a window's curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -189,46 +184,9 @@ impl PotMap {
         self.learned.iter().flat_map(|l| l.known.recognised())
     }
 
-    /// What other hobs may learn from this one, of a pot that it knows well by itself: seen at three frequencies or more, of which
-    /// the highest is a quarter of an octave above the lowest. What it has from the library is not told on. `None` else, or where
-    /// `by` holds no names.
-    pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
-        let known = self.learned.as_ref()?.known.any();
-        let seen = self.seen_at()?;
-        if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
-            return None;
-        }
-        let factor = known.factor_of_numbers()?;
-        let (model, places) = (known.ended().model(), shape_places());
-        let (map, _) = known.joint(&places, 0.0);
-        let physics = physics(&model, &places);
-        let found = Found {
-            model,
-            factor,
-            misfit: known.misfit(),
-            beside: map - physics,
-            seen,
-        };
-        PotEntry::of(&found, by)
-    }
-
-    fn seen_at(&self) -> Option<SeenAt> {
-        let span = |all: &mut dyn Iterator<Item = f64>| {
-            let none = [f64::INFINITY, f64::NEG_INFINITY];
-            let [low, high] = all.fold(none, |[a, b], x| [a.min(x), b.max(x)]);
-            (low <= high).then_some([low, high])
-        };
-        let currents = self.curves.iter().flat_map(|c| c.means().map(|m| m.i_a));
-        Some(SeenAt {
-            f_sw_hz: span(&mut self.curves.iter().map(|c| c.f_sw_hz))?,
-            i_a: span(&mut { currents })?,
-            curves: self.curves.len() as u32,
-            windows: self
-                .curves
-                .iter()
-                .map(|c| c.windows)
-                .fold(0, u32::saturating_add),
-        })
+    /// What this hob found by itself; `None` before a window came.
+    pub(crate) fn found_alone(&self) -> Option<&Knowledge> {
+        self.learned.as_ref().map(|l| l.known.any())
     }
 
     /// Curves, one a switching frequency.
@@ -452,18 +410,6 @@ impl PotMap {
         }
         (mass, last_s)
     }
-}
-
-/// ln R and ln L of a model at places, R of all and then L of all.
-fn physics(model: &PotModel, places: &[(f64, f64)]) -> DVector<f64> {
-    let load = |k: usize| {
-        let (f_hz, i_a) = places[k % places.len()];
-        model.impedance(f_hz, i_a)
-    };
-    DVector::from_fn(2 * places.len(), |k, _| match k < places.len() {
-        true => load(k).r_ohm.ln(),
-        false => load(k).l_h.ln(),
-    })
 }
 
 /// What curves say at a time in seconds of the device.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::LibraryError;
 use super::shape::{self, KeptShape, Range};
 use crate::PotModel;
-use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
+use crate::parameters::{self, COUNT, OF_POT};
 
 /// The layout of [`PotEntry`].
 pub const ENTRY_VERSION: u32 = 1;
@@ -23,23 +23,12 @@ pub(crate) const MOST_HOBS: usize = 8;
 /// Numbers of a lower triangle.
 const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 
-/// How far α (its ln), s (its ln) and the base's radius in metre, as two hobs find them, may differ beside what each says of its
-/// own. ln s: a pot is taught warm and met cold, half of 1.1e-3 to 1.9e-3 a kelvin (ferritic steel, cast iron) over some 80 K.
-/// The others are what a coil that is not the paper's shifts (docs/pots.md, "What transfers").
-const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
-
 /// Deviation of a pot's own numbers, in spreads of any pot, from which nothing is gained by telling others.
 const WORTH_TELLING: f64 = 1.0;
 
 /// Switching frequencies in hertz and currents in ampere that a hob can have.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
 const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
-
-/// Squares of the distance of two pots from which they are two: 1 % of chance with three numbers.
-const SAME_POT: f64 = 11.34;
-
-/// By how much the shapes of one pot seen twice differ less, in units of 1e-5: two percent.
-const SAME_SHAPE: u16 = 2_000;
 
 /// Who saw a pot, and when.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,19 +69,19 @@ pub enum MetalClass {
 /// A pot in the library.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PotEntry {
-    version: u32,
-    id: String,
-    model: PotModel,
+    pub(super) version: u32,
+    pub(super) id: String,
+    pub(super) model: PotModel,
     /// Lower triangle L, row by row, of the seven numbers' covariance L Lᵀ, in their units, in the order of `parameters`.
-    factor: Vec<f64>,
-    misfit: [f64; 2],
+    pub(super) factor: Vec<f64>,
+    pub(super) misfit: [f64; 2],
     /// What the map is beside the model, in units of 1e-5.
-    shape: Vec<i16>,
-    seen: SeenAt,
-    label: Option<String>,
-    hobs: Vec<String>,
-    build: String,
-    t_unix_s: u64,
+    pub(super) shape: Vec<i16>,
+    pub(super) seen: SeenAt,
+    pub(super) label: Option<String>,
+    pub(super) hobs: Vec<String>,
+    pub(super) build: String,
+    pub(super) t_unix_s: u64,
 }
 
 /// What a hob found of a pot.
@@ -274,47 +263,6 @@ impl PotEntry {
         Ok(())
     }
 
-    /// Row of the factor, up to its diagonal.
-    fn row(&self, row: usize) -> &[f64] {
-        &self.factor[row * (row + 1) / 2..][..=row]
-    }
-
-    fn numbers(&self) -> Vector3<f64> {
-        let all = parameters::raw(&self.model);
-        Vector3::from_fn(|k, _| all[k])
-    }
-
-    /// Of α, s and radius.
-    fn covariance(&self) -> Matrix3<f64> {
-        let l = Matrix3::from_fn(|row, k| if k <= row { self.row(row)[k] } else { 0.0 });
-        l * l.transpose()
-    }
-
-    /// Of α, s and radius as another hob would find them.
-    fn elsewhere(&self) -> Matrix3<f64> {
-        self.covariance() + transfer()
-    }
-
-    /// What is believed of this pot on another coil, in another place.
-    pub(crate) fn prior(&self) -> Prior {
-        let l = self.elsewhere().cholesky().map(|c| c.unpack());
-        // A sum of squares and a positive diagonal has a factor.
-        let spread = l.map_or_else(PotSpread::default, |l| {
-            PotSpread([
-                l[(0, 0)],
-                l[(1, 0)],
-                l[(1, 1)],
-                l[(2, 0)],
-                l[(2, 1)],
-                l[(2, 2)],
-            ])
-        });
-        Prior {
-            from: parameters::anywhere(&self.model),
-            spread,
-        }
-    }
-
     /// What it is beside the physics, and where that was found.
     pub(crate) fn shape(&self) -> KeptShape {
         let range = Range {
@@ -328,84 +276,25 @@ impl PotEntry {
         }
     }
 
-    /// Whether both may be one pot.
-    pub fn is_same(&self, other: &Self) -> bool {
-        let shapes = self.shape.iter().zip(&other.shape);
-        let alike = shapes
-            .map(|(a, b)| a.abs_diff(*b))
-            .all(|by| by < SAME_SHAPE);
-        alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
+    /// Row of the factor, up to its diagonal.
+    fn row(&self, row: usize) -> &[f64] {
+        &self.factor[row * (row + 1) / 2..][..=row]
     }
 
-    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice. What is known badly counts as known as
-    /// well as it transfers, or all pots would be one.
-    fn squares_to(&self, other: &Self) -> Option<f64> {
-        let apart = self.numbers() - other.numbers();
-        let all = (self.known_well() + other.known_well() + transfer()).cholesky()?;
-        Some(apart.dot(&all.solve(&apart)))
+    pub(super) fn numbers(&self) -> Vector3<f64> {
+        let all = parameters::raw(&self.model);
+        Vector3::from_fn(|k, _| all[k])
     }
 
-    /// Covariance of α, s and radius, none of them wider than its transfer.
-    fn known_well(&self) -> Matrix3<f64> {
-        let covariance = self.covariance();
-        let shrink = Vector3::from_fn(|k, _| (TRANSFER[k] / covariance[(k, k)].sqrt()).min(1.0));
-        let shrink = Matrix3::from_diagonal(&shrink);
-        shrink * covariance * shrink
-    }
-
-    /// Takes in what another hob found of the same pot: the mean of both by their weights, in which nobody counts for more than the
-    /// transfer allows, however certain he says that he is.
-    pub(crate) fn merge(&mut self, other: &Self) -> Option<()> {
-        let hobs = self.hobs.len() as f64;
-        // The transfer's share of a mean of several hobs is theirs divided by their number.
-        let (a, b) = (
-            (self.covariance() + transfer() / hobs).try_inverse()?,
-            other.elsewhere().try_inverse()?,
-        );
-        let covariance = (a + b).try_inverse()?;
-        let mean = covariance * (a * self.numbers() + b * other.numbers());
-        // The transfer counts when it is used.
-        let left = covariance - transfer() / (hobs + 1.0);
-        let floor = self
-            .covariance()
-            .diagonal()
-            .inf(&other.covariance().diagonal());
-        let deviation = |k: usize| left[(k, k)].max(0.25 * floor[k]).sqrt();
-        let shapes = self.shape.iter().zip(&other.shape);
-        let shape = shapes.map(|(a, b)| {
-            // Between two codes: a code.
-            ((hobs * f64::from(*a) + f64::from(*b)) / (hobs + 1.0)).round() as i16
-        });
-        let mut merged = Self {
-            shape: shape.collect(),
-            model: parameters::clamped(&{
-                let mut all = parameters::raw(&other.model);
-                (0..OF_POT).for_each(|k| all[k] = mean[k]);
-                all
-            }),
-            factor: other.factor.clone(),
-            misfit: [0, 1].map(|x| self.misfit[x].max(other.misfit[x])),
-            seen: self.seen.and(&other.seen),
-            label: self.label.clone().or_else(|| other.label.clone()),
-            build: other.build.clone(),
-            t_unix_s: self.t_unix_s.max(other.t_unix_s),
-            ..self.clone()
-        };
-        for row in 0..COUNT {
-            for k in 0..OF_POT.min(row + 1) {
-                let own = if k == row { deviation(k) } else { 0.0 };
-                merged.factor[row * (row + 1) / 2 + k] = own;
-            }
-        }
-        merged.hobs.extend(other.hobs.iter().cloned());
-        merged.check().ok()?;
-        *self = merged;
-        Some(())
+    /// Of α, s and radius.
+    pub(super) fn covariance(&self) -> Matrix3<f64> {
+        let l = Matrix3::from_fn(|row, k| if k <= row { self.row(row)[k] } else { 0.0 });
+        l * l.transpose()
     }
 }
 
 impl SeenAt {
-    fn and(&self, other: &Self) -> Self {
+    pub(super) fn and(&self, other: &Self) -> Self {
         let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self {
             f_sw_hz: wider(self.f_sw_hz, other.f_sw_hz),
@@ -414,10 +303,6 @@ impl SeenAt {
             windows: self.windows.saturating_add(other.windows),
         }
     }
-}
-
-fn transfer() -> Matrix3<f64> {
-    Matrix3::from_diagonal(&Vector3::from(TRANSFER.map(|x| x * x)))
 }
 
 fn is_name(name: &str) -> bool {

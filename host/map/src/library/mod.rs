@@ -13,6 +13,7 @@ mod entry;
 mod shape;
 #[cfg(test)]
 mod tests;
+mod transfer;
 
 use serde::{Deserialize, Serialize};
 

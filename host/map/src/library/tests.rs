@@ -58,7 +58,7 @@ fn an_entry_goes_round_through_few_bytes() {
 #[test]
 fn lies_are_refused_and_named() {
     let text = String::from_utf8(entry("hob-1", 7, |_| ()).to_bytes()).unwrap();
-    let many = format!("\"hobs\":[{}]", vec!["\"a\""; 9].join(","));
+    let many = format!("\"hobs\":[{}]", ["\"a\""; 9].join(","));
     let long = format!("\"build\":\"{}\"", "x".repeat(49));
     for (from, to, says) in [
         ("{", "", "cannot be read"),

@@ -1,0 +1,123 @@
+//! One pot on two hobs: what of it goes with it, when two entries are one pot, and what both know of it together.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::PotEntry;
+use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
+
+/// How far α (its ln), s (its ln) and the base's radius in metre, as two hobs find them, may differ beside what each says of its
+/// own. ln s: a pot is taught warm and met cold, half of 1.1e-3 to 1.9e-3 a kelvin (ferritic steel, cast iron) over some 80 K.
+/// The others are what a coil that is not the paper's shifts (docs/pots.md, "What transfers").
+const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
+
+/// Squares of the distance of two pots from which they are two: 1 % of chance with three numbers.
+const SAME_POT: f64 = 11.34;
+
+/// By how much the shapes of one pot seen twice differ less, in units of 1e-5: two percent.
+const SAME_SHAPE: u16 = 2_000;
+
+impl PotEntry {
+    /// Of α, s and radius as another hob would find them.
+    fn elsewhere(&self) -> Matrix3<f64> {
+        self.covariance() + transfer()
+    }
+
+    /// What is believed of this pot on another coil, in another place.
+    pub(crate) fn prior(&self) -> Prior {
+        let l = self.elsewhere().cholesky().map(|c| c.unpack());
+        // A sum of squares and a positive diagonal has a factor.
+        let spread = l.map_or_else(PotSpread::default, |l| {
+            PotSpread([
+                l[(0, 0)],
+                l[(1, 0)],
+                l[(1, 1)],
+                l[(2, 0)],
+                l[(2, 1)],
+                l[(2, 2)],
+            ])
+        });
+        Prior {
+            from: parameters::anywhere(&self.model),
+            spread,
+        }
+    }
+
+    /// Whether both may be one pot.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let shapes = self.shape.iter().zip(&other.shape);
+        let alike = shapes
+            .map(|(a, b)| a.abs_diff(*b))
+            .all(|by| by < SAME_SHAPE);
+        alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
+    }
+
+    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice. What is known badly counts as known as
+    /// well as it transfers, or all pots would be one.
+    fn squares_to(&self, other: &Self) -> Option<f64> {
+        let apart = self.numbers() - other.numbers();
+        let all = (self.known_well() + other.known_well() + transfer()).cholesky()?;
+        Some(apart.dot(&all.solve(&apart)))
+    }
+
+    /// Covariance of α, s and radius, none of them wider than its transfer.
+    fn known_well(&self) -> Matrix3<f64> {
+        let covariance = self.covariance();
+        let shrink = Vector3::from_fn(|k, _| (TRANSFER[k] / covariance[(k, k)].sqrt()).min(1.0));
+        let shrink = Matrix3::from_diagonal(&shrink);
+        shrink * covariance * shrink
+    }
+
+    /// Takes in what another hob found of the same pot: the mean of both by their weights, in which nobody counts for more than the
+    /// transfer allows, however certain he says that he is.
+    pub(crate) fn merge(&mut self, other: &Self) -> Option<()> {
+        let hobs = self.hobs.len() as f64;
+        // The transfer's share of a mean of several hobs is theirs divided by their number.
+        let (a, b) = (
+            (self.covariance() + transfer() / hobs).try_inverse()?,
+            other.elsewhere().try_inverse()?,
+        );
+        let covariance = (a + b).try_inverse()?;
+        let mean = covariance * (a * self.numbers() + b * other.numbers());
+        // The transfer counts when it is used.
+        let left = covariance - transfer() / (hobs + 1.0);
+        let floor = self
+            .covariance()
+            .diagonal()
+            .inf(&other.covariance().diagonal());
+        let deviation = |k: usize| left[(k, k)].max(0.25 * floor[k]).sqrt();
+        let shapes = self.shape.iter().zip(&other.shape);
+        let shape = shapes.map(|(a, b)| {
+            // Between two codes: a code.
+            ((hobs * f64::from(*a) + f64::from(*b)) / (hobs + 1.0)).round() as i16
+        });
+        let mut merged = Self {
+            shape: shape.collect(),
+            model: parameters::clamped(&{
+                let mut all = parameters::raw(&other.model);
+                (0..OF_POT).for_each(|k| all[k] = mean[k]);
+                all
+            }),
+            factor: other.factor.clone(),
+            misfit: [0, 1].map(|x| self.misfit[x].max(other.misfit[x])),
+            seen: self.seen.and(&other.seen),
+            label: self.label.clone().or_else(|| other.label.clone()),
+            build: other.build.clone(),
+            t_unix_s: self.t_unix_s.max(other.t_unix_s),
+            ..self.clone()
+        };
+        for row in 0..COUNT {
+            for k in 0..OF_POT.min(row + 1) {
+                let own = if k == row { deviation(k) } else { 0.0 };
+                merged.factor[row * (row + 1) / 2 + k] = own;
+            }
+        }
+        merged.hobs.extend(other.hobs.iter().cloned());
+        merged.check().ok()?;
+        *self = merged;
+        Some(())
+    }
+}
+
+fn transfer() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::from(TRANSFER.map(|x| x * x)))
+}

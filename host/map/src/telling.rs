@@ -1,0 +1,66 @@
+//! What a hob can tell others of the pot that it knows.
+
+use nalgebra::DVector;
+
+use crate::library::{Found, PotEntry, Provenance, SeenAt, shape_places};
+use crate::{PotMap, PotModel};
+
+/// Frequencies, and the ratio of the highest to the lowest, from which a pot is known well enough to be told of.
+const LEAST_CURVES: u32 = 3;
+const LEAST_RATIO: f64 = 1.19;
+
+impl PotMap {
+    /// What other hobs may learn from this one, of a pot that it knows well by itself: seen at three frequencies or more, of which
+    /// the highest is a quarter of an octave above the lowest. What it has from the library is not told on. `None` else, or where
+    /// `by` holds no names.
+    pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
+        let known = self.found_alone()?;
+        let seen = self.seen_at()?;
+        if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
+            return None;
+        }
+        let factor = known.factor_of_numbers()?;
+        let (model, places) = (known.ended().model(), shape_places());
+        let (map, _) = known.joint(&places, 0.0);
+        let physics = physics(&model, &places);
+        let found = Found {
+            model,
+            factor,
+            misfit: known.misfit(),
+            beside: map - physics,
+            seen,
+        };
+        PotEntry::of(&found, by)
+    }
+
+    fn seen_at(&self) -> Option<SeenAt> {
+        let span = |all: &mut dyn Iterator<Item = f64>| {
+            let none = [f64::INFINITY, f64::NEG_INFINITY];
+            let [low, high] = all.fold(none, |[a, b], x| [a.min(x), b.max(x)]);
+            (low <= high).then_some([low, high])
+        };
+        let currents = self.curves().iter().flat_map(|c| c.means().map(|m| m.i_a));
+        Some(SeenAt {
+            f_sw_hz: span(&mut self.curves().iter().map(|c| c.f_sw_hz))?,
+            i_a: span(&mut { currents })?,
+            curves: self.curves().len() as u32,
+            windows: self
+                .curves()
+                .iter()
+                .map(|c| c.windows)
+                .fold(0, u32::saturating_add),
+        })
+    }
+}
+
+/// ln R and ln L of a model at places, R of all and then L of all.
+fn physics(model: &PotModel, places: &[(f64, f64)]) -> DVector<f64> {
+    let load = |k: usize| {
+        let (f_hz, i_a) = places[k % places.len()];
+        model.impedance(f_hz, i_a)
+    };
+    DVector::from_fn(2 * places.len(), |k, _| match k < places.len() {
+        true => load(k).r_ohm.ln(),
+        false => load(k).l_h.ln(),
+    })
+}
