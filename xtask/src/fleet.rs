@@ -29,7 +29,11 @@ const HASHES: [&str; 4] = [
 ];
 
 /// What the long form changes; each may also be set by hand.
-const FULL: [(&str, &str); 1] = [("IHD_FLEET_FULL", "1")];
+const FULL: [(&str, &str); 3] = [
+    ("IHD_FLEET_KILLS", "50"),
+    ("IHD_FLEET_PARTITION_S", "600"),
+    ("IHD_FLEET_STUDY", "1"),
+];
 
 /// Runs those tests whose name contains `only`; in `full`, as often and as long as docs/fleet.md says.
 pub fn test(on: &Workspace, only: Option<&str>, full: bool) -> anyhow::Result<()> {

@@ -36,7 +36,7 @@ pub const SILENT_AFTER: Duration = Duration::from_secs(30);
 /// Largest value in a bucket, in bytes: all that is known of a hob's pots.
 const LARGEST_VALUE: i32 = 1 << 18;
 
-/// Limits of the fleet. Streams that are full refuse, so that whoever publishes keeps what it has.
+/// Limits of the fleet: what the server sets aside for it. Windows beyond theirs are refused, so that edges keep what they have.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
@@ -46,9 +46,9 @@ pub struct Limits {
     pub windows_of_a_hob: i64,
     /// Days that a window waits at most.
     pub windows_days: u32,
-    /// Bytes of results.
+    /// Bytes of results; the oldest go first. An edge that did not get one asks again after a day.
     pub results_bytes: i64,
-    /// Days that results are kept: as long as an edge may be away and none of its windows be identified twice.
+    /// Days that results are kept: as long as an edge may be away and none of its windows is identified twice.
     pub results_days: u32,
     /// Bytes of events; the oldest go first.
     pub events_bytes: i64,
@@ -67,14 +67,14 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            windows_bytes: 10_000_000_000,
+            windows_bytes: 4_000_000_000,
             windows_of_a_hob: 100_000,
             windows_days: 30,
-            results_bytes: 10_000_000_000,
+            results_bytes: 2_000_000_000,
             results_days: 30,
-            events_bytes: 1_000_000_000,
-            dead_bytes: 1_000_000_000,
-            captures_bytes: 10_000_000_000,
+            events_bytes: 200_000_000,
+            dead_bytes: 300_000_000,
+            captures_bytes: 2_000_000_000,
             lookups: 16,
             threads: 64,
             replicas: 1,
@@ -143,7 +143,10 @@ impl Limits {
             stream::Config {
                 max_bytes: self.results_bytes,
                 max_age: DAY * self.results_days,
-                ..once(base(names::RESULTS, subject("result.*.*")))
+                // Of a subject the first counts, which whoever publishes asks for.
+                max_messages_per_subject: 1,
+                discard: DiscardPolicy::Old,
+                ..base(names::RESULTS, subject("result.*.*"))
             },
             stream::Config {
                 max_bytes: self.events_bytes,

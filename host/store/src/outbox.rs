@@ -39,8 +39,18 @@ pub enum Due {
 const DUE: &str = "
 SELECT device, boot, seq, at_ms FROM windows WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
 
-const SENT: &str =
-    "UPDATE windows SET fleet = 1 WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND fleet = 0";
+/// How far a window is with a fleet; never back.
+const NOTE: &str = "UPDATE windows SET fleet = ?4
+    WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND fleet < ?4";
+
+/// What `windows.fleet` says beside 0, due.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// The fleet has the window, and owes a result.
+    Window = 1,
+    /// There is a result, here and there.
+    Result = 2,
+}
 
 impl Store {
     /// Stores a window that a fleet is to have, in one transaction; false beside it where its samples are not kept, so that the fleet will
@@ -122,15 +132,45 @@ impl Store {
     ///
     /// # Errors
     /// What the databases report; those of days before have been noted.
-    pub fn sent(&mut self, mut sent: Vec<DueWindow>) -> Result<(), StoreError> {
-        sent.sort();
-        for of_day in sent.chunk_by(|a, b| a.day == b.day) {
-            let file = self.file_of(&of_day[0].day);
+    pub fn sent(&mut self, sent: &[(DueWindow, Sent)]) -> Result<(), StoreError> {
+        for of_day in sent.chunk_by(|(a, _), (b, _)| a.day == b.day) {
+            let file = self.file_of(&of_day[0].0.day);
             if file.path.exists() {
-                self.on_day(file, |day| day.sent(of_day))?;
+                self.on_day(file, |day| day.note(of_day))?;
             }
         }
         Ok(())
+    }
+
+    /// The fleet has answered a window, of whatever day.
+    ///
+    /// # Errors
+    /// What the databases or the operating system report.
+    pub fn answered(&mut self, device: &str, boot: u32, seq: u32) -> Result<(), StoreError> {
+        let mut days = folder::days(self.folder())?;
+        days.reverse();
+        for file in days {
+            if self.on_day(file, |day| day.answered(device, boot, seq))? {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    /// Windows that were sent before a time (milliseconds since 1970, UTC) and never answered are due again: the fleet has lost them, or
+    /// their results. How many.
+    ///
+    /// # Errors
+    /// What the databases or the operating system report.
+    pub fn due_again(&mut self, before_ms: i64) -> Result<u64, StoreError> {
+        let mut again = 0;
+        for file in folder::days(self.folder())? {
+            again += self.on_day(file, |day| day.due_again(before_ms))?;
+        }
+        if again > 0 {
+            self.none_due_to = None;
+        }
+        Ok(again)
     }
 
     /// The connection that a window of this boot of a device came over; none where the store does not know it.
@@ -289,14 +329,32 @@ impl Day {
         Ok(u64::try_from(count).unwrap_or(0))
     }
 
-    fn sent(&self, sent: &[DueWindow]) -> Result<(), StoreError> {
+    fn note(&self, sent: &[(DueWindow, Sent)]) -> Result<(), StoreError> {
         let note = || {
             let change = self.connection.unchecked_transaction()?;
-            for due in sent {
-                change.execute(SENT, params![due.device, due.boot, due.seq])?;
+            for (due, sent) in sent {
+                change.execute(NOTE, params![due.device, due.boot, due.seq, *sent as i64])?;
             }
             change.commit()
         };
         note().map_err(StoreError::database(self.path(), "noting what was sent"))
+    }
+
+    /// False where the window is none of this day.
+    fn answered(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
+        let of = params![device, boot, seq, Sent::Result as i64];
+        let rows = self.connection.execute(NOTE, of);
+        let rows = rows.map_err(StoreError::database(self.path(), "noting an answer"))?;
+        match rows {
+            0 => self.holds(device, boot, seq),
+            _ => Ok(true),
+        }
+    }
+
+    fn due_again(&self, before_ms: i64) -> Result<u64, StoreError> {
+        let sql = "UPDATE windows SET fleet = 0 WHERE fleet = 1 AND at_ms < ?1";
+        let rows = self.connection.execute(sql, [before_ms]);
+        let rows = rows.map_err(StoreError::database(self.path(), "looking for answers"))?;
+        Ok(rows as u64)
     }
 }

@@ -228,7 +228,9 @@ CREATE TABLE trajectories (
 ";
 
 const WINDOWS_3: &str = "
--- Whether a fleet has the window or its result: NULL where it need not, 0 where that is due, 1 where it is acknowledged.
-ALTER TABLE windows ADD COLUMN fleet INTEGER CHECK (fleet IN (0, 1));
+-- Whether a fleet has the window: NULL where it need not, 0 where that is due, 1 where it has acknowledged the window, 2 where
+-- there is a result here and there.
+ALTER TABLE windows ADD COLUMN fleet INTEGER CHECK (fleet IN (0, 1, 2));
 CREATE INDEX windows_due ON windows (at_ms) WHERE fleet = 0;
+CREATE INDEX windows_unanswered ON windows (at_ms) WHERE fleet = 1;
 ";

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_map::library::{Library, PotEntry, Provenance};
-use ihd_store::{Due, DueWindow, EventRow};
+use ihd_store::{Due, DueWindow, EventRow, Sent};
 use tokio::sync::oneshot;
 
 pub use self::config::{FleetConfig, host_name};
@@ -111,8 +111,16 @@ impl Daemon {
     ///
     /// # Errors
     /// What the store reports.
-    pub async fn sent(&self, sent: Vec<DueWindow>) -> Result<(), StoreTrouble> {
-        self.in_store(move |store| store.sent(sent)).await
+    pub async fn sent(&self, sent: Vec<(DueWindow, Sent)>) -> Result<(), StoreTrouble> {
+        self.in_store(move |store| store.sent(&sent)).await
+    }
+
+    /// Windows that the fleet got before a time (milliseconds since 1970, UTC) and never answered are due again. How many.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn due_again(&self, before_ms: i64) -> Result<u64, StoreTrouble> {
+        self.in_store(move |store| store.due_again(before_ms)).await
     }
 
     /// The skew in seconds that is to be taken out of the current of a device's windows, as far as they have shown it.
@@ -172,6 +180,7 @@ impl Daemon {
         let (name, address, seq) = (device.to_owned(), handle.face.address.clone(), studied.seq);
         let known = self.in_store(move |store| {
             if store.has_result(&name, boot, seq)? {
+                store.answered(&name, boot, seq)?;
                 return Ok(Err(Received::Known));
             }
             let Some(session) = store.session_of_boot(&name, boot)? else {
@@ -207,6 +216,9 @@ impl Daemon {
         });
         drop(learner);
         is_stored.await.map_err(|_| ReceiveError::NoRoom)?;
+        let name = device.to_owned();
+        self.in_store(move |store| store.answered(&name, boot, seq))
+            .await?;
         Ok(Received::Stored)
     }
 

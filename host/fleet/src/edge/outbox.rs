@@ -8,7 +8,7 @@ use async_nats::jetstream::context::{PublishAckFuture, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
 use ihd_daemon::learning::{Numbers, Studied};
 use ihd_daemon::model::What;
-use ihd_store::{Due, DueWindow, ResultRow};
+use ihd_store::{Due, DueWindow, ResultRow, Sent};
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{Link, TRY_AGAIN, now_ms};
@@ -21,6 +21,13 @@ const BATCH: usize = 64;
 
 /// Between two looks where nothing was heard of.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// How long the fleet has for a result, in milliseconds. A server that has lost its store, or results that were deleted before this edge
+/// took them, cost that long; windows that were given up are tried again once a day.
+const ANSWERED_WITHIN_MS: i64 = 24 * 3_600_000;
+
+/// Between two looks for what was never answered.
+const MISSED_EVERY: Duration = Duration::from_secs(3_600);
 
 /// Why something was not sent.
 #[derive(Debug, thiserror::Error)]
@@ -52,8 +59,13 @@ pub async fn run(link: Arc<Link>) {
         }
     };
     let mut notices = link.daemon.watch();
+    let mut missed_at: Option<Instant> = None;
     loop {
         let now = Instant::now();
+        if link.is_connected() && missed_at.is_none_or(|at| now - at >= MISSED_EVERY) {
+            missed_at = Some(now);
+            send_again(&link).await;
+        }
         let trusted = link.is_connected() && link.state().answers.are_in_time(now);
         link.daemon.trust_fleet(trusted);
         let sent = match link.is_connected() && link.serves() {
@@ -95,6 +107,17 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
+/// What was never answered is sent again.
+async fn send_again(link: &Link) {
+    match link.daemon.due_again(now_ms() - ANSWERED_WITHIN_MS).await {
+        Ok(0) => {}
+        Ok(windows) => {
+            tracing::warn!(windows, "never answered by the fleet: they are sent again");
+        }
+        Err(why) => link.failed("store", &why),
+    }
+}
+
 /// Sends a batch and waits for its acknowledgements; how many were due.
 async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError> {
     let due = link.daemon.due(BATCH).await?;
@@ -109,7 +132,7 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
                 is_window,
                 acknowledged,
             }),
-            Ok(None) => sent.push(due),
+            Ok(None) => sent.push((due, Sent::Result)),
             Err(why) => {
                 failed = Some(why);
                 break;
@@ -123,11 +146,15 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
                     let key = (one.due.device.clone(), one.due.boot, one.due.seq);
                     link.state().answers.sent(key, Instant::now());
                 }
-                sent.push(one.due);
+                let what = match one.is_window {
+                    true => Sent::Window,
+                    false => Sent::Result,
+                };
+                sent.push((one.due, what));
             }
             // Another one has published a result of this window before.
             Err(why) if !one.is_window && why.kind() == PublishErrorKind::WrongLastSequence => {
-                sent.push(one.due);
+                sent.push((one.due, Sent::Result));
             }
             Err(why) => failed = Some(why.into()),
         }

@@ -92,14 +92,14 @@ pub struct Site {
 }
 
 impl Site {
-    /// A site with workers `worker-1` to `worker-N`, 40 GB of disk and 256 MB of memory: `ihd fleet init` reserves 32 GB
+    /// A site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd fleet init` sets aside 8.5 GB
     /// unless told otherwise.
     pub fn new(name: impl Into<String>, edges: Vec<Edge>, workers: u32) -> Self {
         Self {
             name: name.into(),
             edges,
             workers: (1..=workers).map(|k| format!("worker-{k}")).collect(),
-            disk_bytes: 40_000_000_000,
+            disk_bytes: 12_000_000_000,
             memory_bytes: 256 << 20,
         }
     }

@@ -19,6 +19,10 @@ const DEADLINE: Duration = Duration::from_secs(60);
 /// Memory that a command may take, in bytes: ten times what it takes with a device that is well.
 const MOST_RSS: u64 = 200_000_000;
 
+/// Their windows are those of a load (two sines), only counted wrongly: who needs no numbers may be taught by them.
+const SOUND_BUT_FOR_NUMBERS: [&str; 2] =
+    ["windows numbered backwards", "windows whose numbers jump"];
+
 /// Runs `ihd ARGUMENTS --device tcp:…` against each; `allowed` are its exit codes.
 fn against_all(name: &str, arguments: &[&str], allowed: &[i32]) {
     let next = AtomicUsize::new(0);
@@ -86,7 +90,8 @@ fn against(
     let code = status
         .code()
         .unwrap_or_else(|| -status.signal().unwrap_or(0));
-    if !allowed.contains(&code) {
+    let has_taught = code == 0 && SOUND_BUT_FOR_NUMBERS.contains(&scenario);
+    if !allowed.contains(&code) && !has_taught {
         return Err(format!("exit {code} after {took}: {last}"));
     }
     if process.peak_rss > MOST_RSS {

@@ -2,6 +2,7 @@
 //! may do, MQTT.
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 
+#[allow(dead_code, reason = "the daemon's tests use all of it")]
 #[path = "../daemon/chance.rs"]
 mod chance;
 mod cut;
@@ -9,10 +10,12 @@ mod keyed;
 mod lab;
 mod mqtt;
 mod outages;
+#[allow(dead_code, reason = "the daemon's tests use all of it")]
 #[path = "../daemon/process.rs"]
 mod process;
 mod robust;
 mod security;
 mod server;
 mod site;
+mod study;
 mod whole;

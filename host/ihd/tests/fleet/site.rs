@@ -66,8 +66,6 @@ pub struct Site {
     process: Option<Process>,
     /// Every window that was put in.
     pub windows: BTreeSet<Key>,
-    /// Lines of `[learning]`, `[keep]`.
-    more: String,
     /// Whether its hobs are simulated in the daemon; else nobody is there.
     simulated: bool,
     /// Where its API listens.
@@ -83,7 +81,6 @@ impl Site {
             hobs: (0..hobs).map(|k| format!("{edge}-{k}")).collect(),
             process: None,
             windows: BTreeSet::new(),
-            more: String::new(),
             simulated: false,
             listen: free_address(),
         }
@@ -133,17 +130,12 @@ impl Site {
         }
     }
 
-    /// Lines for its configuration.
-    pub fn configure(&mut self, more: &str) {
-        more.clone_into(&mut self.more);
-    }
-
     /// Starts the daemon; its devices do not answer.
     pub fn start(&mut self, url: &str) {
         let mut text = format!(
-            "store = \"store\"\nlisten = {:?}\ndiscover_usb = false\n{}\n\
+            "store = \"store\"\nlisten = {:?}\ndiscover_usb = false\n\
              [fleet]\nurl = {url:?}\nedge = {:?}\n",
-            self.listen, self.more, self.edge
+            self.listen, self.edge
         );
         for (k, hob) in self.hobs.iter().enumerate() {
             // Nobody listens there.
@@ -197,6 +189,16 @@ impl Site {
     pub fn assert_runs(&mut self) {
         let ended = self.process.as_mut().and_then(Process::ended);
         assert!(ended.is_none(), "{ended:?}: {}", self.log());
+    }
+
+    /// Processor time that the daemon has taken, in seconds.
+    pub fn processor_s(&self) -> f64 {
+        self.process.as_ref().map_or(0.0, Process::processor_s)
+    }
+
+    /// Memory that the daemon has, in bytes.
+    pub fn rss(&mut self) -> u64 {
+        self.process.as_mut().map_or(0, Process::rss)
     }
 
     pub fn log(&self) -> String {
@@ -268,7 +270,20 @@ pub fn fleet(url: &str, arguments: &[&str]) -> (String, i32) {
 
 /// `ihd fleet init`, with what is to be said beside.
 pub fn init(url: &str, options: &[&str]) {
-    let arguments: Vec<&str> = [&["init"], options].concat();
+    // What is set aside must be there on any machine.
+    let little = [
+        "--windows-bytes",
+        "500000000",
+        "--results-bytes",
+        "200000000",
+        "--captures-bytes",
+        "100000000",
+    ];
+    let little = match options.contains(&little[0]) {
+        true => &little[2..],
+        false => &little[..],
+    };
+    let arguments: Vec<&str> = [&["init"], little, options].concat();
     let (text, code) = fleet(url, &arguments);
     assert_eq!(code, 0, "{text}");
 }

@@ -9,6 +9,7 @@ mod fixture_process;
 mod journal;
 mod kill;
 mod lookups;
+mod outbox;
 mod retention;
 mod room;
 mod telemetry;

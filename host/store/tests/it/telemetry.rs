@@ -185,11 +185,15 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     );
     // As version 1 left them.
     for (path, sql) in [
-        (day, "DROP TABLE telemetry; DROP TABLE trajectories;"),
+        (
+            day,
+            "DROP TABLE telemetry; DROP TABLE trajectories; DROP INDEX windows_due;
+             DROP INDEX windows_unanswered; ALTER TABLE windows DROP COLUMN fleet;",
+        ),
         (
             folder.path().join("ihd.db"),
             "DROP INDEX events_in_time; DROP INDEX audit_in_time;
-             ALTER TABLE lookups DROP COLUMN confidence;",
+             ALTER TABLE lookups DROP COLUMN confidence; DROP TABLE fleet;",
         ),
     ] {
         let connection = Connection::open(path).unwrap();
@@ -210,6 +214,8 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
         .unwrap();
     let reader = Reader::open(folder.path()).unwrap();
     assert_eq!(all(&reader, "bench", (now_s, now_s + 1), false).len(), 1);
+    // Windows of before are not a fleet's.
+    assert_eq!(store.count_due().unwrap(), 0);
 }
 
 /// What four devices take and how long one is read, printed: two hours, or a day with `IHD_STORE_DAY`.

@@ -1,0 +1,356 @@
+//! What a fleet costs and what it manages, measured: the tables of docs/fleet.md (`cargo xtask fleet study --full`). One machine has
+//! everything: server, edge and workers take from each other.
+
+use std::time::{Duration, Instant};
+
+use async_nats::jetstream;
+use ihd_fleet::Identity;
+use ihd_fleet::messages::WindowMessage;
+use ihd_store::{Reader, ResultFilter};
+
+use super::process::Process;
+use super::server::Server;
+use super::site::{Site, Worker, init, status, tape, until};
+
+/// For one run of the study.
+const PATIENCE: Duration = Duration::from_secs(3_000);
+
+fn wanted() -> bool {
+    let wanted = std::env::var_os("IHD_FLEET_STUDY").is_some();
+    if !wanted {
+        println!("not run: IHD_FLEET_STUDY is not set");
+    }
+    wanted
+}
+
+/// `ihd fleet status`'s numbers, asked for by this process: a command a look would be part of what is measured.
+struct Look {
+    runtime: tokio::runtime::Runtime,
+    context: jetstream::Context,
+}
+
+impl Look {
+    fn at(url: &str) -> Self {
+        let runtime = tokio::runtime::Runtime::new().expect("threads");
+        let client = runtime
+            .block_on(async_nats::connect(url))
+            .expect("the server");
+        Self {
+            runtime,
+            context: jetstream::new(client),
+        }
+    }
+
+    /// Messages ever, and bytes now, of a stream.
+    fn stream(&self, name: &str) -> (u64, u64) {
+        let found = self.runtime.block_on(async {
+            let mut stream = self.context.get_stream(name).await.expect("a stream");
+            stream.info().await.expect("its state").state.clone()
+        });
+        (found.last_sequence, found.bytes)
+    }
+
+    fn results(&self) -> u64 {
+        self.stream("IHD_RESULTS").0
+    }
+}
+
+fn processor_s(pid: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let fields: Vec<f64> = stat
+        .rsplit(')')
+        .next()
+        .unwrap_or("")
+        .split_whitespace()
+        .map(|field| field.parse().unwrap_or(0.0))
+        .collect();
+    let ticks = |k: usize| fields.get(k).copied().unwrap_or(0.0);
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+fn percentile(sorted: &[f64], percent: f64) -> f64 {
+    let rank = (sorted.len() as f64 * percent / 100.0).ceil() as usize;
+    sorted
+        .get(rank.saturating_sub(1))
+        .copied()
+        .unwrap_or(f64::NAN)
+}
+
+/// A backlog of `count` windows on a new server, nobody at work yet.
+fn backlog(count: usize) -> (Server, Site, Look) {
+    let server = Server::start("");
+    let url = server.url();
+    init(&url, &["--threads", "64"]);
+    let mut site = Site::new("lab", 4);
+    site.fill(count);
+    site.start(&url);
+    let look = Look::at(&url);
+    until("the backlog", PATIENCE, || {
+        look.stream("IHD_WINDOWS").0 == count as u64
+    });
+    (server, site, look)
+}
+
+/// Windows a second of a backlog, from when all workers are at work.
+fn rate(server: &Server, site: &Site, look: &Look, workers: usize, options: &[&str]) -> f64 {
+    let url = server.url();
+    let _workers: Vec<Worker> = (0..workers)
+        .map(|k| Worker::start(site.path(), &url, &format!("w{k}"), options))
+        .collect();
+    let total = site.windows.len() as u64;
+    until("all at work", PATIENCE, || {
+        status(&url).is_some_and(|s| s["workers"].as_array().map(Vec::len) == Some(workers))
+    });
+    let (first, began) = (look.results(), Instant::now());
+    until("the end of the backlog", PATIENCE, || {
+        look.results() == total
+    });
+    (total - first) as f64 / began.elapsed().as_secs_f64()
+}
+
+#[test]
+#[ignore = "minutes: cargo xtask fleet study --full"]
+fn windows_a_second_against_workers() {
+    if !wanted() {
+        return;
+    }
+    println!("| workers (a thread each) | windows/s | against one |\n|---|---|---|");
+    let mut one = f64::NAN;
+    for workers in [1, 2, 4] {
+        let (server, site, look) = backlog(1_500);
+        let rate = rate(&server, &site, &look, workers, &["--threads", "1"]);
+        if workers == 1 {
+            one = rate;
+        }
+        println!("| {workers} | {rate:.1} | {:.2} |", rate / one);
+    }
+    println!(
+        "| threads, 200 ms of pretended work each | windows/s | of what is possible |\n|---|---|---|"
+    );
+    for threads in [1, 2, 4, 8, 16, 32, 64] {
+        let (server, site, look) = backlog(60 * threads);
+        // Four workers at most: what is measured is the queue, not processes.
+        let workers = threads.min(4);
+        let each = (threads / workers).to_string();
+        let options = ["--threads", &each, "--pretend-ms", "200"];
+        let rate = rate(&server, &site, &look, workers, &options);
+        println!(
+            "| {threads} | {rate:.1} | {:.0} % |",
+            100.0 * rate * 0.2 / threads as f64
+        );
+    }
+}
+
+#[test]
+#[ignore = "minutes: cargo xtask fleet study --full"]
+fn what_a_window_costs() {
+    if !wanted() {
+        return;
+    }
+    let count = 1_500;
+    let (server, mut site, look) = backlog(count);
+    let (_, window_bytes) = look.stream("IHD_WINDOWS");
+    let url = server.url();
+    let folder = site.path().to_owned();
+    let edge_before = site.processor_s();
+    let server_before = processor_s(server.pid());
+    let mut command = super::process::ihd(&folder);
+    command.args(["worker", "--url", &url, "--name", "w", "--threads", "1"]);
+    command.stderr(std::process::Stdio::null());
+    let mut worker = Process::spawn(&mut command).expect("a worker");
+    until("its work", PATIENCE, || {
+        site.assert_runs();
+        site.results().len() == count
+    });
+    let ms = |seconds: f64| 1e3 * seconds / count as f64;
+    let (_, result_bytes) = look.stream("IHD_RESULTS");
+    println!("| of a window | bytes | processor ms |\n|---|---|---|");
+    let raw = 4 * tape().windows[0].pairs.len() + 8 * tape().windows[0].trajectory.len();
+    println!("| as the device sends it | {raw} | |");
+    println!("| in the queue | {} | |", window_bytes / count as u64);
+    println!("| its result | {} | |", result_bytes / count as u64);
+    println!("| worker | | {:.1} |", ms(worker.processor_s()));
+    println!(
+        "| edge, taking the result in | | {:.1} |",
+        ms(site.processor_s() - edge_before)
+    );
+    println!("| edge, sending | | {:.1} |", ms(edge_before));
+    println!(
+        "| server, result and acknowledgements | | {:.1} |",
+        ms(processor_s(server.pid()) - server_before)
+    );
+    println!("| server, window | | {:.1} |", ms(server_before));
+    println!(
+        "worker {:.0} MB, edge {:.0} MB",
+        1e-6 * worker.rss() as f64,
+        1e-6 * site.rss() as f64
+    );
+}
+
+#[test]
+#[ignore = "minutes: cargo xtask fleet study --full"]
+fn from_window_to_lookup() {
+    if !wanted() {
+        return;
+    }
+    let server = Server::start("");
+    let url = server.url();
+    init(&url, &[]);
+    let mut site = Site::simulated("lab", 1);
+    let hob = site.hobs[0].clone();
+    let _worker = Worker::start(site.path(), &url, "w", &["--threads", "1"]);
+    site.start(&url);
+    until("the hob", PATIENCE, || {
+        status(&url).is_some_and(|s| s["devices"][0]["state"] == "idle")
+    });
+    for power in ["700", "1000", "1300", "1600", "2000", "1800", "1100", "900"] {
+        site.device(&[&hob, "power", power, "--for", "12"]);
+    }
+    std::thread::sleep(Duration::from_secs(3));
+    let reader = Reader::open(&site.store()).expect("the store");
+    let filter = ResultFilter {
+        limit: Some(u32::MAX),
+        ..ResultFilter::default()
+    };
+    let (mut to_result, mut to_lookup) = (Vec::new(), Vec::new());
+    let lookups = reader.lookups().expect("lookups");
+    let windows = reader.windows(&Default::default()).expect("windows");
+    for result in reader.results(&filter).expect("results") {
+        let of = |w: &&ihd_store::WindowRow| (w.boot, w.seq) == (result.boot, result.seq);
+        let Some(row) = windows.iter().find(of) else {
+            continue;
+        };
+        to_result.push(1e-3 * (result.at_ms - row.at_ms) as f64);
+        // The state of a lookup changes last when it is replaced: the next one of it is its own.
+        let active = lookups
+            .iter()
+            .map(|l| l.at_ms)
+            .filter(|at| *at >= result.at_ms)
+            .min();
+        if let (true, Some(at_ms)) = (result.changed_lookup, active) {
+            to_lookup.push(1e-3 * (at_ms - row.at_ms) as f64);
+        }
+    }
+    println!("| from the window in the store to | count | p50 s | p99 s |\n|---|---|---|---|");
+    for (what, times) in [
+        ("its result in the store", &mut to_result),
+        ("the lookup in use", &mut to_lookup),
+    ] {
+        times.sort_by(f64::total_cmp);
+        println!(
+            "| {what} | {} | {:.2} | {:.2} |",
+            times.len(),
+            percentile(times, 50.0),
+            percentile(times, 99.0)
+        );
+    }
+}
+
+#[test]
+#[ignore = "minutes: cargo xtask fleet study --full"]
+fn a_backlog_of_an_hour() {
+    if !wanted() {
+        return;
+    }
+    // One hob, five windows a second, an hour.
+    let count = 18_000;
+    let server = Server::start("");
+    let url = server.url();
+    init(&url, &["--windows-bytes", "2000000000"]);
+    let mut site = Site::new("far", 1);
+    site.fill(count);
+    let look = Look::at(&url);
+    let _workers: Vec<Worker> = (0..2)
+        .map(|k| Worker::start(site.path(), &url, &format!("w{k}"), &["--threads", "1"]))
+        .collect();
+    let began = Instant::now();
+    site.start(&url);
+    let sent = until("the queue", PATIENCE, || {
+        look.stream("IHD_WINDOWS").0 == count as u64
+    });
+    until("all results", PATIENCE, || look.results() == count as u64);
+    let found = began.elapsed();
+    until("in the store", PATIENCE, || site.results().len() == count);
+    println!(
+        "{count} windows: in the queue after {:.0} s, identified by two workers after {:.0} s ({:.1} a second), in the edge's store after {:.0} s",
+        sent.as_secs_f64(),
+        found.as_secs_f64(),
+        count as f64 / found.as_secs_f64(),
+        began.elapsed().as_secs_f64()
+    );
+}
+
+#[test]
+#[ignore = "minutes: cargo xtask fleet study --full"]
+fn a_thousand_edges_on_one_server() {
+    if !wanted() {
+        return;
+    }
+    let server = Server::start("");
+    let url = server.url();
+    init(&url, &["--windows-bytes", "2000000000"]);
+    let runtime = tokio::runtime::Runtime::new().expect("threads");
+    println!(
+        "| edges | windows/s | acknowledged p50 ms | p99 ms | server's processor | server MB |\n|---|---|---|---|---|---|"
+    );
+    for edges in [10u32, 100, 1_000] {
+        let seconds = 20;
+        let before = processor_s(server.pid());
+        let began = Instant::now();
+        let mut times = runtime.block_on(async {
+            let edge = |k: u32| {
+                let url = url.clone();
+                async move {
+                    let client = async_nats::connect(&url).await.expect("a connection");
+                    let context = jetstream::new(client);
+                    let hob = format!("hob-{k}");
+                    let identity = Identity::new([k as u8; 16]);
+                    let mut message = WindowMessage {
+                        hob: hob.clone(),
+                        boot: k,
+                        at_ms: 0,
+                        skew_s: None,
+                        window: tape().windows[0].clone(),
+                    };
+                    let mut times = Vec::new();
+                    // A window every five seconds, each at its own time.
+                    tokio::time::sleep(Duration::from_millis(u64::from(k * 37 % 5_000))).await;
+                    for seq in 0..seconds / 5 {
+                        message.window.seq = seq as u32 + edges;
+                        let bytes = message.to_bytes().expect("packed");
+                        let publish = jetstream::message::PublishMessage::build()
+                            .payload(bytes.into())
+                            .message_id(identity.of_window(&hob, k, message.window.seq));
+                        let asked = Instant::now();
+                        let subject = format!("ihd.v1.{hob}.window");
+                        let sent = context.send_publish(subject, publish).await.expect("sent");
+                        sent.await.expect("acknowledged");
+                        times.push(1e3 * asked.elapsed().as_secs_f64());
+                        tokio::time::sleep(Duration::from_secs(5)).await;
+                    }
+                    times
+                }
+            };
+            let tasks: Vec<_> = (0..edges).map(|k| tokio::spawn(edge(k))).collect();
+            let mut times = Vec::new();
+            for task in tasks {
+                times.extend(task.await.expect("an edge"));
+            }
+            times
+        });
+        let took = began.elapsed().as_secs_f64();
+        times.sort_by(f64::total_cmp);
+        let memory = std::fs::read_to_string(format!("/proc/{}/statm", server.pid()));
+        let pages = memory
+            .ok()
+            .and_then(|m| m.split_whitespace().nth(1)?.parse::<f64>().ok());
+        println!(
+            "| {edges} | {:.0} | {:.1} | {:.1} | {:.0} % | {:.0} |",
+            times.len() as f64 / took,
+            percentile(&times, 50.0),
+            percentile(&times, 99.0),
+            100.0 * (processor_s(server.pid()) - before) / took,
+            pages.unwrap_or(f64::NAN) * 4_096e-6
+        );
+    }
+}
