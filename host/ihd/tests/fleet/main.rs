@@ -2,6 +2,7 @@
 //! may do, MQTT.
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 
+#[allow(dead_code, reason = "tests of the daemon use all of it")]
 #[path = "../daemon/chance.rs"]
 mod chance;
 mod cut;
@@ -9,6 +10,7 @@ mod keyed;
 mod lab;
 mod mqtt;
 mod outages;
+#[allow(dead_code, reason = "tests of the daemon use all of it")]
 #[path = "../daemon/process.rs"]
 mod process;
 mod robust;
