@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::time::Duration;
 
 use futures_util::StreamExt;
-use ihd_fleet::{discovery, names};
+use ihd_fleet::{StateMessage, discovery, names};
 use rumqttc::mqttbytes::v4::{Packet, SubscribeReasonCode};
 use rumqttc::{
     AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, PublishOptions, QoS, Transport,
@@ -21,9 +21,22 @@ const WITHIN: Duration = Duration::from_secs(10);
 /// Long enough for what would have come to have come.
 const QUIET: Duration = Duration::from_millis(700);
 
-/// A state as an edge tells it, the quantities in the field's order of size.
-const STATE: &str = r#"{"at_ms":1,"state":"learning","pot":"ferromagnetic","power_w":1203.5,"asked_w":1200,"r_ohm":3.7,
-    "l_h":7.83e-5,"f_sw_hz":55200,"pot_rise_k":null,"lookup_version":4}"#;
+/// A state as an edge tells it.
+fn state() -> String {
+    let state = StateMessage {
+        at_ms: 1_795_412_345_678,
+        state: "learning".to_owned(),
+        pot: Some("ferromagnetic".to_owned()),
+        power_w: Some(1_203.5),
+        asked_w: Some(1_200),
+        r_ohm: Some(3.7),
+        l_h: Some(7.83e-5),
+        f_sw_hz: Some(55_200),
+        pot_rise_k: None,
+        lookup_version: 4,
+    };
+    serde_json::to_string(&state).unwrap()
+}
 
 /// A client of MQTT and what came for it.
 struct Mqtt {
@@ -118,15 +131,15 @@ async fn states_that_an_edge_publishes_arrive_over_mqtt() {
     assert!(mqtt.subscribe("ihd/v1/+/state").await);
     let edge = lab.client("lab-edge-lab-1").await;
     for hob in ["hob-a", "hob-b"] {
-        let sent = edge.publish(names::state(hob), STATE.into());
+        let sent = edge.publish(names::state(hob), state().into());
         sent.await.unwrap();
         let (topic, content) = mqtt.next(WITHIN).await.unwrap();
         assert_eq!(topic, format!("ihd/v1/{hob}/state"));
-        assert_eq!(content, STATE.as_bytes());
+        assert_eq!(content, state().as_bytes());
     }
     // Of another site, nothing.
     let other = lab.client("field-edge-field-1").await;
-    let sent = other.publish(names::state("hob-a"), STATE.into());
+    let sent = other.publish(names::state("hob-a"), state().into());
     sent.await.unwrap();
     assert_eq!(mqtt.next(QUIET).await, None);
 }
@@ -180,11 +193,12 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
     topics.dedup();
     assert_eq!(topics.len(), 1);
     assert!(home.subscribe(&topics[0]).await);
-    let sent = edge.publish(names::state("hob-a"), STATE.into());
+    let sent = edge.publish(names::state("hob-a"), state().into());
     sent.await.unwrap();
     let (topic, content) = home.next(WITHIN).await.unwrap();
     assert_eq!(topic, topics[0]);
     let state: Value = serde_json::from_slice(&content).unwrap();
+    // What is not known is `null`, and not left out: Home Assistant would keep the value of before.
     assert!(discovery::fields().all(|field| state.get(field).is_some()));
 }
 
