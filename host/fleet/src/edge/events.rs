@@ -58,11 +58,7 @@ async fn send_some(link: &Link) -> Result<usize, String> {
     let count = due.len();
     let mut under_way = Vec::new();
     for (number, event) in due {
-        let acknowledged = match send(link, number, event).await? {
-            Some(sent) => Some(sent),
-            None => None,
-        };
-        under_way.push((number, acknowledged));
+        under_way.push((number, send(link, number, event).await?));
     }
     let mut up_to = None;
     let mut failed = None;
