@@ -165,7 +165,7 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     let out = heat.output().unwrap();
     assert!(out.status.success(), "{out:?} {}", keyed.logs());
     keyed.until("results of the worker", || {
-        keyed.status()["results"].as_u64() >= Some(3)
+        keyed.status()["results"].as_u64() >= Some(1)
     });
     keyed.until("the lookup of the hob", || {
         let (text, code) = keyed.fleet("operator", &["lookups", "ls", "--json"]);
