@@ -22,7 +22,9 @@ use super::supervised::Signals;
 /// (`ihd fleet dead`).
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example: ihd worker --url nats://lab:4222 --threads 4\n\n\
+    after_help = "Examples:\n  \
+    ihd worker --url nats://lab:4222 --threads 4\n  \
+    ihd worker --url tls://lab:4222 --ca ca.pem --nkey-file lab-worker-1.nk --name worker-1\n\n\
     Exit codes: 0 told to stop, 2 wrong usage, 3 the server cannot be reached, or has no fleet"
 )]
 pub struct WorkerArgs {
