@@ -21,12 +21,10 @@ use super::supervised::Signals;
 /// As many as there are machines; each may be killed at any moment. A window that has cost five workers their time goes to the dead
 /// (`ihd fleet dead`).
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Examples:\n  \
+#[command(after_help = "Examples:\n  \
     ihd worker --url nats://lab:4222 --threads 4\n  \
     ihd worker --url tls://lab:4222 --ca ca.pem --nkey-file lab-worker-1.nk --name worker-1\n\n\
-    Exit codes: 0 told to stop, 2 wrong usage, 3 the server cannot be reached, or has no fleet"
-)]
+    Exit codes: 0 told to stop, 2 wrong usage, 3 the server cannot be reached, or has no fleet")]
 pub struct WorkerArgs {
     #[command(flatten)]
     access: AccessArgs,

@@ -35,10 +35,11 @@ impl Look {
         let client = runtime
             .block_on(async_nats::connect(url))
             .expect("the server");
-        Self {
-            runtime,
-            context: jetstream::new(client),
-        }
+        let context = {
+            let _within = runtime.enter();
+            jetstream::new(client)
+        };
+        Self { runtime, context }
     }
 
     /// Messages ever, and bytes now, of a stream.
