@@ -1,7 +1,7 @@
 //! The configuration of a NATS server for sites of a fleet: who may do what, TLS, limits, MQTT.
 //!
 //! A site's data are in one account, with its operator. Every edge and every worker has a small account of its own beside
-//! it, without JetStream, which imports what it may use ([`rights`]). Nothing here is secret but the passwords of MQTT.
+//! it, without JetStream, which imports what it may use (`rights`). Nothing here is secret but the passwords of MQTT.
 
 mod keys;
 mod rights;
