@@ -16,7 +16,8 @@ use ihd_sim::trial::Trial;
 
 use super::lag::Lag;
 use super::network::identify_window;
-use super::{Learning, Outcome, Taught, judge};
+use super::{Learning, Outcome, Taken, Taught, judge, study};
+use crate::lookup::Built;
 
 fn network() -> Config {
     Config {
@@ -330,4 +331,50 @@ fn a_load_is_forgotten_and_what_other_hobs_know_is_not() {
     // The library is nobody's state: whoever restores one gives it again.
     let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
     assert!(restored.map().library().is_none());
+}
+
+/// The specification of a worker: what it finds in a window is what the device's own learning would have found, whatever came before and in
+/// whatever order its results come; one of a pot that may be gone teaches nothing.
+#[test]
+fn what_is_found_elsewhere_teaches_as_if_it_had_been_found_here() {
+    let mut kitchen = Kitchen::new(false, 20);
+    let mut windows = Vec::new();
+    for power_w in [1_500, 2_000, 900] {
+        kitchen.client.set_power(power_w).unwrap();
+        windows.extend((0..4).map(|_| kitchen.window().0));
+    }
+    let (mut here, mut there) = (Learning::new(network()), Learning::new(network()));
+    let mut found = Vec::new();
+    for window in &windows {
+        news(&mut here, window);
+        let correction = there.correction();
+        found.push(study(window, correction.as_ref(), network(), &mut |_| ()));
+    }
+    // As from two workers of which one is slower.
+    found.swap(4, 5);
+    found.swap(8, 11);
+    let mut fit = 0;
+    for alone in &found {
+        let curve = alone.verdict.clone().ok();
+        fit += u32::from(curve.is_some());
+        let (taken, _) = there.take(7, curve, &alone.evidence);
+        assert!(!matches!(taken, Taken::Late), "seconds are not too late");
+    }
+    assert!(fit >= 9, "{fit} of {} fit", found.len());
+    let now_s = here.map().newest_s();
+    let cells = |learning: &Learning| learning.map().cells(now_s).unwrap();
+    let lookups = [&here, &there].map(|learning| Built::of(cells(learning), 1).unwrap().lookup);
+    for f_hz in [40_000, 50_000, 60_000] {
+        let [a, b] = lookups.each_ref().map(|l| l.interpolate(f_hz, 20_000));
+        let r = b.0.ohm() / a.0.ohm() - 1.0;
+        let l = b.1.henry() / a.1.henry() - 1.0;
+        assert!(r.abs() < 5e-3 && l.abs() < 3e-3, "{f_hz} Hz: R {r}, L {l}");
+    }
+    // The same window a minute later is of another time.
+    let mut late = found[0].verdict.clone().unwrap();
+    late.t_s = now_s - 60.0;
+    let before = there.map().clone();
+    let (taken, _) = there.take(7, Some(late), &found[0].evidence);
+    assert!(matches!(taken, Taken::Late), "{taken:?}");
+    assert_eq!(there.map().curves(), before.curves());
 }
