@@ -22,7 +22,7 @@ use crate::names;
 const HOLDER: &str = "fleet";
 
 /// Between two looks where nothing was heard of.
-const LOOK_EVERY: Duration = Duration::from_secs(30);
+const LOOK_EVERY: Duration = Duration::from_secs(5);
 
 /// Follows both until the edge ends.
 pub async fn run(link: Arc<Link>) {
@@ -53,12 +53,14 @@ async fn follow(link: &Link) -> Result<(), String> {
     }
     let mut notices = link.daemon.watch();
     let mut changed: Vec<String> = hobs.clone();
+    let mut look = tokio::time::interval(LOOK_EVERY);
     while link.is_connected() && link.hobs() == hobs {
         for hob in std::mem::take(&mut changed) {
             settle(link, &bucket, &hob).await?;
         }
         tokio::select! {
-            () = tokio::time::sleep(LOOK_EVERY) => changed = hobs.clone(),
+            // Beside notices that never end: no pause that begins anew with each.
+            _ = look.tick() => changed = hobs.clone(),
             hint = hints.next(), if !hobs.is_empty() => {
                 let hint = hint.ok_or("the subscription ended")?;
                 changed.extend(hint.subject.split('.').next_back().map(str::to_owned));
