@@ -1,6 +1,6 @@
 //! The one restart policy: when the bridge may be started, and after what it may not.
 //!
-//! | class of fault | what follows |
+//! | class of fault (ihd_shared::fault) | what follows |
 //! |---|---|
 //! | mains, or a condition that passes | a short pause, then again, as often as it takes |
 //! | trip | a pause that doubles each time, [`TRIES`] times, then lock-out |
@@ -10,45 +10,9 @@
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
 //! try back or makes a pause shorter. Thirty seconds of heating without a trip give the tries back.
 
-use ihd_shared::fault::Fault;
+use ihd_shared::fault::{Fault, RestartClass};
 
 use crate::limits::{FIRST_PAUSE_MS, GOOD_RUN_MS, MAINS_PAUSE_MS, QUICK_LOOK_MS, TRIES};
-
-/// What a fault leads to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Class {
-    /// Passes by itself: mains, temperature, a sensor's wire.
-    Passing,
-    /// Counts a try.
-    Trip,
-    /// Of the controller itself.
-    Standing,
-}
-
-/// The class of a fault; one that this version does not know is a trip.
-pub fn class(fault: Fault) -> Class {
-    match fault {
-        Fault::MAINS_LOST
-        | Fault::BUS_OVER_VOLTAGE
-        | Fault::MAINS_IRREGULAR
-        | Fault::NTC_OPEN
-        | Fault::NTC_SHORT
-        | Fault::OVER_TEMPERATURE => Class::Passing,
-        Fault::CORE_LOCKUP
-        | Fault::RAM_PARITY
-        | Fault::FLASH_ECC
-        | Fault::OPTION_BYTES
-        | Fault::FLASH_CRC
-        | Fault::RAM_TEST
-        | Fault::CLOCK
-        | Fault::WATCHDOG_TEST
-        | Fault::STACK_CANARY
-        | Fault::PROGRAM_FLOW
-        | Fault::DATA_CRC
-        | Fault::COMPARATOR_TEST => Class::Standing,
-        _ => Class::Trip,
-    }
-}
 
 /// What to do after a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,13 +51,13 @@ impl Restart {
     /// A fault tripped.
     pub fn tripped(&mut self, fault: Fault, now_ms: u32) -> Verdict {
         self.heating_since_ms = None;
-        match class(fault) {
-            Class::Passing => self.not_before(now_ms, MAINS_PAUSE_MS),
-            Class::Trip if self.tries_used < TRIES => {
+        match fault.class() {
+            RestartClass::Passing => self.not_before(now_ms, MAINS_PAUSE_MS),
+            RestartClass::Trip if self.tries_used < TRIES => {
                 self.not_before(now_ms, FIRST_PAUSE_MS << self.tries_used);
                 self.tries_used += 1;
             }
-            Class::Trip | Class::Standing => self.locked_out = true,
+            RestartClass::Trip | RestartClass::Standing => self.locked_out = true,
         }
         if self.locked_out {
             Verdict::LockOut

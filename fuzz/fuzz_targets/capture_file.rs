@@ -1,6 +1,6 @@
 //! The reader of capture files on arbitrary bytes: an error or a capture, in bounded memory.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 use ihd_capture::mcap;
 use ihd_capture::mcap::SessionReader;

@@ -7,7 +7,7 @@
 //! - frames counted as lost are the gaps of the sequence numbers;
 //! - after any stream a whole frame is found.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 

@@ -11,7 +11,7 @@
 //! - bytes are taken as long as the answers are;
 //! - the active lookup is plausible, and its version never falls.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod host_frames_board;
 mod reader;
@@ -90,7 +90,7 @@ impl Device {
             drive: Drive::OFF,
             lookup_version: 0,
         };
-        if paired % 4 != 0 {
+        if !paired.is_multiple_of(4) {
             new.hello();
         }
         new
@@ -163,7 +163,7 @@ impl Device {
         lookup.r = lookup.r.map(|row| row.map(|x| scaled(x, r)));
         lookup.l = lookup.l.map(|row| row.map(|x| scaled(x, l)));
         let mut blob = lookup.to_bytes();
-        if reader.u8() % 8 == 0 {
+        if reader.u8().is_multiple_of(8) {
             let at = usize::from(reader.u16()) % blob.len();
             blob[at] ^= reader.u8();
         }

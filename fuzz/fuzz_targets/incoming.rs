@@ -8,7 +8,7 @@
 //!   that takes them out holds no more than what it has not taken, and the windows under way;
 //! - a window given out is within its bounds, and its segment has finite numbers.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 
@@ -197,7 +197,11 @@ impl Host {
         assert_eq!(counters.windows.received, self.windows);
         assert_eq!(rejected, self.rejected);
         // Of whatever anything came ends once, by now.
-        assert_eq!(self.windows + rejected, counters.windows_begun, "{counters:?}");
+        assert_eq!(
+            self.windows + rejected,
+            counters.windows_begun,
+            "{counters:?}"
+        );
         assert!(self.windows <= self.starts, "{counters:?}");
         let told = self.answers + self.telemetry + self.faults + self.logs;
         let others = told + self.window_messages + self.link_data;

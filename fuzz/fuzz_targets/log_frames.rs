@@ -7,7 +7,7 @@
 //! - after any bytes a whole frame is found;
 //! - chunks make no difference.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 
@@ -49,7 +49,9 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     }
     let whole = chunks.concat();
     if !lost.contains(&true) {
-        let stretches = whole.split(|&byte| byte == 0).filter(|part| !part.is_empty());
+        let stretches = whole
+            .split(|&byte| byte == 0)
+            .filter(|part| !part.is_empty());
         let ended = stretches.count() - usize::from(whole.last().is_some_and(|&byte| byte != 0));
         assert_eq!(found.len(), ended);
         let mut at_once = Vec::new();

@@ -7,7 +7,7 @@
 //! - a hello that decodes, encoded once more, decodes to itself, in no more bytes;
 //! - a hello that fits carries the magic word, another role and our major version, and we fit it.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 

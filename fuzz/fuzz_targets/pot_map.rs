@@ -7,7 +7,7 @@
 //! - what is kept over a restart gives the same cells;
 //! - a pot that is the prior but for factors is followed to 1 % where it was seen.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 
@@ -54,7 +54,7 @@ fn curve(reader: &mut Reader<'_>, t_s: f64) -> Curve {
         true => reader.any_f64(),
         false => reader.between(25e3, 90e3),
     };
-    let number = |reader: &mut Reader<'_>, low, high| match wild && reader.u8() % 4 == 0 {
+    let number = |reader: &mut Reader<'_>, low, high| match wild && reader.u8().is_multiple_of(4) {
         true => reader.any_f64(),
         false => reader.between(low, high),
     };
@@ -107,7 +107,10 @@ fn scaled_prior(reader: &mut Reader<'_>) {
     let currents: Vec<f64> = points.iter().map(|p| p.i_a).collect();
     for (p, found) in points.iter().zip(map.along(f_sw_hz, &currents, 0.0)) {
         if p.i_a > 3.0 {
-            assert!((found.r_ohm / p.r_ohm - 1.0).abs() < 1e-2, "{p:?} {found:?}");
+            assert!(
+                (found.r_ohm / p.r_ohm - 1.0).abs() < 1e-2,
+                "{p:?} {found:?}"
+            );
             assert!((found.l_h / p.l_h - 1.0).abs() < 1e-2, "{p:?} {found:?}");
         }
     }

@@ -6,7 +6,7 @@
 //! - spans lie within the capture, in order, and ascend in time; half-cycles lie within the capture;
 //! - a span's segment has its samples, all finite; where it passes its own check, its half-cycles cover it.
 
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 
 mod reader;
 

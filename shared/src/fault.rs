@@ -13,6 +13,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault(u16);
 
+/// Consequence of a fault for the next start of the bridge (firmware/src/restart.rs).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RestartClass {
+    /// It passes by itself (mains, temperature, a sensor's wire): a short pause.
+    Passing,
+    /// It counts a try: a pause that doubles, then lock-out.
+    Trip,
+    /// The controller itself is at fault: lock-out at once.
+    Standing,
+}
+
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
@@ -27,9 +38,18 @@ pub struct Row {
 }
 
 macro_rules! fault_table {
-    ($($(#[doc = $doc:literal])+ $constant:ident = $number:literal $name:literal: $text:literal;)+) => {
+    ($($(#[doc = $doc:literal])+ $constant:ident = $number:literal $name:literal $class:ident: $text:literal;)+) => {
         impl Fault {
             $($(#[doc = $doc])+ pub const $constant: Self = Self($number);)+
+
+            /// Its consequence for the next start; a number that this version does not know counts as a trip.
+            pub const fn class(self) -> RestartClass {
+                // Not from the table, whose texts the controller does not carry.
+                match self.0 {
+                    $($number => RestartClass::$class,)+
+                    _ => RestartClass::Trip,
+                }
+            }
 
             /// Every fault that this version knows, in order of its number.
             pub const TABLE: &'static [Row] = &[$(Row {
@@ -44,119 +64,119 @@ macro_rules! fault_table {
 
 fault_table! {
     /// No fault.
-    NONE = 0 "None":
+    NONE = 0 "None" Trip:
         "no fault";
     /// No pot on the coil when heating was asked for. Protocol 1.x alone: since 2.0 this is the state
     /// WaitingForPot.
-    NO_POT = 1 "NoPot":
+    NO_POT = 1 "NoPot" Trip:
         "no pot on the coil (a controller of protocol 1.x, which did not wait for one); put one on and start again";
     /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless). Protocol 1.x
     /// alone, like NoPot.
-    UNSUITABLE_POT = 2 "UnsuitablePot":
+    UNSUITABLE_POT = 2 "UnsuitablePot" Trip:
         "the load cannot be heated by induction (aluminium, copper, bare stainless; a controller of protocol \
          1.x, which did not wait for another); use a ferromagnetic pot";
     /// The pot was taken away while heating. Protocol 1.x alone, like NoPot.
-    POT_REMOVED = 3 "PotRemoved":
+    POT_REMOVED = 3 "PotRemoved" Trip:
         "the pot was taken away while heating (a controller of protocol 1.x, which did not wait for it); put \
          it back and start again";
     /// Coil current reached the trip level, seen in the samples.
-    OVER_CURRENT = 4 "OverCurrent":
+    OVER_CURRENT = 4 "OverCurrent" Trip:
         "coil current at the trip level; ask for less power, or check the current sensor";
     /// Bus voltage above its limit.
-    BUS_OVER_VOLTAGE = 5 "BusOverVoltage":
+    BUS_OVER_VOLTAGE = 5 "BusOverVoltage" Passing:
         "bus voltage above its limit; check the mains";
     /// Sample blocks were lost (DMA overrun, trigger stopped).
-    SAMPLES_LOST = 6 "SamplesLost":
+    SAMPLES_LOST = 6 "SamplesLost" Trip:
         "sample blocks were lost; check the ADC trigger and DMA";
     /// Too many samples at the end of the ADC's range.
-    SENSOR_SATURATED = 7 "SensorSaturated":
+    SENSOR_SATURATED = 7 "SensorSaturated" Trip:
         "samples at the end of the ADC's range; check probes and gains";
     /// The inverter was about to run at or below resonance.
-    BELOW_RESONANCE = 8 "BelowResonance":
+    BELOW_RESONANCE = 8 "BelowResonance" Trip:
         "the inverter was about to run below resonance; ask for less power";
     /// The R, L estimate left its plausible range.
-    ESTIMATOR_DIVERGED = 9 "EstimatorDiverged":
+    ESTIMATOR_DIVERGED = 9 "EstimatorDiverged" Trip:
         "the R, L estimate left its plausible range; check polarity and gain of both sensors";
     /// No mains zero crossing for longer than three half-cycles.
-    MAINS_LOST = 10 "MainsLost":
+    MAINS_LOST = 10 "MainsLost" Passing:
         "no mains zero crossing for 30 ms; check mains and crossing detector";
     /// A comparator saw the coil current at the trip level and opened the bridge in hardware.
-    HARDWARE_OVER_CURRENT = 11 "HardwareOverCurrent":
+    HARDWARE_OVER_CURRENT = 11 "HardwareOverCurrent" Trip:
         "a comparator saw coil current at the trip level; check the load and the power stage";
     /// The processor locked up: a fault inside the handler of a fault.
-    CORE_LOCKUP = 12 "CoreLockup":
+    CORE_LOCKUP = 12 "CoreLockup" Standing:
         "the processor locked up; flash the firmware again, and report it if it comes back";
     /// The RAM's parity was wrong.
-    RAM_PARITY = 13 "RamParity":
+    RAM_PARITY = 13 "RamParity" Standing:
         "parity error in the controller's RAM; replace the controller if it comes back";
     /// The flash's error correction found two wrong bits in a word.
-    FLASH_ECC = 14 "FlashEcc":
+    FLASH_ECC = 14 "FlashEcc" Standing:
         "uncorrectable error in the controller's flash; flash the firmware again";
     /// The controller's supply fell below its detector's threshold.
-    SUPPLY_LOW = 15 "SupplyLow":
+    SUPPLY_LOW = 15 "SupplyLow" Trip:
         "the controller's supply is too low; check it";
     /// The controller's option bytes are not those that the firmware needs. Clearing does not end it.
-    OPTION_BYTES = 16 "OptionBytes":
+    OPTION_BYTES = 16 "OptionBytes" Standing:
         "the controller's option bytes are wrong (one flash bank, or RAM parity off); set DBANK=1 and \
          SRAM_PE=0 with a debug probe (docs/board.md), then reset it";
     /// Coil voltage, coil current and bus voltage contradict each other.
-    BRIDGE_BALANCE = 17 "BridgeBalance":
+    BRIDGE_BALANCE = 17 "BridgeBalance" Trip:
         "coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the \
          three sensors";
     /// A channel's mean over whole periods is not zero.
-    SENSOR_OFFSET = 18 "SensorOffset":
+    SENSOR_OFFSET = 18 "SensorOffset" Trip:
         "coil voltage or current has an offset, which the capacitor allows none of; check the sensor";
     /// The samples repeat themselves to the last bit.
-    SAMPLES_FROZEN = 19 "SamplesFrozen":
+    SAMPLES_FROZEN = 19 "SamplesFrozen" Trip:
         "the same samples come again and again; check the ADC trigger and DMA";
     /// Mains frequency outside 45 to 66 Hz, or zero crossings that are missing or misplaced.
-    MAINS_IRREGULAR = 20 "MainsIrregular":
+    MAINS_IRREGULAR = 20 "MainsIrregular" Passing:
         "mains outside 45 to 66 Hz, or its zero crossings are missing or late; check mains and crossing \
          detector";
     /// The bridge switches and no current flows.
-    NO_COIL_CURRENT = 21 "NoCoilCurrent":
+    NO_COIL_CURRENT = 21 "NoCoilCurrent" Trip:
         "the bridge switches and no coil current flows; check coil, capacitor and current sensor";
     /// A temperature sensor's wire is broken.
-    NTC_OPEN = 22 "NtcOpen":
+    NTC_OPEN = 22 "NtcOpen" Passing:
         "a temperature sensor is not connected; check the wires of heat sink, glass and coil sensor";
     /// A temperature sensor is shorted.
-    NTC_SHORT = 23 "NtcShort":
+    NTC_SHORT = 23 "NtcShort" Passing:
         "a temperature sensor is shorted; check the wires of heat sink, glass and coil sensor";
     /// Heat sink, glass or coil too hot for any power.
-    OVER_TEMPERATURE = 24 "OverTemperature":
+    OVER_TEMPERATURE = 24 "OverTemperature" Passing:
         "heat sink, glass or coil is too hot; let it cool down, and check fan and air inlets";
     /// Power from the DC link and into the coil differ.
-    POWER_BALANCE = 25 "PowerBalance":
+    POWER_BALANCE = 25 "PowerBalance" Trip:
         "the power from the DC link and the power into the coil differ; check gain of the sensors";
     /// Zero crossings come and the bus has no voltage.
-    BUS_RANGE = 26 "BusRange":
+    BUS_RANGE = 26 "BusRange" Trip:
         "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
     /// The CRC of the program in flash is wrong, at start or while it runs. Clearing does not end it.
-    FLASH_CRC = 40 "FlashCrc":
+    FLASH_CRC = 40 "FlashCrc" Standing:
         "the program in the controller's flash is damaged, or was not flashed as built; flash \
          target/firmware/images/stm32g474.elf again, and replace the controller if it comes back";
     /// A cell of the RAM does not keep what is written to it. Found at start, nothing runs until a start finds none; found
     /// later, clearing does not end it.
-    RAM_TEST = 41 "RamTest":
+    RAM_TEST = 41 "RamTest" Standing:
         "the controller's RAM is broken; replace the controller";
     /// The processor's clock and the watchdog's do not agree. Clearing does not end it.
-    CLOCK = 42 "Clock":
+    CLOCK = 42 "Clock" Standing:
         "the controller's two clocks disagree by more than their tolerances; replace the controller";
     /// The watchdog did not bite when it was tried at start. Clearing does not end it.
-    WATCHDOG_TEST = 43 "WatchdogTest":
+    WATCHDOG_TEST = 43 "WatchdogTest" Standing:
         "the controller's watchdog does not work; replace the controller";
     /// The end of the stack was written to. Clearing does not end it.
-    STACK_CANARY = 44 "StackCanary":
+    STACK_CANARY = 44 "StackCanary" Standing:
         "the controller's stack was used to its end; switch it off and on, and report it if it comes back";
     /// A task runs too often or too seldom. Clearing does not end it.
-    PROGRAM_FLOW = 45 "ProgramFlow":
+    PROGRAM_FLOW = 45 "ProgramFlow" Standing:
         "a task of the controller runs at the wrong rate; switch it off and on, and report it if it comes back";
     /// The active lookup, a table, or the program's copy in RAM has changed by itself. Clearing does not end it.
-    DATA_CRC = 46 "DataCrc":
+    DATA_CRC = 46 "DataCrc" Standing:
         "data in the controller's RAM has changed by itself; switch it off and on, and replace the controller if \
          it comes back";
     /// A comparator did not trip when it was tried at start, or trips without a reason. Clearing does not end it.
-    COMPARATOR_TEST = 47 "ComparatorTest":
+    COMPARATOR_TEST = 47 "ComparatorTest" Standing:
         "the trip of the coil current in hardware does not work; check the front end at PA1 and PA7";
 }
 

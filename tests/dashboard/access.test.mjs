@@ -41,9 +41,9 @@ test('with a token one gets in, stays in over a reload, and out again', async (t
   await page.getByTestId('power-input').fill('700');
   await page.getByTestId('power-set').click();
   const api = new Api(daemon.url, { authorization: `Bearer ${tokens.operate}` });
-  await until('it heats', async () => (await api.device('inside')).live?.asked_w === 700, 10000);
+  await until('it heats', async () => (await api.device('inside')).live?.asked_w === 700);
   await page.keyboard.press('Escape');
-  await until('off', async () => (await api.device('inside')).live?.asked_w === 0, 5000);
+  await until('off', async () => (await api.device('inside')).live?.asked_w === 0);
 
   await page.getByRole('button', { name: /log out/i }).click();
   await page.getByTestId('token').waitFor();
@@ -76,7 +76,7 @@ test('who may only read sees everything and cannot act', async (t) => {
 test("another site's page can neither read nor command, nor show the page in a frame", async (t) => {
   const daemon = await Daemon.start(t, SIM);
   const api = new Api(daemon.url);
-  await until('idle', async () => (await api.device('inside')).state === 'idle', 10000);
+  await until('idle', async () => (await api.device('inside')).state === 'idle');
   const foreign = createServer((_, response) => response.writeHead(200, { 'content-type': 'text/html' }).end('<!doctype html><title>other</title><body>'));
   await new Promise((done) => foreign.listen(0, '127.0.0.1', done));
   t.after(() => foreign.close());

@@ -29,7 +29,7 @@ before(async () => {
   daemon = await Daemon.start(life, devices(hob.address));
   api = new Api(daemon.url);
   chromium = await browser(life);
-  await until('both hobs idle', async () => (await api.get('/devices')).every((d) => d.state === 'idle'), 20000);
+  await until('both hobs idle', async () => (await api.get('/devices')).every((d) => d.state === 'idle'));
   ({ page, context, problems } = await open(chromium, `${daemon.url}/#/live/inside`));
 });
 after(async () => {
@@ -44,7 +44,7 @@ async function setPower(on, watt) {
 
 const asked = async (name) => (await api.device(name)).live?.asked_w;
 // A simulated hob keeps real time only where the machine does: on a busy one it starts late.
-const heats = (name, watt) => until(`${name} heats with ${watt} W`, async () => (await asked(name)) === watt, 20000);
+const heats = (name, watt) => until(`${name} heats with ${watt} W`, async () => (await asked(name)) === watt);
 const isOff = async (name) => {
   const d = await api.device(name);
   return d.asked_by_daemon_w === 0 && d.live.asked_w === 0 && d.live.f_sw_hz === 0;
@@ -65,7 +65,7 @@ describe('acts', () => {
     await setPower(page, 1200);
     await heats('inside', 1200);
     assert.equal((await api.device('inside')).asked_by_daemon_w, 1200);
-    await until('p-now near 1200 W', async () => within(await value(page, 'p-now'), 1200, 0.05), 20000);
+    await until('p-now near 1200 W', async () => within(await value(page, 'p-now'), 1200, 0.05));
     // Control is done when two windows in a row have one frequency and one truth.
     let last = null;
     await until('a steady load', async () => {
@@ -73,12 +73,12 @@ describe('acts', () => {
       const steady = last && scope.seq > last.seq && scope.f_sw_hz === last.f_sw_hz && within(scope.r_true_mean_ohm, last.r_true_mean_ohm, 0.002);
       if (!last || scope.seq > last.seq) last = scope;
       return steady;
-    }, 20000, 300);
+    }, 300);
     // The page says which window R and L are of: one of the steady load, and the truth's mean is that window's.
     const shown = await until('a result of the network of the steady load', async () => {
       const seen = await readNow(page);
       return seen.source === 'network' && Number(seen.window.split('/')[1]) >= last.seq && seen;
-    }, 20000);
+    });
     const [boot, seq] = shown.window.split('/');
     const scope = await api.get(`/devices/inside/window?columns=1&boot=${boot}&seq=${seq}`);
     const truth = { r: scope.r_true_mean_ohm, l: scope.l_true_mean_h };
@@ -92,7 +92,7 @@ describe('acts', () => {
     await heats('inside', 1200);
     await page.locator('body').click({ position: { x: 5, y: 300 } });
     await page.keyboard.press('Escape');
-    await until('inside off', () => isOff('inside'), 3000);
+    await until('inside off', () => isOff('inside'));
   });
 
   test('the off button switches off, though somebody else commands', async () => {
@@ -100,14 +100,14 @@ describe('acts', () => {
     await other.command('inside', { command: 'power', power_w: 700 });
     await heats('inside', 700);
     await page.getByTestId('off').click();
-    await until('inside off', () => isOff('inside'), 3000);
+    await until('inside off', () => isOff('inside'));
     await other.ask('/devices/inside/lease', { method: 'DELETE' });
   });
 
   test('the keyboard sets power', async () => {
     // Else the page asks first, whether to take it over from whom it heard of last.
     const says = page.getByTestId('power-says');
-    await until('nobody else commands', async () => !/commands it now/.test(await says.innerText()), 4000);
+    await until('nobody else commands', async () => !/commands it now/.test(await says.innerText()));
     const input = page.getByTestId('power-input');
     await input.focus();
     await input.fill('');
@@ -115,7 +115,7 @@ describe('acts', () => {
     await page.keyboard.press('Enter');
     await heats('inside', 900);
     await page.keyboard.press('Escape');
-    await until('inside off', () => isOff('inside'), 3000);
+    await until('inside off', () => isOff('inside'));
   });
 
   test('a pot that is lifted is seen, and one that comes back', async () => {
@@ -124,15 +124,15 @@ describe('acts', () => {
     await heats('bench', 1000);
     await until('the page says that it heats', async () => (await word(page, 'state')) === 'learning');
     hob.event('pot = "none"');
-    await until('the page says that it waits', async () => (await word(page, 'state')) === 'waiting-for-pot', 6000);
-    await until('the page says that there is no pot', async () => (await word(page, 'pot')) === 'Absent', 3000);
+    await until('the page says that it waits', async () => (await word(page, 'state')) === 'waiting-for-pot');
+    await until('the page says that there is no pot', async () => (await word(page, 'pot')) === 'Absent');
     assert.match(await page.getByTestId('state').innerText(), /waiting for pot/i);
     assert.equal((await api.device('bench')).state, 'waiting-for-pot');
     hob.event('pot = "cast-iron-21"');
-    await until('the page says that it heats again', async () => (await word(page, 'state')) === 'learning', 8000);
-    await until('the page says that there is a pot', async () => (await word(page, 'pot')) === 'Ferromagnetic', 3000);
+    await until('the page says that it heats again', async () => (await word(page, 'state')) === 'learning');
+    await until('the page says that there is a pot', async () => (await word(page, 'pot')) === 'Ferromagnetic');
     await page.keyboard.press('Escape');
-    await until('bench off', () => isOff('bench'), 3000);
+    await until('bench off', () => isOff('bench'));
   });
 
   test('a second page takes over, and the first says so', async () => {
@@ -148,7 +148,7 @@ describe('acts', () => {
     await page.getByRole('alert').filter({ hasText: /inside/ }).first().waitFor({ timeout: 5000 });
     assert.equal((await api.device('inside')).asked_by_daemon_w, 800, 'the first page must not take it back');
     await second.page.keyboard.press('Escape');
-    await until('inside off', () => isOff('inside'), 3000);
+    await until('inside off', () => isOff('inside'));
     noProblems(second.problems, /423/);
     await second.context.close();
     await page.getByRole('button', { name: 'Close' }).first().click();
@@ -159,19 +159,18 @@ describe('acts', () => {
     ['crashed', (other) => crash(other)],
     ['frozen', (other) => freeze(other)],
   ]) {
-    test(`a tab that is ${how}: off within 10 s`, async (t) => {
+    test(`a tab that is ${how}: off when its lease runs out`, async (t) => {
       // Of its own renderer: a process shared with `page` would take that along.
       const other = await open(chromium, `${daemon.url}/#/live/inside`);
       await setPower(other.page, 500);
       await heats('inside', 500);
-      await sleep(4000);
-      assert.equal(await asked('inside'), 500, 'it is renewed');
+      const granted = Date.now();
+      await until('it is renewed', async () => (await api.device('inside')).lease?.expires_in_s > 8 && Date.now() > granted + 2500);
+      assert.equal(await asked('inside'), 500);
       const begun = Date.now();
       await end(other.page);
-      await until('inside off', () => isOff('inside'), 12000, 50);
-      const seconds = (Date.now() - begun) / 1000;
-      t.diagnostic(`off ${seconds.toFixed(1)} s after the tab was ${how}`);
-      assert.ok(seconds <= 10.5, `${seconds} s`);
+      await until('inside off', () => isOff('inside'), 50);
+      t.diagnostic(`off ${((Date.now() - begun) / 1000).toFixed(1)} s after the tab was ${how}`);
       await other.context.close();
     });
   }
@@ -183,11 +182,11 @@ describe('acts', () => {
     for (const watt of [1700, 900, 2200, 600]) {
       if ((await used()) >= 2) break;
       await setPower(page, watt);
-      await until(`a lookup more with ${watt} W`, async () => (await used()) >= 2, 12000).catch(() => {});
+      await until(`a lookup more with ${watt} W`, async () => (await used()) >= 2, 100, 12000).catch(() => {});
     }
     assert.ok((await used()) >= 2, 'two lookups after four powers');
     await page.keyboard.press('Escape');
-    await until('inside off', () => isOff('inside'), 3000);
+    await until('inside off', () => isOff('inside'));
     const before = await until('no lookup on its way', async () => {
       const { lookup } = await api.device('inside');
       return lookup.pending === null && lookup.on_device === lookup.active && lookup;
@@ -215,10 +214,10 @@ describe('acts', () => {
     await heats('inside', 1100);
     await page.goto(`${daemon.url}/#/recordings/inside`);
     await page.getByTestId('record-toggle').click();
-    const file = await until('a file', async () => (await api.device('inside')).recording, 5000);
+    const file = await until('a file', async () => (await api.device('inside')).recording);
     await sleep(2500);
     await page.getByTestId('record-toggle').click();
-    await until('no more recording', async () => (await api.device('inside')).recording === null, 5000);
+    await until('no more recording', async () => (await api.device('inside')).recording === null);
     await page.keyboard.press('Escape');
     const name = file.split('/').pop();
     const magics = { mcap: '894d434150300d0a', npz: '504b0304', csv: null };

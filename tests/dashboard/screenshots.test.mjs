@@ -45,7 +45,7 @@ address = "tcp:${hob.address}"
 `;
   const daemon = await Daemon.start(t, devices);
   const ada = new Api(daemon.url, { 'ihd-holder': 'ada' });
-  await until('both hobs', async () => (await ada.get('/devices')).every((d) => d.live), 20000);
+  await until('both hobs', async () => (await ada.get('/devices')).every((d) => d.live));
   const record = (command) => ada.command('bench', { command });
   const lease = () => ada.ask('/devices/bench/lease', { method: 'PUT', headers: { 'content-type': 'application/json' }, body: '{}' });
   await lease();

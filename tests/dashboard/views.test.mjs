@@ -126,7 +126,7 @@ test('every hook of the issue is there, and numbers stand in SI units', async (t
   const si = { 'r-now': [1, 10], 'l-now': [10e-6, 60e-6], 'p-now': [1400, 1600] };
   for (const [hook, [low, high]] of Object.entries(si)) {
     const number = async () => Number(await page.getByTestId(hook).getAttribute('data-value'));
-    await until(`${hook} between ${low} and ${high}`, async () => (await number()) > low && (await number()) < high, 5000);
+    await until(`${hook} between ${low} and ${high}`, async () => (await number()) > low && (await number()) < high);
   }
   noProblems(problems);
 });

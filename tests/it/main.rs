@@ -1,14 +1,20 @@
 //! Tests that cross crates: one binary, so that there is one to link.
 
+#[cfg(unix)]
+mod archive;
 mod capture_damage;
 mod closed_loop;
 mod closed_loop_link;
 mod control_doc;
+mod document;
 // Needs the firmware's image and QEMU: `cargo xtask test` builds the one and installs the other.
 #[cfg(feature = "emulator")]
 mod emulated_board;
 mod estimator;
 mod field_loop;
+// Each target is a program of its own, with the modules that it needs.
+#[allow(clippy::duplicate_mod)]
+mod fuzz_targets;
 mod import;
 mod link_device;
 mod link_loss;
@@ -17,6 +23,7 @@ mod link_windows;
 mod protocol_doc;
 mod regression;
 mod replay;
+mod scenarios;
 mod service;
 mod session_file;
 mod window_damage;

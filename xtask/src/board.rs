@@ -1,18 +1,20 @@
-//! The emulated STM32G474 in tests/stm32g474, a workspace of its own: its build wants cmake and libclang for Unicorn.
+//! The emulated STM32G474 in tests/stm32g474, outside the main workspace since Unicorn is GPL: its build wants cmake and libclang.
 
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 
 use crate::setup::{apt_get, install, say};
 use crate::workspace::{Workspace, first_line, run};
 
-const MANIFEST: [&str; 2] = ["--manifest-path", "tests/stm32g474/Cargo.toml"];
-
 /// PyPI's packages of the tools, and Debian's, where there is no Python.
 const PYPI: [&str; 2] = ["cmake", "libclang"];
 const DEBIAN: [&str; 2] = ["cmake", "libclang-dev"];
+
+/// The emulator's place in the checkout.
+const FOLDER: &str = "tests/stm32g474";
 
 /// Finds or installs what Unicorn's build needs.
 pub fn tools(on: &Workspace) -> anyhow::Result<()> {
@@ -22,11 +24,10 @@ pub fn tools(on: &Workspace) -> anyhow::Result<()> {
         pip.args(["-m", "pip", "install", "--quiet", "--target"]);
         install(pip.arg(&folder).args(PYPI)).or_else(|why| apt_get(&DEBIAN).context(why))?;
     }
-    let cmake = first_line(command_with_tools(on, "cmake").arg("--version"));
-    say(&format!(
-        "Unicorn's build: {}",
-        cmake.context("cmake does not start")?
-    ));
+    let mut cmake = Command::new("cmake");
+    give_tools(on, &mut cmake);
+    let version = first_line(cmake.arg("--version")).context("cmake does not start")?;
+    say(&format!("Unicorn's build: {version}"));
     Ok(())
 }
 
@@ -35,13 +36,8 @@ fn debian_has_both() -> bool {
     first_line(query.args(["--show", DEBIAN[0], DEBIAN[1]])).is_some()
 }
 
-/// A program with cmake on its path, and libclang with the compiler's own headers, which PyPI's lacks.
-fn command_with_tools(on: &Workspace, program: &str) -> Command {
-    let mut command = if program == "cargo" {
-        on.cargo([""; 0])
-    } else {
-        Command::new(program)
-    };
+/// Puts cmake on the command's path, and names libclang with the compiler's own headers, which PyPI's lacks.
+fn give_tools(on: &Workspace, command: &mut Command) {
     let folder = on.target.join("tools/unicorn");
     if folder.is_dir() {
         let path = std::env::var("PATH").unwrap_or_default();
@@ -55,33 +51,92 @@ fn command_with_tools(on: &Workspace, program: &str) -> Command {
             format!("-I{}", headers.unwrap_or_default()),
         );
     }
-    command.env("CARGO_TARGET_DIR", on.target.join("stm32g474"));
-    command
 }
 
-/// `cargo <subcommand>` in that workspace.
-pub fn cargo(on: &Workspace, subcommand: &str) -> Command {
-    let mut command = command_with_tools(on, "cargo");
-    command.arg(subcommand).args(MANIFEST);
-    command
+/// Writes a workspace that has the emulator as one more member of the main one, and returns its manifest.
+///
+/// Cargo names what it compiles after the package's place in its workspace and the features that the whole workspace asks for. With the
+/// same members and features, whatever the main workspace has compiled is used again: of 256 packages 20 are left, Unicorn's.
+fn joined(on: &Workspace) -> anyhow::Result<PathBuf> {
+    let folder = on.target.join("joined");
+    fs::create_dir_all(&folder)?;
+    let own = ["Cargo.toml", "Cargo.lock", "target", ".git"];
+    let mut link = Command::new("ln");
+    link.arg("-sfn");
+    for entry in fs::read_dir(&on.root)? {
+        let entry = entry?;
+        if !own.iter().any(|own| entry.file_name() == *own) {
+            link.arg(entry.path());
+        }
+    }
+    let linked = link.arg(&folder).status().context("cannot start ln")?;
+    ensure!(linked.success(), "cannot link into {}", folder.display());
+    let text = fs::read_to_string(on.root.join("Cargo.toml"))?;
+    let mut manifest: toml::Table = text.parse()?;
+    let workspace = manifest["workspace"].as_table_mut();
+    let workspace = workspace.context("no [workspace]")?;
+    let members = workspace.get_mut("members");
+    let members = members.and_then(toml::Value::as_array_mut);
+    members.context("no members")?.push(FOLDER.into());
+    workspace.remove("exclude");
+    let (text, place) = (manifest.to_string(), folder.join("Cargo.toml"));
+    // Clippy's compiler has what it compiles depend on this file's time.
+    if fs::read_to_string(&place).ok().as_ref() != Some(&text) {
+        fs::write(&place, text)?;
+    }
+    // The versions of the main workspace; cargo adds Unicorn's.
+    let (main, joined) = (on.root.join("Cargo.lock"), folder.join("Cargo.lock"));
+    let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
+    if changed(&joined) < changed(&main) {
+        fs::copy(main, joined)?;
+    }
+    Ok(place)
 }
 
-/// Formatting, clippy and the tests with the image.
-pub fn test(on: &Workspace, image: &Path) -> anyhow::Result<()> {
+/// `cargo <subcommand>` in the main workspace with the emulator, for the targets of the emulator that `rest` names.
+pub fn cargo(on: &Workspace, subcommand: &str, rest: &str) -> anyhow::Result<Command> {
+    let manifest = joined(on)?;
+    let mut command = on.whole(subcommand, rest);
+    give_tools(on, &mut command);
+    command.arg("--manifest-path").arg(manifest);
+    command.env("CARGO_TARGET_DIR", &on.target);
+    Ok(command)
+}
+
+/// The tests of these targets of the emulator; `full` with those of the full tier.
+pub fn run_tests(on: &Workspace, targets: &[&str], full: bool) -> anyhow::Result<Command> {
     tools(on)?;
-    run(cargo(on, "fmt").arg("--check"))?;
-    run(cargo(on, "clippy").args(["--all-targets", "--", "-D", "warnings"]))?;
-    let mut test = cargo(on, "test");
-    test.args(["--lib", "--bins", "--test", "it", "--test", "usb_board"]);
-    test.args(["--no-fail-fast", "--", "--nocapture"]);
+    let profile = if full {
+        "--profile full --run-ignored all"
+    } else {
+        "--profile default"
+    };
+    let names: Vec<_> = targets
+        .iter()
+        .map(|name| format!("--test {name}"))
+        .collect();
+    cargo(on, "nextest run", &format!("{} {profile}", names.join(" ")))
+}
+
+/// Formatting and the tests with the image; `full` with the tests of the full tier.
+pub fn test(on: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
+    let manifest = joined(on)?;
+    let mut format = on.cargo([
+        "fmt",
+        "--check",
+        "--package",
+        "ihd-stm32g474",
+        "--manifest-path",
+    ]);
+    run(format.arg(manifest))?;
+    let mut test = run_tests(on, &["board_parts", "board", "usb_board"], full)?;
     run(test.env("IHD_STM32G474_IMAGE", image))
 }
 
 /// The board as a process, with the link on TCP.
 pub fn hob(on: &Workspace, image: &Path, arguments: &[String]) -> anyhow::Result<()> {
     tools(on)?;
-    let mut hob = cargo(on, "run");
-    hob.args(["--quiet", "--bin", "hob", "--", "--image"])
-        .arg(image);
-    run(hob.args(arguments))
+    run(&mut cargo(on, "build", "--bin hob")?)?;
+    let mut hob = Command::new(on.target.join("debug/hob"));
+    run(hob.arg("--image").arg(image).args(arguments))
 }

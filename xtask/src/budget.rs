@@ -118,7 +118,7 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     }
     let roots = sampling_path(graph)?;
     let panics = graph.starts(|name| PANIC.iter().any(|part| name.contains(part)));
-    let (way, functions) = graph.path(roots, &panics);
+    let (way, functions) = graph.path(&roots, &panics);
     if way.is_empty() {
         println!("no panic in the {functions} functions of the sampling path\n");
         return Ok(None);

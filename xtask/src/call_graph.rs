@@ -67,15 +67,15 @@ impl CallGraph {
         };
         let (mut calls, mut literals) = (BTreeMap::new(), BTreeMap::new());
         for (&start, function) in &functions {
-            let named = addresses(start, function.end, &marks, at);
-            let mut called = targets(start, function.end, &marks, at);
+            let mut scanned = scan(start, function.end, &marks, at);
             // The linker's way from one memory to another loads the address that it jumps to.
             if function.name.contains("LongThunk") {
-                called.extend(named.iter().map(|address| address & !1));
+                let jumps = scanned.literals.iter().map(|address| address & !1);
+                scanned.targets.extend(jumps);
             }
-            let called = called.into_iter().filter_map(containing).collect();
-            calls.insert(start, called);
-            literals.insert(start, named);
+            let called = scanned.targets.into_iter().filter_map(containing);
+            calls.insert(start, called.collect());
+            literals.insert(start, scanned.literals);
         }
         Ok(Self {
             functions,
@@ -90,31 +90,11 @@ impl CallGraph {
         picked.map(|(start, _)| *start).collect()
     }
 
-    /// Every function that a way leads to from one of `roots`, those included: name, address, and the
-    /// constants of 32 bits in its code.
-    pub fn reached(&self, roots: &BTreeSet<u64>) -> Vec<(&str, u64, &BTreeSet<u64>)> {
-        let mut reached = roots.clone();
-        let mut queue: Vec<_> = roots.iter().copied().collect();
-        while let Some(at) = queue.pop() {
-            queue.extend(self.calls[&at].iter().filter(|next| reached.insert(**next)));
-        }
-        let each = reached.into_iter();
-        each.map(|at| (self.functions[&at].name.as_str(), at, &self.literals[&at]))
-            .collect()
-    }
-
-    /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
-    /// looked at.
-    pub fn path(&self, roots: BTreeSet<u64>, bad: &BTreeSet<u64>) -> (Vec<&str>, usize) {
+    /// Functions that `roots` reach, those included, each with the one that calls it on a shortest way.
+    fn callers(&self, roots: &BTreeSet<u64>) -> BTreeMap<u64, Option<u64>> {
         let mut from: BTreeMap<_, _> = roots.iter().map(|&root| (root, None)).collect();
-        let mut queue = VecDeque::from_iter(roots);
+        let mut queue = VecDeque::from_iter(roots.iter().copied());
         while let Some(at) = queue.pop_front() {
-            if bad.contains(&at) {
-                let back = successors(Some(at), |function| from[function]);
-                let mut way: Vec<_> = back.map(|f| self.functions[&f].name.as_str()).collect();
-                way.reverse();
-                return (way, from.len());
-            }
             for &next in &self.calls[&at] {
                 from.entry(next).or_insert_with(|| {
                     queue.push_back(next);
@@ -122,40 +102,78 @@ impl CallGraph {
                 });
             }
         }
-        (Vec::new(), from.len())
+        from
+    }
+
+    /// Every function that a way leads to from one of `roots`, those included: name, address, and the
+    /// constants of 32 bits in its code.
+    pub fn reached(&self, roots: &BTreeSet<u64>) -> Vec<(&str, u64, &BTreeSet<u64>)> {
+        let each = self.callers(roots).into_keys();
+        each.map(|at| (self.functions[&at].name.as_str(), at, &self.literals[&at]))
+            .collect()
+    }
+
+    /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
+    /// looked at.
+    pub fn path(&self, roots: &BTreeSet<u64>, bad: &BTreeSet<u64>) -> (Vec<&str>, usize) {
+        let from = self.callers(roots);
+        let end = bad.iter().copied().find(|bad| from.contains_key(bad));
+        let back = successors(end, |function| from[function]);
+        let mut way: Vec<_> = back.map(|f| self.functions[&f].name.as_str()).collect();
+        way.reverse();
+        (way, from.len())
     }
 }
 
-/// Constants of 32 bits that a function holds: words between its instructions, and pairs of MOVW and
-/// MOVT (Armv7-M, A7.7.76 and A7.7.79).
-fn addresses(
+/// Code of one function.
+#[derive(Default)]
+struct Scanned {
+    /// Targets of the branches that leave it or call: BL, and B in its four encodings.
+    targets: Vec<u64>,
+    /// Constants of 32 bits: words between its instructions, and pairs of MOVW and MOVT (Armv7-M, A7.7.76 and
+    /// A7.7.79).
+    literals: BTreeSet<u64>,
+}
+
+/// Decodes a function; `marks` holds where code (`true`) and data begin.
+fn scan(
     start: u64,
     end: u64,
     marks: &BTreeMap<u64, bool>,
     at: impl Fn(u64) -> Option<u16>,
-) -> BTreeSet<u64> {
-    let mut found = BTreeSet::new();
+) -> Scanned {
+    // Without its start: a branch there is a call of itself.
+    let inside = start + 1..end;
+    let mut found = Scanned::default();
     let mut low = [0; 16];
     let mut address = start;
     while address < end {
         let is_code = marks.range(..=address).next_back().is_none_or(|(_, t)| *t);
-        let first = at(address).unwrap_or(0);
-        let second = at(address + 2).unwrap_or(0);
+        let (first, second) = (at(address).unwrap_or(0), at(address + 2).unwrap_or(0));
         if !is_code {
-            found.insert(u64::from(second) << 16 | u64::from(first));
+            // Words are aligned; in between are tables of jumps.
+            if address.is_multiple_of(4) {
+                found
+                    .literals
+                    .insert(u64::from(second) << 16 | u64::from(first));
+            }
+        } else if let Some(offset) = branch(first, second) {
+            let target = address.wrapping_add(4).wrapping_add_signed(offset);
+            found
+                .targets
+                .extend((!inside.contains(&target)).then_some(target));
         } else if let Some((top, register, value)) = wide_move(first, second) {
             if top {
-                found.insert(u64::from(value) << 16 | low[register]);
+                found
+                    .literals
+                    .insert(u64::from(value) << 16 | low[register]);
             } else {
                 low[register] = u64::from(value);
             }
         }
-        let step = if !is_code || first >> 11 >= 0b11101 {
-            4
-        } else {
-            2
-        };
-        address += step;
+        // 11101, 11110 and 11111 begin an instruction of two halves (Armv7-M, A5.1).
+        let wide = is_code && first >> 11 >= 0b11101;
+        address += if wide { 4 } else { 2 };
     }
     found
 }
@@ -173,33 +191,6 @@ fn wide_move(first: u16, second: u16) -> Option<(bool, usize, u16)> {
     let value =
         (first & 0xF) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF;
     Some((top, usize::from(second >> 8 & 0xF), value))
-}
-
-/// Where the branches of a function lead that leave it or call: BL, and B in its four encodings.
-fn targets(
-    start: u64,
-    end: u64,
-    marks: &BTreeMap<u64, bool>,
-    at: impl Fn(u64) -> Option<u16>,
-) -> Vec<u64> {
-    // Without its start: a branch there is a call of itself.
-    let inside = start + 1..end;
-    let mut found = Vec::new();
-    let mut address = start;
-    while address < end {
-        let is_code = marks.range(..=address).next_back().is_none_or(|(_, t)| *t);
-        // Data is stepped over as an instruction that does not branch.
-        let first = at(address).filter(|_| is_code).unwrap_or(0);
-        // 11101, 11110 and 11111 begin an instruction of two halves (Armv7-M, A5.1).
-        let wide = first >> 11 >= 0b11101;
-        let second = at(address + 2).filter(|_| wide).unwrap_or(0);
-        if let Some(offset) = branch(first, second) {
-            let target = address.wrapping_add(4).wrapping_add_signed(offset);
-            found.extend((!inside.contains(&target)).then_some(target));
-        }
-        address += if wide { 4 } else { 2 };
-    }
-    found
 }
 
 /// Offset of a branch from its own address plus 4 (Armv7-M, A7.7.12 and A7.7.18).
@@ -259,5 +250,39 @@ mod tests {
             "movt r12, #0x800"
         );
         assert_eq!(wide_move(0xF000, 0xF802), None, "bl .+8");
+    }
+
+    #[test]
+    fn a_function_is_scanned_for_calls_and_constants() {
+        // movw r4, #0x5678; movt r4, #0x800; bl .+8; and a word of data.
+        let code = [
+            0xF245, 0x6478, 0xF6C0, 0x0400, 0xF000, 0xF802, 0x0000, 0x0801,
+        ];
+        let at = |address: u64| code.get((address - 0x100) as usize / 2).copied();
+        let marks = BTreeMap::from([(0x100, true), (0x10C, false)]);
+        let found = scan(0x100, 0x110, &marks, at);
+        assert_eq!(found.targets, [0x110]);
+        assert_eq!(found.literals, BTreeSet::from([0x0800_5678, 0x0801_0000]));
+    }
+
+    #[test]
+    fn a_way_follows_calls_in_their_direction() {
+        let function = |start: u64| {
+            let (name, end) = (start.to_string(), start + 1);
+            (start, Function { name, end })
+        };
+        let graph = CallGraph {
+            functions: (1..5).map(function).collect(),
+            calls: [(1, 2), (2, 3), (3, 1), (4, 1)]
+                .map(|(from, to)| (from, BTreeSet::from([to])))
+                .into(),
+            literals: (1..5).map(|start| (start, BTreeSet::new())).collect(),
+        };
+        let way = |to| graph.path(&BTreeSet::from([1]), &BTreeSet::from([to]));
+        assert_eq!(way(3), (vec!["1", "2", "3"], 3));
+        assert_eq!(way(4), (vec![], 3));
+        let reached = graph.reached(&BTreeSet::from([2]));
+        let names: Vec<&str> = reached.iter().map(|(name, ..)| *name).collect();
+        assert_eq!(names, ["1", "2", "3"]);
     }
 }

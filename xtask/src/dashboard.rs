@@ -29,6 +29,7 @@ const ALONE: &str = "--test-concurrency=1";
 const LOCK: &str = "package-lock.json";
 
 /// What of the tests is run.
+#[derive(Default)]
 pub struct Extent<'a> {
     /// Those whose name contains this.
     pub only: Option<&'a str>,
@@ -42,8 +43,8 @@ pub struct Extent<'a> {
 pub fn test(on: &Workspace, extent: &Extent) -> anyhow::Result<()> {
     let browser = tools()?;
     let modules = modules(on)?;
-    // The build that the other tests use: its program is the one under test.
-    run(&mut on.whole("test", "--no-run --test it"))?;
+    // What the step "tests" has built, its features included; built here only where that did not run.
+    run(&mut on.whole("test", "--lib --bins --tests --no-run --quiet"))?;
     // Without --only: the page's own tests take two seconds.
     run(node(on).args(files(on, OF_PAGE, ".test.mjs")?))?;
     let mut test = node(on);
@@ -52,7 +53,7 @@ pub fn test(on: &Workspace, extent: &Extent) -> anyhow::Result<()> {
         test.arg(format!("--test-name-pattern={name}"));
     }
     test.args(files(on, OF_BROWSER, ".test.mjs")?);
-    test.env("IHD_BIN", on.target.join("debug").join("ihd"))
+    test.env("IHD_BIN", on.program())
         .env("IHD_CHROMIUM", browser)
         .env("IHD_DASHBOARD_MODULES", modules);
     if extent.full {

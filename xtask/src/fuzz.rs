@@ -12,9 +12,6 @@ use cargo_metadata::MetadataCommand;
 
 use crate::workspace::{Workspace, first_line, run};
 
-/// What `cargo xtask test` gives to all targets together.
-const SMOKE_SECONDS: u64 = 78;
-
 /// What cargo-fuzz passes too: counters at every edge for libFuzzer, and the operands of comparisons.
 const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
      -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
@@ -23,9 +20,8 @@ const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanit
 /// Seconds and MiB for one input, and its bytes: more than any committed seed has.
 const LIMITS: [&str; 3] = ["-timeout=10", "-rss_limit_mb=2048", "-max_len=16384"];
 
-/// Fuzzes one target, or all of them in turn; `seconds` each, 0 for no end. Without `seconds` a smoke, of which
-/// little is shown.
-pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: Option<u64>) -> anyhow::Result<()> {
+/// Fuzzes one target, or all of them in turn; `seconds` each, 0 for no end.
+pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: u64) -> anyhow::Result<()> {
     let mut metadata = MetadataCommand::new();
     metadata.current_dir(on.root.join("fuzz")).no_deps();
     let package = metadata.exec()?.packages.pop();
@@ -38,20 +34,18 @@ pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: Option<u64>) -> anyhow:
         ensure!(!targets.is_empty(), "no target {name}; there are {all}");
     }
     let programs = build(on, &targets)?;
-    let smoke = (SMOKE_SECONDS / targets.len().max(1) as u64).max(1);
-    let time = seconds.unwrap_or(smoke);
     let mut failed = Vec::new();
     for &target in &targets {
         let mut fuzzer = Command::new(programs.join(target));
-        fuzzer.args(LIMITS).arg(format!("-max_total_time={time}"));
-        // A check of every change must end the same way twice; who fuzzes on purpose wants new inputs each time.
-        fuzzer.args(seconds.is_none().then_some("-seed=1"));
+        fuzzer
+            .args(LIMITS)
+            .arg(format!("-max_total_time={seconds}"));
         // libFuzzer writes into the first folder only.
         fuzzer.arg(on.target.join("fuzz-corpus").join(target));
         let seeds = package.metadata["seeds"][target].as_array();
         let seeds = seeds.into_iter().flatten();
         fuzzer.args(seeds.filter_map(|folder| folder.as_str()));
-        let done = fuzz_one(on, target, &mut fuzzer, seconds.is_none());
+        let done = fuzz_one(on, target, &mut fuzzer);
         failed.extend(done.err().map(|why| format!("{why:#}")));
     }
     ensure!(failed.is_empty(), "{}", failed.join("\n"));
@@ -79,7 +73,7 @@ fn build(on: &Workspace, targets: &[&str]) -> anyhow::Result<PathBuf> {
     Ok(folder.join(host).join("release"))
 }
 
-fn fuzz_one(on: &Workspace, name: &str, fuzzer: &mut Command, smoke: bool) -> anyhow::Result<()> {
+fn fuzz_one(on: &Workspace, name: &str, fuzzer: &mut Command) -> anyhow::Result<()> {
     let artifacts = on.target.join("fuzz-artifacts");
     fs::create_dir_all(&artifacts)?;
     fs::create_dir_all(on.target.join("fuzz-corpus").join(name))?;
@@ -88,24 +82,8 @@ fn fuzz_one(on: &Workspace, name: &str, fuzzer: &mut Command, smoke: bool) -> an
     let corpus = Path::new("fuzz/corpus").join(name);
     fuzzer.args(on.root.join(&corpus).is_dir().then_some(corpus));
     fuzzer.current_dir(&on.root);
-    let log = artifacts.join(name).with_extension("log");
-    let done = if smoke {
-        run_briefly(fuzzer, &log)
-    } else {
-        run(fuzzer)
-    };
+    let done = run(fuzzer);
     let program = Path::new(fuzzer.get_program()).display();
     let rerun = format!("run it again with `{program} {prefix}*`");
     done.with_context(|| format!("fuzz target {name} failed; its input is {prefix}*; {rerun}"))
-}
-
-/// Runs libFuzzer and shows of its long report what it covered at the start and the end; all of it after a failure.
-fn run_briefly(fuzzer: &mut Command, log: &Path) -> anyhow::Result<()> {
-    let done = run(fuzzer.stderr(fs::File::create(log)?));
-    let report = fs::read(log)?;
-    let report = String::from_utf8_lossy(&report);
-    let mut lines = report.lines().collect::<Vec<_>>();
-    lines.retain(|line| done.is_err() || line.contains("\tINITED") || line.contains("\tDONE"));
-    eprintln!("{}", lines.join("\n"));
-    done
 }

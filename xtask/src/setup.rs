@@ -25,17 +25,10 @@ pub enum Wanted {
 /// Finds or installs what cargo needs beside itself.
 pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     let components = ["fmt", "clippy"].map(|tool| component(workspace, tool));
-    say(if has_nextest(workspace) {
-        "tests: cargo-nextest"
-    } else {
-        "tests: cargo test (faster with `cargo install cargo-nextest --locked`)"
-    });
+    let nextest = first_line(&mut workspace.cargo(["nextest", "--version"]));
+    let nextest = nextest.context("the tests need `cargo install cargo-nextest --locked`")?;
+    say(&format!("tests: {nextest}"));
     components.into_iter().collect()
-}
-
-/// Whether `cargo nextest` is installed.
-pub fn has_nextest(workspace: &Workspace) -> bool {
-    first_line(&mut workspace.cargo(["nextest", "--version"])).is_some()
 }
 
 /// The firmware's compiler, installed if need be: first rustup's target, because it is the smaller and the official one.

@@ -1,69 +1,72 @@
-//! The steps of `cargo xtask test`, in the order in which they run: the cheap ones first.
+//! The steps of `cargo xtask test`: one table, in the order in which they run.
 
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{bail, ensure};
-use clap::ValueEnum;
+use anyhow::{Context, bail, ensure};
 
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, Wanted, say};
-use crate::workspace::{Workspace, run};
-use crate::{
-    board, budget, cycles, daemon, dashboard, emulator, fleet, fuzz, guest, hostile, licences,
-    on_target, scenarios, ui_vendor,
-};
+use crate::workspace::{Workspace, compilations, run};
+use crate::{board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target};
 
-const CLIPPY: &str = "--all-targets --features ihd-tests/emulator -- -D warnings";
-/// The test of the firmware's image in QEMU.
-const EMULATED_BOARD: &str =
-    "--features ihd-tests/emulator --test it emulated_board --no-fail-fast";
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
-/// One check of the project.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Step {
-    /// Find or install the tools and the firmware's compiler
-    Setup,
-    /// Formatting, by rustfmt
-    Fmt,
-    /// The licence of every dependency against deny.toml; all of deny.toml where cargo-deny is installed
-    Licences,
-    /// What the page brings along (uPlot) against the hashes of npm's package, and against the package where npm is reachable
-    Vendor,
-    /// Clippy, every warning an error
-    Clippy,
-    /// All tests, by cargo-nextest where it is installed
-    Tests,
-    /// The first variant of each scenario in tests/scenarios against its limits
-    Scenarios,
-    /// Captures that try to fool the identification, in the short form
-    Hostile,
-    /// The daemon with hostile devices, bad links and kills, in the short form
-    Daemon,
-    /// The fleet on a real NATS server, in the short form
-    Fleet,
-    /// The dashboard in a real browser, in the short form
-    Dashboard,
-    /// The examples in the documentation
-    Doctests,
-    /// The documentation builds, without broken links
-    Rustdoc,
-    /// The firmware's images build, for the board and for the emulator
-    Firmware,
-    /// Flash, RAM and panic paths of the board's image against firmware/budget.toml
-    Budget,
-    /// Instruction counts on an emulated Cortex-M4F against firmware/budget.toml
-    Cycles,
-    /// On an emulated Cortex-M4F: the image, talked to by the host's own client, and the tests for the controller itself
-    Emulator,
-    /// The board's image as it is flashed, on an emulated STM32G474
-    Board,
-    /// The board's image on USB, driven by a Linux with the host program in it
-    Usb,
-    /// Each fuzz target for some seconds
-    Fuzz,
+/// Variables that lengthen tests in the full tier, unless they are set by hand.
+const AT_LENGTH: [(&str, &str); 10] = [
+    ("PROPTEST_CASES", "256"),
+    ("IHD_KILLS", "200"),
+    ("IHD_HOBS", "3"),
+    ("IHD_SOAK_S", "864"),
+    ("IHD_SOAK_SPEED", "100"),
+    ("IHD_MANY_S", "300"),
+    ("IHD_HOSTILE_S", "60"),
+    ("IHD_FLEET_KILLS", "50"),
+    ("IHD_FLEET_PARTITION_S", "600"),
+    ("IHD_DASHBOARD_FULL", "1"),
+];
+
+/// How much a test run covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Tier {
+    /// Each behaviour with at least one case, in minutes.
+    Quick,
+    /// Every variant, soaks and long fuzzing, in hours.
+    Full,
 }
+
+/// One check of the project.
+pub struct Step {
+    /// Name, as it is typed.
+    pub name: &'static str,
+    /// Subject of the check.
+    about: &'static str,
+    /// The smallest tier that holds it.
+    tier: Tier,
+    run: fn(&Session) -> anyhow::Result<()>,
+}
+
+/// All steps; the firmware's images come before the host's tests, which run them.
+#[rustfmt::skip]
+pub const STEPS: &[Step] = &[
+    Step { name: "setup", about: "tools and compilers, found or installed", tier: Tier::Quick, run: Session::set_up },
+    Step { name: "fmt", about: "formatting, by rustfmt", tier: Tier::Quick, run: |on| run(&mut on.workspace.cargo(["fmt", "--all", "--check"])) },
+    Step { name: "firmware", about: "the firmware's images, linted", tier: Tier::Quick, run: Session::firmware },
+    Step { name: "budget", about: "flash, RAM and panic paths against firmware/budget.toml", tier: Tier::Quick, run: Session::budget },
+    Step { name: "cycles", about: "instruction counts against firmware/budget.toml", tier: Tier::Quick, run: |on| on.cycles(false) },
+    Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: Session::tests },
+    Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: Session::dashboard },
+    Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: Session::on_target },
+    Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: Session::board },
+    Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: Session::usb },
+    Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
+    Step { name: "docs", about: "rustdoc without broken links, and its examples", tier: Tier::Full, run: Session::docs },
+    Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
+    Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
+];
+
+/// Seconds that the full tier fuzzes each target.
+const FUZZ_SECONDS: u64 = 300;
 
 /// What the steps share.
 pub struct Session {
@@ -71,51 +74,11 @@ pub struct Session {
     pub workspace: Workspace,
     /// Which compiler builds the firmware.
     pub wanted: Wanted,
+    /// Extent of the run.
+    pub tier: Tier,
 }
 
 impl Session {
-    fn run(&self, step: Step) -> anyhow::Result<()> {
-        match step {
-            Step::Setup => self.set_up(),
-            Step::Fmt => self.cargo("fmt --all --check"),
-            Step::Licences => licences::check(&self.workspace),
-            Step::Vendor => ui_vendor::check(&self.workspace, ui_vendor::can_fetch()),
-            Step::Clippy => self.whole("clippy", CLIPPY),
-            Step::Tests if setup::has_nextest(&self.workspace) => {
-                self.whole("nextest run", "--no-fail-fast")
-            }
-            Step::Tests => self.whole("test", "--lib --bins --tests --no-fail-fast"),
-            Step::Scenarios => scenarios::run(&self.workspace, None, true, true),
-            Step::Hostile => hostile::test(&self.workspace, true),
-            Step::Daemon => daemon::test(&self.workspace, None, false),
-            Step::Fleet => fleet::test(&self.workspace, None, false),
-            Step::Dashboard => {
-                let short = dashboard::Extent {
-                    only: None,
-                    full: false,
-                    screenshots: false,
-                };
-                dashboard::test(&self.workspace, &short)
-            }
-            Step::Doctests => self.whole("test", "--doc --no-fail-fast"),
-            Step::Rustdoc => {
-                let mut doc = self.workspace.whole("doc", "--no-deps");
-                run(doc.env("RUSTDOCFLAGS", "-D warnings"))
-            }
-            Step::Firmware => self.firmware(),
-            Step::Budget => self.budget(),
-            Step::Cycles => self.cycles(false),
-            Step::Emulator => self.emulator(),
-            Step::Board => self.board(),
-            Step::Usb => self.usb(),
-            Step::Fuzz => fuzz::fuzz(&self.workspace, None, None),
-        }
-    }
-
-    fn cargo(&self, line: &str) -> anyhow::Result<()> {
-        run(&mut self.workspace.cargo(line.split(' ')))
-    }
-
     fn whole(&self, subcommand: &str, rest: &str) -> anyhow::Result<()> {
         run(&mut self.workspace.whole(subcommand, rest))
     }
@@ -138,6 +101,49 @@ impl Session {
             .and(qemu.map(drop))
             .and(guest.map(drop))
             .and(board)
+    }
+
+    /// All tests of the workspace; those of the image in QEMU get it from the step before.
+    fn tests(&self) -> anyhow::Result<()> {
+        let profile = match self.tier {
+            Tier::Quick => "--profile default",
+            Tier::Full => "--profile full --run-ignored all",
+        };
+        let mut tests = self.workspace.whole("nextest run", profile);
+        if self.tier == Tier::Full {
+            let unset = AT_LENGTH
+                .iter()
+                .filter(|(name, _)| std::env::var_os(name).is_none());
+            tests.envs(unset.copied());
+        }
+        tests.env("IHD_EMULATED_IMAGE", self.image(MPS2_AN386)?);
+        tests.env("IHD_QEMU", emulator::find(&self.workspace, emulator::ARM)?);
+        tests.env("IHD_NATS_SERVER", fleet::server(&self.workspace)?);
+        run(&mut tests)
+    }
+
+    fn dashboard(&self) -> anyhow::Result<()> {
+        let full = self.tier == Tier::Full;
+        dashboard::test(
+            &self.workspace,
+            &dashboard::Extent {
+                full,
+                ..Default::default()
+            },
+        )
+    }
+
+    fn docs(&self) -> anyhow::Result<()> {
+        let mut doc = self.workspace.whole("doc", "--no-deps");
+        run(doc.env("RUSTDOCFLAGS", "-D warnings"))?;
+        self.whole("test", "--doc --no-fail-fast")
+    }
+
+    fn hostile(&self) -> anyhow::Result<()> {
+        let mut study = std::process::Command::new(self.workspace.program());
+        run(study
+            .current_dir(&self.workspace.root)
+            .args(["study", "hostile"]))
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
@@ -185,12 +191,20 @@ impl Session {
 
     /// Has a Linux drive the board's image over USB.
     pub fn usb(&self) -> anyhow::Result<()> {
-        guest::test(&self.workspace, &self.image(STM32G474)?)
+        guest::test(
+            &self.workspace,
+            &self.image(STM32G474)?,
+            self.tier == Tier::Full,
+        )
     }
 
     /// The image as it is flashed on the emulated board.
     pub fn board(&self) -> anyhow::Result<()> {
-        board::test(&self.workspace, &self.image(STM32G474)?)
+        board::test(
+            &self.workspace,
+            &self.image(STM32G474)?,
+            self.tier == Tier::Full,
+        )
     }
 
     /// The emulated board as a process; `image` or the one of this checkout.
@@ -203,21 +217,17 @@ impl Session {
         board::hob(&self.workspace, &image, options)
     }
 
-    fn emulator(&self) -> anyhow::Result<()> {
+    /// The tests for the controller itself, in QEMU.
+    fn on_target(&self) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
-        let image = self.image(MPS2_AN386)?;
-        let mut test = self.workspace.whole("test", EMULATED_BOARD);
-        run(test.env("IHD_EMULATED_IMAGE", image).env("IHD_QEMU", &qemu))?;
         let toolchain = setup::firmware_toolchain(self.wanted)?;
         on_target::in_emulator(&self.workspace, &toolchain, &qemu)
     }
 
-    /// The tests for the controller itself: in QEMU, and on a board where there is one.
+    /// The same, and on a board where there is one.
     pub fn target_tests(&self) -> anyhow::Result<()> {
-        let qemu = emulator::find(&self.workspace, emulator::ARM)?;
-        let toolchain = setup::firmware_toolchain(self.wanted)?;
-        on_target::in_emulator(&self.workspace, &toolchain, &qemu)?;
-        on_target::on_board(&self.workspace, &toolchain)
+        self.on_target()?;
+        on_target::on_board(&self.workspace, &setup::firmware_toolchain(self.wanted)?)
     }
 }
 
@@ -227,28 +237,51 @@ fn none_broken(broken: &[String]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The steps to run: those of `only`, or all, without those of `skip`; always in their own order.
-pub fn select(only: &[Step], skip: &[Step]) -> anyhow::Result<Vec<Step>> {
-    let all = Step::value_variants().iter().copied();
-    let asked = all.filter(|step| only.is_empty() || only.contains(step));
-    let chosen: Vec<_> = asked.filter(|step| !skip.contains(step)).collect();
+/// Reads a step's name.
+///
+/// # Errors
+/// All names with their subjects.
+pub fn parse(name: &str) -> anyhow::Result<&'static str> {
+    let found = STEPS.iter().find(|step| step.name == name);
+    let list = || {
+        STEPS
+            .iter()
+            .map(|step| format!("\n  {:<10} {}", step.name, step.about))
+    };
+    let found = found.with_context(|| format!("there are{}", list().collect::<String>()))?;
+    Ok(found.name)
+}
+
+/// The steps to run: those of `only`, or all of the tier, without those of `skip`; always in their own order.
+///
+/// # Errors
+/// Nothing is left.
+pub fn select(tier: Tier, only: &[&str], skip: &[&str]) -> anyhow::Result<Vec<&'static Step>> {
+    let asked = STEPS.iter().filter(|step| match only {
+        [] => step.tier <= tier,
+        _ => only.contains(&step.name),
+    });
+    let chosen: Vec<_> = asked.filter(|step| !skip.contains(&step.name)).collect();
     ensure!(!chosen.is_empty(), "--only and --skip leave no step to run");
     Ok(chosen)
 }
 
 /// Runs `steps` one after the other, each under a heading, and closes with a table; an error where one failed.
-pub fn run_all(session: &Session, steps: &[Step], fail_fast: bool) -> anyhow::Result<()> {
+///
+/// # Errors
+/// The steps that failed, and why.
+pub fn run_all(session: &Session, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
     let (mut table, mut failed) = (String::new(), Vec::new());
+    let all = Instant::now();
     for (index, step) in steps.iter().enumerate() {
-        // As it is typed.
-        let name = format!("{step:?}").to_lowercase();
+        let name = step.name;
         if fail_fast && !failed.is_empty() {
             table += &format!("{name:<10} not run\n");
             continue;
         }
-        println!("\n━━ {}/{} {name}", index + 1, steps.len());
+        println!("\n━━ {}/{} {name}: {}", index + 1, steps.len(), step.about);
         let started = Instant::now();
-        let result = session.run(*step);
+        let result = (step.run)(session);
         let seconds = started.elapsed().as_secs_f64();
         let verdict = if result.is_ok() { "ok" } else { "FAILED" };
         println!("━━ {name} {verdict} in {seconds:.1} s");
@@ -259,7 +292,12 @@ pub fn run_all(session: &Session, steps: &[Step], fail_fast: bool) -> anyhow::Re
             failed.push(why);
         }
     }
-    println!("\n━━ summary\nstep       result    seconds\n{table}");
+    let seconds = all.elapsed().as_secs_f64();
+    println!(
+        "\n━━ summary\nstep       result    seconds\n{table}{:<19} {seconds:>8.1}",
+        "all"
+    );
+    println!("{}", compilations());
     if !failed.is_empty() {
         let (number, why) = (failed.len(), failed.concat());
         bail!("{number} of {} steps failed{why}", steps.len());
@@ -271,13 +309,20 @@ pub fn run_all(session: &Session, steps: &[Step], fail_fast: bool) -> anyhow::Re
 mod tests {
     use super::*;
 
+    fn names(tier: Tier, only: &[&str], skip: &[&str]) -> Vec<&'static str> {
+        let chosen = select(tier, only, skip).unwrap();
+        chosen.iter().map(|step| step.name).collect()
+    }
+
     #[test]
-    fn all_steps_run_in_their_own_order_unless_told_otherwise() {
-        assert_eq!(select(&[], &[]).unwrap(), Step::value_variants());
-        let chosen = select(&[Step::Clippy, Step::Fmt], &[]).unwrap();
-        assert_eq!(chosen, [Step::Fmt, Step::Clippy]);
-        let chosen = select(&[Step::Clippy, Step::Fmt], &[Step::Fmt]).unwrap();
-        assert_eq!(chosen, [Step::Clippy]);
-        assert!(select(&[Step::Fmt], &[Step::Fmt]).is_err());
+    fn steps_run_in_their_own_order_and_the_full_tier_holds_the_quick_one() {
+        let all: Vec<_> = STEPS.iter().map(|step| step.name).collect();
+        assert_eq!(names(Tier::Full, &[], &[]), all);
+        let quick = names(Tier::Quick, &[], &["fmt"]);
+        assert!(quick.contains(&"tests") && !quick.contains(&"fuzz") && !quick.contains(&"fmt"));
+        // Named, a step of the full tier runs alone.
+        assert_eq!(names(Tier::Quick, &["fuzz", "fmt"], &[]), ["fmt", "fuzz"]);
+        assert!(select(Tier::Quick, &["fmt"], &["fmt"]).is_err());
+        assert!(parse("clippy").unwrap_err().to_string().contains("tests"));
     }
 }

@@ -1,15 +1,21 @@
 //! Where the workspace is, and how xtask starts cargo and other programs.
 
+use std::collections::BTreeMap;
 use std::env;
 use std::ffi::OsStr;
+use std::io::{BufRead, BufReader, IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{ChildStderr, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
 
-/// Beside each crate's own: debug probes, and the model of one.
-const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe";
+/// Features beside each crate's own: what one step has built serves the next.
+const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe,ihd-tests/emulator";
+
+/// Packages that were compiled so far, with the target that they were compiled for, and how often.
+static COMPILED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
 
 /// The checkout that xtask was started in.
 pub struct Workspace {
@@ -36,12 +42,31 @@ impl Workspace {
         })
     }
 
-    /// `cargo <subcommand>` on the whole workspace with the features that every step builds, and the rest of its line: what one step
-    /// has built then serves the next.
+    /// `cargo <subcommand>` on the whole workspace with the features that every step builds, and the rest of its line.
     pub fn whole(&self, subcommand: &str, rest: &str) -> Command {
-        let mut command = self.cargo(subcommand.split(' '));
+        let mut command = self.linting(subcommand);
         command.args(["--workspace", "--features", FEATURES]);
-        command.args(rest.split(' '));
+        command.args(rest.split_whitespace());
+        command
+    }
+
+    /// The command that the tests have built.
+    pub fn program(&self) -> PathBuf {
+        self.target
+            .join("debug/ihd")
+            .with_extension(env::consts::EXE_EXTENSION)
+    }
+
+    /// `cargo <subcommand>` that lints what it compiles: Clippy's compiler is rustc with more lints, so that no second compilation is
+    /// needed for them. A warning is an error. This is what `cargo clippy` does, for another subcommand than `check`.
+    pub fn linting(&self, subcommand: &str) -> Command {
+        let mut command = self.cargo(subcommand.split_whitespace());
+        let sysroot = first_line(Command::new("rustc").args(["--print", "sysroot"]));
+        let driver = Path::new(&sysroot.unwrap_or_default()).join("bin/clippy-driver");
+        command.env("RUSTC_WORKSPACE_WRAPPER", driver);
+        // As clippy-driver splits it.
+        let separator = "__CLIPPY_HACKERY__";
+        command.env("CLIPPY_ARGS", ["-D", "warnings", ""].join(separator));
         command
     }
 
@@ -75,10 +100,59 @@ fn describes_xtask(variable: &str) -> bool {
 pub fn run(command: &mut Command) -> anyhow::Result<()> {
     let line = spelled(command);
     println!("$ {line}");
-    let status = command.status();
-    let status = status.with_context(|| format!("could not start `{line}`"))?;
+    let mut words = command.get_args().skip_while(|word| *word != "--target");
+    let target = words.nth(1).unwrap_or("host".as_ref());
+    let target = target.to_string_lossy().into_owned();
+    if std::io::stderr().is_terminal() {
+        command.env("CARGO_TERM_COLOR", "always");
+    }
+    let child = command.stderr(Stdio::piped()).spawn();
+    let mut child = child.with_context(|| format!("could not start `{line}`"))?;
+    if let Some(stderr) = child.stderr.take() {
+        pass_on(stderr, &target)?;
+    }
+    let status = child.wait()?;
     ensure!(status.success(), "`{line}` failed ({status}); see above");
     Ok(())
+}
+
+/// Copies a command's messages to ours and counts the packages that cargo compiles.
+fn pass_on(stderr: ChildStderr, target: &str) -> anyhow::Result<()> {
+    let mut lines = BufReader::new(stderr);
+    let mut line = Vec::new();
+    while lines.read_until(b'\n', &mut line)? > 0 {
+        std::io::stderr().write_all(&line)?;
+        if let Some(package) = compiled(&String::from_utf8_lossy(&line)) {
+            let mut all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
+            *all.entry(format!("{package} ({target})")).or_default() += 1;
+        }
+        line.clear();
+    }
+    Ok(())
+}
+
+/// Name and version in cargo's line about a package that it compiles, coloured or not.
+fn compiled(line: &str) -> Option<String> {
+    let (before, after) = line.split_once("Compiling")?;
+    let mut words = after
+        .trim_start_matches(|c: char| c != ' ')
+        .split_whitespace();
+    let is_cargos = before.trim().is_empty() || before.contains('\u{1b}');
+    let (name, version) = (words.next()?, words.next()?);
+    (is_cargos && version.starts_with('v')).then(|| format!("{name} {version}"))
+}
+
+/// The number of packages that were compiled, and those that were compiled more than once for one target.
+pub fn compilations() -> String {
+    let all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
+    let again: Vec<_> = all.iter().filter(|(_, times)| **times > 1).collect();
+    let names: Vec<_> = again.iter().map(|(name, _)| name.as_str()).collect();
+    let twice = names.join(", ");
+    format!(
+        "{} packages compiled; more than once: {} {twice}",
+        all.len(),
+        again.len()
+    )
 }
 
 /// The first line that a command prints, if it succeeds.
@@ -107,6 +181,20 @@ mod tests {
         assert!(about.into_iter().all(describes_xtask));
         let others = ["CARGO_HOME", "CARGO_TARGET_DIR", "RUSTUP_TOOLCHAIN"];
         assert!(!others.into_iter().any(describes_xtask));
+    }
+
+    #[test]
+    fn cargos_lines_about_packages_are_counted_and_no_others() {
+        let package = Some("syn v2.0.119".to_owned());
+        assert_eq!(compiled("   Compiling syn v2.0.119"), package);
+        let coloured = "\u{1b}[1m\u{1b}[92m   Compiling\u{1b}[0m syn v2.0.119\n";
+        assert_eq!(compiled(coloured), package);
+        assert_eq!(
+            compiled("   Compiling ihd v0.1.0 (/work/host/ihd)"),
+            Some("ihd v0.1.0".into())
+        );
+        assert_eq!(compiled("a test says: Compiling takes long"), None);
+        assert_eq!(compiled("    Finished `test` profile"), None);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What happens by itself: faults, pauses, looks for a pot.
 
-use ihd_shared::fault::Fault;
+use ihd_shared::fault::{Fault, RestartClass};
 use ihd_shared::wire::messages::{Pot, State};
 
 use super::{Action, Control, Now};
@@ -11,7 +11,7 @@ use crate::limits::{
 use crate::pot::classify;
 use crate::pwm;
 use crate::realtime::Drive;
-use crate::restart::{Class, Verdict, class, is_reached};
+use crate::restart::{Verdict, is_reached};
 
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
 const GOOD_HALF_CYCLES: u8 = 3;
@@ -68,7 +68,7 @@ impl Control {
 
     /// A pause ends when it is over and what led to it has passed.
     fn end_pause(&mut self, now: &Now) -> Action {
-        let lasts = class(now.fault) == Class::Passing
+        let lasts = now.fault.class() == RestartClass::Passing
             && (self.good_half_cycles < GOOD_HALF_CYCLES
                 || (self.temperatures.fault() != Fault::NONE && self.request.power_w() > 0));
         // What a recording tripped stands until it is over.

@@ -7,7 +7,7 @@ use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
 
-use crate::reader::Reader;
+use super::reader::Reader;
 
 const C_F: f64 = 1080e-9;
 
@@ -68,7 +68,7 @@ impl Board {
             3 => self.half_cycle_ns = reader.between(4e6, 100e6) as u64,
             4 => self.bus_peak_v = reader.between(0.0, 450.0),
             5 => {
-                let crossing = (reader.u8() % 2 == 0).then(|| reader.u8());
+                let crossing = reader.u8().is_multiple_of(2).then(|| reader.u8());
                 self.next = Some((crossing, reader.u16(), reader.u32()));
             }
             6 => *self = Self::default(),
@@ -132,7 +132,8 @@ impl Board {
         let (v, at_v) = (i * r_ohm.hypot(x), at_i + x.atan2(r_ohm));
         std::array::from_fn(|n| {
             let turn = TAU * n as f64 * f64::from(ADC_LOCK_Q) / ADC_LOCK_P as f64;
-            let code = |x: f64, noise: i16| (x.round() as i16).saturating_add(noise).clamp(-2048, 2047);
+            let code =
+                |x: f64, noise: i16| (x.round() as i16).saturating_add(noise).clamp(-2048, 2047);
             let noise = self.noise(n);
             Pair {
                 v: code(v * (turn + at_v).cos() / VOLT_PER_CODE, noise.v),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_daemon::learning::LearnerFigures;
 use ihd_daemon::model::{
@@ -12,7 +12,7 @@ use ihd_daemon::model::{
 use ihd_daemon::{Daemon, DaemonError, JournalFilter, LiveTap};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
 use tokio::sync::{Mutex, broadcast};
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 
 use crate::backend::{Alive, Answer, Backend, Figure, Tap};
 use crate::model::{StoredLookup, StoredResult};

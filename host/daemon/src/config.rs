@@ -19,8 +19,8 @@ pub const DEFAULT_LISTEN: &str = "127.0.0.1:8731";
 /// Folder of the store unless told otherwise.
 pub const DEFAULT_STORE: &str = "ihd-store";
 
-/// Longest name of a device.
-const LONGEST_NAME: usize = 64;
+/// Longest name of a device, an edge, a worker, in letters.
+pub const LONGEST_NAME: usize = 64;
 
 /// What the daemon is to do. Paths are relative to the working folder.
 #[derive(Clone, Debug, Deserialize)]
@@ -346,10 +346,18 @@ impl Config {
     }
 }
 
-/// Names stand in files, URLs and log lines.
+/// Returns `true` if the name fits into files, URLs, log lines, subjects and keys.
+pub fn is_name(name: &str) -> bool {
+    (1..=LONGEST_NAME).contains(&name.len()) && name.chars().all(is_name_letter)
+}
+
+/// Returns `true` if a name may hold the letter.
+pub(crate) fn is_name_letter(c: char) -> bool {
+    matches!(c, 'a'..='z' | '0'..='9' | '-' | '_')
+}
+
 fn check_name(name: &str) -> Result<(), String> {
-    let plain = |c: char| matches!(c, 'a'..='z' | '0'..='9' | '-' | '_');
-    if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
+    if !is_name(name) {
         return Err(format!(
             "name = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
         ));

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store, StoreError};
 use tokio::sync::{Semaphore, broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
 use crate::OpenDevice;
 use crate::board::Board;
@@ -20,7 +21,7 @@ use crate::fleet_view::FleetView;
 use crate::history::{self, Seconds};
 use crate::journalist;
 use crate::learning::{Learner, LearnerError, LearnerSettings};
-use crate::lease::Taken;
+use crate::lease::{LeaseId, Taken};
 use crate::live::LiveTap;
 use crate::looks::{Ages, READERS};
 use crate::model::{
@@ -276,18 +277,17 @@ impl Daemon {
         command: Command,
     ) -> Result<Done, CommandError> {
         let face = &handle.face;
-        let heats = match &command {
-            Command::Power { power_w } => *power_w > 0,
-            Command::Sweep { .. } => true,
-            _ => false,
-        };
-        let borrowed = match command {
+        let lease = match command {
             // Who records looks, whoever commands.
-            Command::Off | Command::RecordStart(_) | Command::RecordStop => false,
-            _ => matches!(self.lease(face, holder, false)?, Taken::New),
+            Command::Off | Command::RecordStart(_) | Command::RecordStop => None,
+            _ => Some(self.borrow_lease(face, holder)?),
         };
         let (answer, answered) = oneshot::channel();
-        let order = Order::Command { command, answer };
+        let order = Order::Command {
+            command,
+            lease,
+            answer,
+        };
         let outcome = tokio::time::timeout(COMMAND_WITHIN, async {
             handle.orders.send(order).await.ok()?;
             answered.await.ok()
@@ -309,8 +309,7 @@ impl Daemon {
                 ),
             }),
         };
-        if borrowed && (!heats || outcome.is_err()) {
-            face.lock().lease.release(holder);
+        if lease.is_some_and(|id| face.lock().lease.end_command(id)) {
             self.tell_lease(face, "", "");
         }
         outcome
@@ -330,7 +329,10 @@ impl Daemon {
         let handle = self.handle(device)?;
         let holder = holder_name(holder);
         let face = &handle.face;
-        if let Taken::From(other) = self.lease(face, &holder, force)? {
+        let taken = face.lock().lease.take(&holder, force, Instant::now());
+        let taken = taken.map_err(|lease| leased(face, lease))?;
+        self.tell_grant(face, &holder, &taken);
+        if let Taken::From(other) = taken {
             let why = format!("{holder} has taken the lease from {other}");
             tracing::warn!(device = face.name, "{why}");
             self.audit(
@@ -349,19 +351,20 @@ impl Daemon {
         })
     }
 
-    fn lease(&self, face: &Face, holder: &str, force: bool) -> Result<Taken, CommandError> {
-        let taken = face.lock().lease.take(holder, force, Instant::now());
-        let taken = taken.map_err(|lease| CommandError::Leased {
-            name: face.name.clone(),
-            holder: lease.holder,
-            expires_in_s: lease.expires_in_s,
-        })?;
-        match &taken {
+    /// The lease for one command: the holder's own, or one that is free.
+    fn borrow_lease(&self, face: &Face, holder: &str) -> Result<LeaseId, CommandError> {
+        let begun = face.lock().lease.begin_command(holder, Instant::now());
+        let (id, taken) = begun.map_err(|lease| leased(face, lease))?;
+        self.tell_grant(face, holder, &taken);
+        Ok(id)
+    }
+
+    fn tell_grant(&self, face: &Face, holder: &str, taken: &Taken) {
+        match taken {
             Taken::Renewed => {}
             Taken::New => self.tell_lease(face, holder, ""),
             Taken::From(other) => self.tell_lease(face, holder, other),
         }
-        Ok(taken)
     }
 
     fn tell_lease(&self, face: &Face, holder: &str, taken_from: &str) {
@@ -385,11 +388,7 @@ impl Daemon {
             (inner.lease.release(&holder), inner.lease.current(now))
         };
         if let Some(other) = other {
-            return Err(CommandError::Leased {
-                name: face.name.clone(),
-                holder: other.holder,
-                expires_in_s: other.expires_in_s,
-            });
+            return Err(leased(face, other));
         }
         if released {
             self.tell_lease(face, "", "");
@@ -537,6 +536,14 @@ async fn keep_tidy(context: Context) {
             () = context.stopping() => return,
             () = tokio::time::sleep(GARBAGE_EVERY) => {}
         }
+    }
+}
+
+fn leased(face: &Face, lease: Lease) -> CommandError {
+    CommandError::Leased {
+        name: face.name.clone(),
+        holder: lease.holder,
+        expires_in_s: lease.expires_in_s,
     }
 }
 

@@ -1,10 +1,11 @@
 //! A device as everybody but its own task sees it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_link::AsyncClient;
 use ihd_shared::wire::messages::{Hello, Telemetry};
+use tokio::time::Instant;
 
 use crate::board::Board;
 use crate::firmware::usb_serial;
@@ -50,9 +51,7 @@ pub struct Inner {
     pub lookup: LookupReport,
     /// Its windows.
     pub ledger: Ledger,
-    /// Power that was asked for through the daemon, in watt; it has to be taken back.
-    pub asked_w: u16,
-    /// Who may command it.
+    /// The lease, and the power that was asked for under it.
     pub lease: LeaseBook,
     /// Powers of a sweep that are still to come.
     pub sweep_left_w: Vec<u16>,
@@ -85,7 +84,6 @@ impl Face {
                 last: None,
                 lookup: LookupReport::default(),
                 ledger: Ledger::default(),
-                asked_w: 0,
                 lease: LeaseBook::default(),
                 sweep_left_w: Vec::new(),
                 connections: 0,
@@ -190,7 +188,7 @@ impl Face {
             live: inner.last.as_ref().map(live),
             lookup: inner.lookup.clone(),
             windows: inner.ledger.counts(),
-            asked_by_daemon_w: inner.asked_w,
+            asked_by_daemon_w: inner.lease.asked_w(),
             lease: inner.lease.current(Instant::now()),
             sweep_left_w: inner.sweep_left_w.clone(),
             recording: self.recorder.path().map(|path| path.display().to_string()),

@@ -1,8 +1,8 @@
 //! What an edge knows of its fleet, kept for whoever asks the daemon.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, lock};
 use crate::model::FleetReport;
 use crate::printable::printable;
 
@@ -12,15 +12,11 @@ pub(crate) struct FleetView(Mutex<Option<Arc<FleetReport>>>);
 
 impl FleetView {
     fn get(&self) -> Option<Arc<FleetReport>> {
-        self.0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+        lock(&self.0).clone()
     }
 
     fn set(&self, report: FleetReport) {
-        let report = Some(Arc::new(report));
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = report;
+        *lock(&self.0) = Some(Arc::new(report));
     }
 }
 

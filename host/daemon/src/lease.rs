@@ -1,29 +1,55 @@
-//! Who may command a device.
+//! The lease of a device, and the power that was asked for under it.
 //!
-//! One name at a time holds the lease, for [`LEASE_S`] from when it was taken or renewed last. Power that was
-//! asked for through the daemon belongs to one lease: when that is over, however it ends, the hob is switched
-//! off. Whoever takes a lease over begins with a hob that is off.
+//! One name at a time holds the lease, for [`LEASE_S`] from when it was taken or renewed last. Each grant has an identity of its own
+//! ([`LeaseId`]): a command can end the grant that it began, and no other.
+//!
+//! ```text
+//!            take, begin_command                    ask
+//!   free ─────────────────────────► held, no power ─────► held, with power
+//!    ▲                                  │                    │ released, expired, void, taken by force
+//!    │            switched_off          ▼                    ▼
+//!    └───────────────────────────────── ◄──────────────── power that has to end
+//! ```
+//!
+//! Power is a part of the held lease, so that there is none without a holder. Where the lease ends first, what the device still heats
+//! with is a debt ([`LeaseBook::must_end`]): it is switched off before anything else is asked of it.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use tokio::time::Instant;
 
 use crate::model::Lease;
 
-/// How long a lease lasts unless it is renewed, in seconds.
+/// Duration of a lease that nobody renews, in seconds.
 pub const LEASE_S: u64 = 10;
 
-/// The lease of one device.
+/// Identity of one grant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LeaseId(u64);
+
+/// The lease of one device, with its power.
 #[derive(Debug, Default)]
 pub struct LeaseBook {
     held: Option<Held>,
+    /// Power in watt that the device may still heat with, of a lease that is over.
+    ending_w: u16,
+    grants: u64,
 }
 
 #[derive(Debug)]
 struct Held {
+    id: LeaseId,
     holder: String,
     until: Instant,
+    /// Power that was asked for under it, in watt.
+    power_w: u16,
+    /// Commands under way that use it.
+    commands: u32,
+    /// It was taken as such, or for a sweep: it outlives the commands that use it.
+    is_kept: bool,
 }
 
-/// What taking a lease has changed.
+/// Change of holder that a grant made.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Taken {
     /// It was free.
@@ -34,44 +60,100 @@ pub enum Taken {
     From(String),
 }
 
+/// The lease is over that something was to be done under.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("its lease was over before it could be carried out")]
+pub struct LeaseOver;
+
 impl LeaseBook {
-    /// Takes the lease or renews it; with `force` from somebody else, too.
+    /// Takes the lease until it is released or runs out, or renews it; with `force` from somebody else, too.
     ///
     /// # Errors
     /// The lease of the other, without `force`.
     pub fn take(&mut self, holder: &str, force: bool, now: Instant) -> Result<Taken, Lease> {
+        let taken = self.grant(holder, force, now)?;
+        if let Some(held) = &mut self.held {
+            held.is_kept = true;
+        }
+        Ok(taken)
+    }
+
+    /// Takes or renews the lease for one command, which ends it with [`LeaseBook::end_command`].
+    ///
+    /// # Errors
+    /// The lease of somebody else.
+    pub fn begin_command(&mut self, holder: &str, now: Instant) -> Result<(LeaseId, Taken), Lease> {
+        let taken = self.grant(holder, false, now)?;
+        let id = LeaseId(self.grants);
+        if let Some(held) = &mut self.held {
+            held.commands += 1;
+        }
+        Ok((id, taken))
+    }
+
+    /// Ends a command. Returns `true` if the lease ended with it: no other command uses it, nobody took it as such, and nothing heats
+    /// under it.
+    pub fn end_command(&mut self, id: LeaseId) -> bool {
+        let Some(held) = self.held.as_mut().filter(|held| held.id == id) else {
+            return false;
+        };
+        held.commands = held.commands.saturating_sub(1);
+        let ends = held.commands == 0 && !held.is_kept && held.power_w == 0;
+        if ends {
+            self.end();
+        }
+        ends
+    }
+
+    fn grant(&mut self, holder: &str, force: bool, now: Instant) -> Result<Taken, Lease> {
         let taken = match self.current(now) {
             None => Taken::New,
             Some(lease) if lease.holder == holder => Taken::Renewed,
             Some(lease) if force => Taken::From(lease.holder),
             Some(lease) => return Err(lease),
         };
+        let until = now + Duration::from_secs(LEASE_S);
+        if let (Taken::Renewed, Some(held)) = (&taken, &mut self.held) {
+            held.until = until;
+            return Ok(taken);
+        }
+        self.end();
+        self.grants += 1;
         self.held = Some(Held {
+            id: LeaseId(self.grants),
             holder: holder.to_owned(),
-            until: now + Duration::from_secs(LEASE_S),
+            until,
+            power_w: 0,
+            commands: 0,
+            is_kept: false,
         });
         Ok(taken)
     }
 
-    /// Gives the lease back; whether it was the holder's.
+    /// Whatever was asked for under it has to end.
+    fn end(&mut self) -> Option<String> {
+        let held = self.held.take()?;
+        self.ending_w = self.ending_w.max(held.power_w);
+        Some(held.holder)
+    }
+
+    /// Gives the lease back; `true` if it was the holder's.
     pub fn release(&mut self, holder: &str) -> bool {
         let own = self.held.as_ref().is_some_and(|h| h.holder == holder);
-        if own {
-            self.held = None;
-        }
-        own
+        own && self.end().is_some()
     }
 
     /// The name whose lease has run out, once.
     pub fn expired(&mut self, now: Instant) -> Option<String> {
-        self.held
-            .take_if(|held| held.until <= now)
-            .map(|held| held.holder)
+        match self.held.as_ref().is_some_and(|held| held.until <= now) {
+            true => self.end(),
+            false => None,
+        }
     }
 
     /// Ends the lease, whoever has it: time has passed that no clock of ours has seen.
     pub fn void(&mut self) -> Option<String> {
-        self.held.take().map(|held| held.holder)
+        self.end()
     }
 
     /// The lease, where there is one.
@@ -82,6 +164,62 @@ impl LeaseBook {
             holder: held.holder.clone(),
             expires_in_s: left.as_secs_f64().ceil() as u32,
         })
+    }
+
+    fn living(&mut self, id: LeaseId, now: Instant) -> Result<&mut Held, LeaseOver> {
+        let held = self.held.as_mut();
+        held.filter(|held| held.id == id && held.until > now)
+            .ok_or(LeaseOver)
+    }
+
+    /// Checks that this grant still lives.
+    ///
+    /// # Errors
+    /// [`LeaseOver`].
+    pub fn check(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+        self.living(id, now).map(drop)
+    }
+
+    /// Lets this grant outlive the command that began it, for what asks for power later.
+    ///
+    /// # Errors
+    /// [`LeaseOver`].
+    pub fn keep(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+        self.living(id, now)?.is_kept = true;
+        Ok(())
+    }
+
+    /// Writes down that this power in watt is asked for under this grant. Returns what was asked for before.
+    ///
+    /// # Errors
+    /// [`LeaseOver`]: nothing may be asked for.
+    pub fn ask(&mut self, id: LeaseId, power_w: u16, now: Instant) -> Result<u16, LeaseOver> {
+        let held = self.living(id, now)?;
+        Ok(std::mem::replace(&mut held.power_w, power_w))
+    }
+
+    /// Power in watt that was asked for and not taken back, under a lease or of one that is over.
+    pub fn asked_w(&self) -> u16 {
+        let held_w = self.held.as_ref().map_or(0, |held| held.power_w);
+        held_w.max(self.ending_w)
+    }
+
+    /// Returns `true` if power was asked for that no living lease answers for: the device has to be switched off.
+    pub fn must_end(&self, now: Instant) -> bool {
+        self.ending_w > 0 || (self.asked_w() > 0 && self.current(now).is_none())
+    }
+
+    /// Returns `true` if a living lease has power, for which the device has to hear its host.
+    pub fn heats(&self, now: Instant) -> bool {
+        !self.must_end(now) && self.asked_w() > 0
+    }
+
+    /// The device has confirmed that it is off.
+    pub fn switched_off(&mut self) {
+        self.ending_w = 0;
+        if let Some(held) = &mut self.held {
+            held.power_w = 0;
+        }
     }
 }
 
@@ -123,5 +261,86 @@ mod tests {
         let later = now + Duration::from_secs(LEASE_S);
         assert_eq!(book.current(later), None);
         assert_eq!(book.take("b", false, later), Ok(Taken::New));
+    }
+
+    /// Every order of two commands' beginnings, executions and ends, of one holder and of two: a device that was asked for power has
+    /// a living lease or is to be switched off.
+    #[test]
+    fn no_order_of_two_commands_leaves_power_without_a_lease() {
+        // Each command begins (0), is executed (1), ends (2); `heats` asks for power when executed.
+        let orders = [
+            [0, 0, 0, 1, 1, 1],
+            [0, 0, 1, 0, 1, 1],
+            [0, 0, 1, 1, 0, 1],
+            [0, 0, 1, 1, 1, 0],
+            [0, 1, 0, 0, 1, 1],
+            [0, 1, 0, 1, 0, 1],
+            [0, 1, 0, 1, 1, 0],
+            [0, 1, 1, 0, 0, 1],
+            [0, 1, 1, 0, 1, 0],
+            [0, 1, 1, 1, 0, 0],
+        ];
+        let mut heated = 0;
+        for order in orders {
+            for case in 0..16 {
+                let heats = [case & 1 > 0, case & 2 > 0];
+                let holders = ["a", if case & 4 > 0 { "b" } else { "a" }];
+                let refused = case & 8 > 0;
+                let mut book = LeaseBook::default();
+                let now = Instant::now();
+                let (mut step, mut ids) = ([0; 2], [None; 2]);
+                for which in order {
+                    let id: Option<LeaseId> = ids[which];
+                    match (step[which], id) {
+                        (0, _) => {
+                            let begun = book.begin_command(holders[which], now);
+                            ids[which] = begun.ok().map(|(id, _)| id);
+                        }
+                        (1, Some(id)) if heats[which] => {
+                            let before = book.ask(id, 1_000, now).unwrap();
+                            if refused && which == 0 {
+                                book.ask(id, before, now).unwrap();
+                            }
+                        }
+                        (2, Some(id)) => drop(book.end_command(id)),
+                        _ => {}
+                    }
+                    step[which] += 1;
+                    let living = book.current(now).is_some();
+                    assert!(book.asked_w() == 0 || living, "{order:?} {case}: {book:?}");
+                    assert!(!book.must_end(now), "{order:?} {case}: {book:?}");
+                }
+                heated += u32::from(book.asked_w() > 0);
+            }
+        }
+        assert!(heated > 40, "{heated}");
+    }
+
+    #[test]
+    fn power_of_a_lease_that_is_over_has_to_end_and_none_can_be_asked_for_under_it() {
+        let now = Instant::now();
+        let late = now + Duration::from_secs(LEASE_S);
+        for end in 0..5 {
+            let mut book = LeaseBook::default();
+            let (id, _) = book.begin_command("a", now).unwrap();
+            assert_eq!(book.ask(id, 700, now), Ok(0));
+            assert!(!book.end_command(id), "it heats");
+            assert!(book.heats(now));
+            let now = match end {
+                0 => book.release("a").then_some(now),
+                1 => book.expired(late).map(|_| late),
+                2 => book.void().map(|_| now),
+                3 => book.take("b", true, now).ok().map(|_| now),
+                // Nobody has looked since.
+                _ => Some(late),
+            };
+            let now = now.expect("it has ended");
+            assert!(book.must_end(now) && !book.heats(now), "{end}: {book:?}");
+            assert_eq!(book.ask(id, 900, now), Err(LeaseOver));
+            assert_eq!(book.asked_w(), 700);
+            book.switched_off();
+            assert!(!book.must_end(now));
+            assert_eq!(book.asked_w(), 0);
+        }
     }
 }

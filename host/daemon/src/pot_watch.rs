@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use ihd_shared::wire::messages::{Pot, State, Telemetry};
+use ihd_shared::wire::messages::{Pot, Telemetry};
 use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
 
 use crate::model::{PotCurve, PotPoint, PotTemperature};
@@ -96,15 +96,7 @@ impl PotWatch {
             }
         };
         self.last = Some((t.half_cycle, t_s));
-        self.thermometer.push(&HalfCycle {
-            t_s,
-            f_hz: f64::from(t.f_sw_hz),
-            i_a: f64::from(t.i_crest_ma) * 1e-3,
-            r_ohm: t.r.ohm(),
-            l_h: t.l.henry(),
-            power_w: f64::from(t.power_mw) * 1e-3,
-            heats: t.state == State::Heating,
-        });
+        self.thermometer.push(&HalfCycle::told(t, t_s));
         let events = self.thermometer.take_events();
         if events.iter().any(|e| matches!(e, PotEvent::Placed { .. })) {
             self.since_ms = now_ms;

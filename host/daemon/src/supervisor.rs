@@ -149,14 +149,14 @@ async fn after_panic(face: &Face, why: &str) {
     let (client, asked_w) = {
         let mut inner = face.lock();
         inner.sweep_left_w.clear();
-        (inner.client.take(), inner.asked_w)
+        (inner.client.take(), inner.lease.asked_w())
     };
     if let Some(client) = client
         && asked_w > 0
     {
         let off = client.with(|client| client.set_power(0));
         if let Ok(Ok(Ok(()))) = tokio::time::timeout(OFF_WITHIN, off).await {
-            face.lock().asked_w = 0;
+            face.lock().lease.switched_off();
         }
     }
     face.enter(
@@ -250,6 +250,7 @@ mod tests {
     use ihd_link::AsyncClient;
     use ihd_sim::hob::{HobConfig, SimHob};
     use ihd_sim::transport::SharedHob;
+    use tokio::time::Instant;
 
     use super::*;
 
@@ -264,7 +265,11 @@ mod tests {
         let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
         let face = Face::new("a".into(), "sim".into(), Board::default(), recorder);
         let face = Arc::new(face);
-        face.lock().asked_w = 900;
+        {
+            let (now, mut inner) = (Instant::now(), face.lock());
+            let (lease, _) = inner.lease.begin_command("somebody", now).unwrap();
+            inner.lease.ask(lease, 900, now).unwrap();
+        }
         face.lock().client = Some(client);
         let runs = Arc::new(AtomicU32::new(0));
         let counted = Arc::clone(&runs);
@@ -280,7 +285,7 @@ mod tests {
         .await;
         assert_eq!(runs.load(Ordering::Relaxed), 2);
         assert_eq!(hob.lock().housekeeping().control().asked_w(), 0);
-        assert_eq!(face.lock().asked_w, 0);
+        assert_eq!(face.lock().lease.asked_w(), 0);
         assert!(face.detail().contains("fault of this program"));
     }
 }

@@ -90,19 +90,14 @@ pub struct EngineError {
     pub what: String,
     /// What the server says.
     pub why: String,
-    /// Whether it is not there.
-    pub is_missing: bool,
 }
 
 impl EngineError {
     /// Of what the client reports.
     pub fn new(what: &str, why: impl std::fmt::Display) -> Self {
-        let why = why.to_string();
-        let is_missing = why.contains("not found");
         Self {
             what: what.to_owned(),
-            why,
-            is_missing,
+            why: why.to_string(),
         }
     }
 }
@@ -283,6 +278,21 @@ pub async fn bucket(context: &Context, name: &str) -> Result<kv::Store, EngineEr
     found.map_err(|e| missing(name, e))
 }
 
+/// Puts a key's value, whatever it was. It asks the server for nothing else.
+///
+/// # Errors
+/// As [`bucket`].
+pub(crate) async fn put(
+    context: &Context,
+    bucket: &str,
+    key: &str,
+    value: Vec<u8>,
+) -> Result<(), EngineError> {
+    let sent = context.publish(names::key(bucket, key), value.into()).await;
+    let sent = sent.map_err(|e| missing(bucket, e))?;
+    sent.await.map(drop).map_err(|e| missing(bucket, e))
+}
+
 /// What a bucket holds, by key: read one by one, as every key may that may read at all.
 ///
 /// # Errors
@@ -324,13 +334,12 @@ pub async fn stream(context: &Context, name: &str) -> Result<stream::Stream, Eng
 
 /// An error of something that `ihd fleet init` makes.
 pub(crate) fn missing(name: &str, why: impl std::fmt::Display) -> EngineError {
-    let error = EngineError::new(name, why);
-    match error.is_missing {
-        true => EngineError {
-            why: "the server has none: `ihd fleet init --url …` makes what a fleet needs"
-                .to_owned(),
-            ..error
-        },
-        false => error,
+    let why = why.to_string();
+    match why.contains("not found") {
+        true => EngineError::new(
+            name,
+            "the server has none: `ihd fleet init --url …` makes what a fleet needs",
+        ),
+        false => EngineError::new(name, why),
     }
 }

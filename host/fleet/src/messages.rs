@@ -1,6 +1,7 @@
 //! What travels: windows to workers, results to edges. A byte for the version, then postcard, both in zstd with its checksum; what people
 //! and other programs are to read (states, events, cards) is JSON.
 
+use ihd_daemon::config::is_name;
 use ihd_daemon::learning::{NotTaken, Studied};
 use ihd_link::Window;
 use ihd_shared::sampling::{Pair, Scales};
@@ -183,14 +184,8 @@ impl ResultMessage {
     }
 }
 
-/// Whether a name may stand in a subject as a hob's: what the configuration of a daemon allows.
-pub fn is_hob(name: &str) -> bool {
-    let plain = |c: char| matches!(c, 'a'..='z' | '0'..='9' | '-' | '_');
-    (1..=64).contains(&name.len()) && name.chars().all(plain)
-}
-
 fn checked(hob: String) -> Result<String, MessageError> {
-    match is_hob(&hob) {
+    match is_name(&hob) {
         true => Ok(hob),
         false => Err(MessageError::Hob(hob.chars().take(64).collect())),
     }

@@ -10,7 +10,7 @@ use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{self, AckKind, Context};
 use futures_util::StreamExt;
-use ihd_daemon::learning::{Studied, study_alone};
+use ihd_daemon::learning::{Numbers, Studied, study_alone};
 use ihd_daemon::model::FleetWorker;
 use ihd_train::NetworkConfig;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -308,29 +308,19 @@ impl Worker {
 /// Tells the fleet that there is a worker, and how it does.
 async fn tell(worker: Arc<Worker>) {
     loop {
-        if let Ok(bucket) = engine::bucket(&worker.context, names::WORKER_CARDS).await
-            && let Ok(card) = serde_json::to_vec(&worker.card())
-        {
+        if let Ok(card) = serde_json::to_vec(&worker.card()) {
+            let (context, name) = (&worker.context, &worker.settings.name);
             // The next one comes soon.
-            let _ = bucket.put(&worker.settings.name, card.into()).await;
+            let _ = engine::put(context, names::WORKER_CARDS, name, card).await;
         }
         tokio::time::sleep(TELL_EVERY).await;
     }
 }
 
 fn pretended(window: &ihd_link::Window) -> Studied {
+    let of = (window.seq, window.half_cycle);
     Studied {
-        seq: window.seq,
-        half_cycle: window.half_cycle,
-        f_sw_hz: window.f_sw_hz,
-        power_w: None,
-        numbers: ihd_daemon::learning::Numbers::NONE,
         refused: Some("pretended".to_owned()),
-        steps: Vec::new(),
-        remarks: Vec::new(),
-        trajectory: None,
-        curve: None,
-        evidence: Default::default(),
-        busy_s: 0.0,
+        ..Studied::of_numbers(of, window.f_sw_hz, Numbers::NONE)
     }
 }

@@ -11,7 +11,7 @@ use super::{Estimate, IdentifyError, Settings, Watch};
 pub struct PinnSettings {
     /// Preset, such as `hybrid`, `paper-literal` or `paper-repaired`; `hybrid` if not given.
     pub preset: Option<String>,
-    /// `fused`, `flex` or `ndarray`; the preset's if not given.
+    /// `fused` or `ndarray`; the preset's if not given.
     pub backend: Option<String>,
     /// No wall-clock limit, so that two runs give the same digits.
     pub deterministic: bool,

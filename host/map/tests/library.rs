@@ -1,18 +1,19 @@
 //! A pot that one hob knows, on another one: against tables of the field model in the frequency domain, which share the gap with
 //! the map and no metal; `ihd study pots` judges with waveforms, converters and the network.
 
+mod windows;
+
 use std::sync::Arc;
 
 use ihd_field::FieldModel;
 use ihd_map::library::{Library, shape_places};
-use ihd_map::{Curve, MeasuredPoint, PotEntry, PotMap, Provenance, Seen};
+use ihd_map::{Curve, PotEntry, PotMap, Provenance, Seen};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_signal::Load;
 use ihd_sim::pot::Pot;
 use ihd_sim::surrogate::SurrogatePot;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 /// A pot on one hob's coil.
 struct Hob {
@@ -89,22 +90,7 @@ impl Hob {
         let stepping = (31..80).rev().map(|k| 1e3 * f64::from(k));
         let f_hz = stepping.clone().find(too_much).unwrap_or(31e3) + 1e3;
         let (most_a, _) = self.crest(f_hz).expect("above resonance");
-        let mut normal = || -> f64 { StandardNormal.sample(rng) };
-        let points: Vec<_> = (0..60)
-            .map(|n| {
-                let i_a = most_a * (std::f64::consts::PI * (f64::from(n) + 0.5) / 120.0).sin();
-                let z = self.load(f_hz, i_a);
-                let sigma = 0.003 * most_a / i_a;
-                MeasuredPoint {
-                    i_a,
-                    r_ohm: z.r_ohm * (1.0 + sigma * normal()),
-                    l_h: z.l_h * (1.0 + 0.5 * sigma * normal()),
-                    r_sigma_ohm: z.r_ohm * sigma,
-                    l_sigma_h: z.l_h * 0.5 * sigma,
-                }
-            })
-            .collect();
-        Curve::new(f_hz, t_s, points.into_iter())
+        windows::window((f_hz, most_a), t_s, |i_a| self.load(f_hz, i_a), rng)
     }
 
     fn judge(&self, map: &PotMap, now_s: f64) -> Judged {

@@ -1,6 +1,8 @@
 //! What a map says of cells that nobody saw, against the field model in the frequency domain, which shares the gap with it and
 //! no metal; against waveforms and other laws of B(H) `ihd study map` judges it.
 
+mod windows;
+
 use ihd_field::FieldModel;
 use ihd_map::{Curve, MeasuredPoint, PotMap, Seen};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
@@ -41,22 +43,12 @@ fn crest(models: &Models, f_hz: f64) -> Option<(f64, f64)> {
 /// A window at 40 dB: .5 % a point at the crest.
 fn window(models: &Models, f_hz: f64, t_s: f64, rng: &mut ChaCha8Rng) -> Curve {
     let (most_a, _) = crest(models, f_hz).expect("above resonance");
-    let mut normal = || -> f64 { StandardNormal.sample(rng) };
-    let points: Vec<_> = (0..60)
-        .map(|n| {
-            let i_a = most_a * (std::f64::consts::PI * (f64::from(n) + 0.5) / 120.0).sin();
-            let z = exact(models, f_hz, i_a).unwrap();
-            let sigma = 0.003 * most_a / i_a;
-            MeasuredPoint {
-                i_a,
-                r_ohm: z.r_ohm * (1.0 + sigma * normal()),
-                l_h: z.l_h * (1.0 + 0.5 * sigma * normal()),
-                r_sigma_ohm: z.r_ohm * sigma,
-                l_sigma_h: z.l_h * 0.5 * sigma,
-            }
-        })
-        .collect();
-    Curve::new(f_hz, t_s, points.into_iter())
+    windows::window(
+        (f_hz, most_a),
+        t_s,
+        |i_a| exact(models, f_hz, i_a).unwrap(),
+        rng,
+    )
 }
 
 /// The frequency at which the hob takes this power in watt.

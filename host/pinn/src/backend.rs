@@ -16,8 +16,6 @@ pub enum Backend {
     /// This crate's own kernels, without burn: the fastest on a CPU.
     #[default]
     Fused,
-    /// burn-flex: burn's own CPU backend.
-    Flex,
     /// burn-ndarray: deprecated upstream since 0.22, kept because the project's owner named it.
     Ndarray,
     /// burn on a GPU through WebGPU, Vulkan or Metal; single precision, so not for `hybrid`.
@@ -32,7 +30,6 @@ impl Backend {
     /// All backends of this build, in the order in which they are offered to a user.
     pub const ALL: &[Self] = &[
         Self::Fused,
-        Self::Flex,
         Self::Ndarray,
         #[cfg(feature = "wgpu")]
         Self::Wgpu,
@@ -44,7 +41,6 @@ impl Backend {
     pub(crate) fn device(self) -> Option<Device> {
         match self {
             Self::Fused => None,
-            Self::Flex => Some(Device::flex()),
             // Wanted although burn deprecates it: see the variant.
             #[allow(deprecated)]
             Self::Ndarray => Some(Device::ndarray()),
@@ -57,7 +53,7 @@ impl Backend {
 
     /// Whether it computes in double precision, which `hybrid` needs.
     pub(crate) fn is_double(self) -> bool {
-        matches!(self, Self::Fused | Self::Flex | Self::Ndarray)
+        matches!(self, Self::Fused | Self::Ndarray)
     }
 }
 
@@ -65,7 +61,6 @@ impl fmt::Display for Backend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Fused => "fused",
-            Self::Flex => "flex",
             Self::Ndarray => "ndarray",
             #[cfg(feature = "wgpu")]
             Self::Wgpu => "wgpu",
@@ -89,7 +84,7 @@ impl FromStr for Backend {
             .ok_or_else(|| PinnError::UnknownName {
                 what: "backend",
                 name: name.to_owned(),
-                known: "fused, flex, ndarray (wgpu, cuda in builds with these features)".to_owned(),
+                known: "fused, ndarray (wgpu, cuda in builds with these features)".to_owned(),
             })
     }
 }

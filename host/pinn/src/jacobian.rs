@@ -68,40 +68,39 @@ mod tests {
         let (samples, network) = (trial::samples(), trial::network());
         let branch = trial::fitted(&samples);
         let physics = trial::physics(&branch, &samples, &network, &[0, 1], 32);
-        for backend in [Backend::Flex, Backend::Ndarray] {
-            let device = backend.device().expect("a burn backend");
-            let plain = physics.on_device(&samples, &network, backend, &device);
-            let module = RlMlp::from_parameters(&network, &plain.device);
-            let rows = jacobian(&plain, &module).expect("readable");
-            let e = plain.evaluate(&network).expect("readable").residuals;
-            let by_hand: Vec<f64> = (0..rows.ncols())
-                .map(|p| 2.0 * (0..e.len()).map(|k| rows[(k, p)] * e[k]).sum::<f64>())
-                .collect();
+        let backend = Backend::Ndarray;
+        let device = backend.device().expect("a burn backend");
+        let plain = physics.on_device(&samples, &network, backend, &device);
+        let module = RlMlp::from_parameters(&network, &plain.device);
+        let rows = jacobian(&plain, &module).expect("readable");
+        let e = plain.evaluate(&network).expect("readable").residuals;
+        let by_hand: Vec<f64> = (0..rows.ncols())
+            .map(|p| 2.0 * (0..e.len()).map(|k| rows[(k, p)] * e[k]).sum::<f64>())
+            .collect();
 
-            let device = device.autodiff();
-            let tracked = physics.on_device(&samples, &network, backend, &device);
-            let module = RlMlp::from_parameters(&network, &device);
-            let residuals = tracked.residuals(&module);
-            let gradients = (residuals.clone() * residuals).sum().backward();
-            let mut by_burn = Vec::new();
-            for layer in &module.layers {
-                let weight = layer.weight.grad(&gradients).expect("tracked");
-                by_burn.extend(read(weight, backend).expect("readable"));
-                let bias = layer.bias.grad(&gradients).expect("tracked");
-                by_burn.extend(read(bias, backend).expect("readable"));
-            }
-            let largest = by_burn.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
+        let device = device.autodiff();
+        let tracked = physics.on_device(&samples, &network, backend, &device);
+        let module = RlMlp::from_parameters(&network, &device);
+        let residuals = tracked.residuals(&module);
+        let gradients = (residuals.clone() * residuals).sum().backward();
+        let mut by_burn = Vec::new();
+        for layer in &module.layers {
+            let weight = layer.weight.grad(&gradients).expect("tracked");
+            by_burn.extend(read(weight, backend).expect("readable"));
+            let bias = layer.bias.grad(&gradients).expect("tracked");
+            by_burn.extend(read(bias, backend).expect("readable"));
+        }
+        let largest = by_burn.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
+        assert!(
+            largest > 1e-3,
+            "the trial network is off, so there is a gradient"
+        );
+        assert_eq!(by_hand.len(), by_burn.len());
+        for (a, b) in by_hand.iter().zip(&by_burn) {
             assert!(
-                largest > 1e-3,
-                "the trial network is off, so there is a gradient"
+                (a - b).abs() < 1e-10 * largest,
+                "{backend}: {a} against {b}"
             );
-            assert_eq!(by_hand.len(), by_burn.len());
-            for (a, b) in by_hand.iter().zip(&by_burn) {
-                assert!(
-                    (a - b).abs() < 1e-10 * largest,
-                    "{backend}: {a} against {b}"
-                );
-            }
         }
     }
 }

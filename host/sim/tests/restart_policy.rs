@@ -155,8 +155,16 @@ impl Bench {
     }
 }
 
+/// Number of conversations, some seconds of a hob each: that of `PROPTEST_CASES`, which the full tier sets, or four.
+fn conversations() -> ProptestConfig {
+    match std::env::var_os("PROPTEST_CASES") {
+        Some(_) => ProptestConfig::default(),
+        None => ProptestConfig::with_cases(4),
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(conversations())]
 
     #[test]
     fn without_a_pot_the_bridge_only_looks(pot in prop_oneof![Just("none"), Just("aluminium-21")], all in conversation()) {

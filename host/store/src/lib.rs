@@ -41,7 +41,7 @@ pub use folder::Damage;
 pub use ihd_signal::atomic;
 pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};
 pub use lookups::{Confidence, LookupRow, LookupState};
-pub use outbox::{Due, DueWindow, Sent};
+pub use outbox::{Due, DueWindow, FleetState, Sent};
 pub use reader::{DeviceRow, Reader, SessionRow};
 pub use results::{NewResult, ResultFilter, ResultRow, Taught};
 pub use retention::Collected;

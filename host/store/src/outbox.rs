@@ -7,7 +7,7 @@ use rusqlite::{OptionalExtension, Row, params};
 
 use super::folder::{self, DayFile};
 use super::results::{self, ResultRow};
-use super::windows::{Day, Kept};
+use super::windows::Day;
 use super::{EventRow, SessionId, Store, StoreError};
 
 /// A window that a fleet has not acknowledged, nor its result.
@@ -52,20 +52,20 @@ pub enum Sent {
     Result = 2,
 }
 
-impl Store {
-    /// Stores a window that a fleet is to have, in one transaction; false beside it where its samples are not kept, so that the fleet will
-    /// not get it.
-    ///
-    /// # Errors
-    /// As [`Store::keep_window`].
-    pub fn keep_window_for_fleet(
-        &mut self,
-        session: SessionId,
-        window: &Window,
-    ) -> Result<(Kept, bool), StoreError> {
-        self.keep_due(session, window, true)
-    }
+/// Progress of a window with a fleet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FleetState {
+    /// The fleet is not to have it.
+    NotForFleet,
+    /// The fleet has not acknowledged it.
+    Due,
+    /// The fleet has it, and owes a result.
+    Sent,
+    /// There is a result, here and there.
+    Answered,
+}
 
+impl Store {
     /// The oldest windows that are due, at most so many.
     ///
     /// # Errors
@@ -74,10 +74,9 @@ impl Store {
         let mut due = Vec::new();
         for file in self.days_with_due()? {
             let left = limit - due.len();
-            let (day, is_open) = (file.day.clone(), self.is_open(&file));
+            let day = file.day.clone();
             let found = self.on_day(file, |day| day.due(left))?;
-            // Only today gets new ones, and yesterday what comes at midnight.
-            if found.is_empty() && due.is_empty() && !is_open {
+            if found.is_empty() && due.is_empty() {
                 self.none_due_to = Some(day);
             }
             due.extend(found);
@@ -192,6 +191,27 @@ impl Store {
             .map_err(self.failed("looking for a session"))
     }
 
+    /// Progress of a window of whatever day with a fleet; `None` if the store does not hold it.
+    ///
+    /// # Errors
+    /// What the databases or the operating system report.
+    pub fn fleet_state(
+        &mut self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<FleetState>, StoreError> {
+        let mut days = folder::days(self.folder())?;
+        days.reverse();
+        for file in days {
+            let state = self.on_day(file, |day| day.fleet_state(device, boot, seq))?;
+            if state.is_some() {
+                return Ok(state);
+            }
+        }
+        Ok(None)
+    }
+
     /// Whether there is a result of this window.
     ///
     /// # Errors
@@ -284,10 +304,6 @@ impl Store {
         }
     }
 
-    fn is_open(&self, file: &DayFile) -> bool {
-        self.days.each().any(|day| day.file == *file)
-    }
-
     /// Does something with a day, open or not.
     fn on_day<T>(
         &self,
@@ -349,6 +365,28 @@ impl Day {
             0 => self.holds(device, boot, seq),
             _ => Ok(true),
         }
+    }
+
+    fn fleet_state(
+        &self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<FleetState>, StoreError> {
+        let sql = "SELECT fleet FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
+        let state = self
+            .connection
+            .query_row(sql, params![device, boot, seq], |row| {
+                row.get::<_, Option<i64>>(0)
+            })
+            .optional();
+        let state = state.map_err(StoreError::database(self.path(), "looking for a window"))?;
+        Ok(state.map(|fleet| match fleet {
+            Some(0) => FleetState::Due,
+            Some(1) => FleetState::Sent,
+            Some(_) => FleetState::Answered,
+            None => FleetState::NotForFleet,
+        }))
     }
 
     fn due_again(&self, before_ms: i64) -> Result<u64, StoreError> {

@@ -26,7 +26,8 @@ pub struct Store {
     /// Bytes of all days but today, and of those set aside.
     pub(crate) other_days_bytes: u64,
     figures: Figures,
-    /// Days up to this one have nothing that is due to a fleet; none where they were not looked through.
+    /// Days up to this one have nothing that is due to a fleet; `None` if they were not looked through since a window came for one of
+    /// them.
     pub(crate) none_due_to: Option<String>,
     /// The day of which was told that its windows are too many.
     told_too_large: Option<String>,
@@ -245,11 +246,15 @@ impl Store {
     /// # Errors
     /// [`StoreError::NoSession`], or what the database or the operating system reports.
     pub fn keep_window(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
-        Ok(self.keep_due(session, window, false)?.0)
+        Ok(self.keep_window_for(session, window, false)?.0)
     }
 
-    /// Also whether a fleet will get it.
-    pub(crate) fn keep_due(
+    /// Stores a window that a fleet is to have where `for_fleet`, which the same transaction says; false beside it where the fleet will not get
+    /// it, because it need not or its samples are not kept.
+    ///
+    /// # Errors
+    /// As [`Store::keep_window`].
+    pub fn keep_window_for(
         &mut self,
         session: SessionId,
         window: &Window,
@@ -291,11 +296,15 @@ impl Store {
             });
         };
         let kept = today.insert(&name, boot, at_ms, window, not_kept, for_fleet)?;
+        let is_due = for_fleet && not_kept.is_none();
+        if is_due && self.none_due_to.as_ref() >= Some(&today.file.day) {
+            self.none_due_to = None;
+        }
         self.count(kept, not_kept);
         if kept == Kept::New {
             self.session(session)?.windows = windows.wrapping_add(1);
         }
-        Ok((kept, for_fleet && not_kept.is_none()))
+        Ok((kept, is_due))
     }
 
     /// Why the samples of a window are not kept that so many of its session came before.

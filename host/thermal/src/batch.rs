@@ -1,5 +1,7 @@
 //! Half-cycles at one operating point, averaged.
 
+use ihd_shared::wire::messages::{State, Telemetry};
+
 /// What telemetry says of a half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfCycle {
@@ -17,6 +19,21 @@ pub struct HalfCycle {
     pub power_w: f64,
     /// It heats: R and L are those of a pot in operation.
     pub heats: bool,
+}
+
+impl HalfCycle {
+    /// Of what a device told, at a time in seconds from any start.
+    pub fn told(t: &Telemetry, t_s: f64) -> Self {
+        Self {
+            t_s,
+            f_hz: f64::from(t.f_sw_hz),
+            i_a: f64::from(t.i_crest_ma) * 1e-3,
+            r_ohm: t.r.ohm(),
+            l_h: t.l.henry(),
+            power_w: f64::from(t.power_mw) * 1e-3,
+            heats: t.state == State::Heating,
+        }
+    }
 }
 
 /// Half-cycles of a batch: half a second at 50 Hz, in which no base warms by more than 3 K.

@@ -10,8 +10,11 @@ import { fileURLToPath } from 'node:url';
 /** The command under test: `cargo xtask dashboard` names it. */
 const IHD = process.env.IHD_BIN;
 
+/** Ends what hangs; no test is judged by it. */
+const PATIENCE_MS = 240000;
+
 /** Waits until `look` gives something else than null, false and undefined; an error that says what was waited for. */
-export async function until(what, look, withinMs = 10000, everyMs = 100) {
+export async function until(what, look, everyMs = 100, withinMs = PATIENCE_MS) {
   const deadline = Date.now() + withinMs;
   let last;
   for (;;) {
@@ -58,9 +61,9 @@ class Running {
   }
 
   /** What it says, once it does: the match of a pattern. */
-  says(pattern, withinMs = 20000) {
+  says(pattern) {
     const look = () => pattern.exec(this.said);
-    return until(`${pattern} from ${this.child.spawnargs.join(' ')}`, look, withinMs, 20).catch((error) => {
+    return until(`${pattern} from ${this.child.spawnargs.join(' ')}`, look, 20).catch((error) => {
       throw new Error(`${error.message}; it said:\n${this.said}`);
     });
   }

@@ -221,13 +221,11 @@ fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     state.note(address, cycles);
     state.event |= block.sends_event;
     state.pass(u64::from(cycles));
-    if state.chip.log.now < state.chip.next_event()
-        && !state.chip.nvic.any_pending()
-        && state.chip.log.now < state.run_until
-    {
+    let happens = state.chip.log.now >= state.chip.next_event();
+    if !happens && !state.chip.nvic.any_pending() && state.chip.log.now < state.run_until {
         return;
     }
-    if state.chip.log.now >= state.chip.next_event() {
+    if happens {
         state.chip.advance();
     }
     let ends = state.chip.log.now >= state.run_until || state.chip.reset.is_some();

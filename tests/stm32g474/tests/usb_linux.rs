@@ -41,7 +41,6 @@ fn hexadecimal(bytes: &[u8]) -> String {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
 fn linux_sees_the_descriptors_that_the_image_gives() {
     // First without an operating system, which also shows that the board takes a second host after the first.
     let board = Board::emulated(&image(), 0x12).unwrap();
@@ -76,7 +75,6 @@ fn linux_sees_the_descriptors_that_the_image_gives() {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
 fn whole_windows_are_recorded_over_usb() {
     let (mut desk, _) = plugged_in();
     let report = desk
@@ -98,7 +96,7 @@ fn whole_windows_are_recorded_over_usb() {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+#[ignore = "full tier: the trainer, over another link than in the tests of the workspace"]
 fn the_trainer_identifies_the_load_over_usb() {
     let (mut desk, serial) = plugged_in();
     let line =
@@ -117,15 +115,15 @@ fn the_trainer_identifies_the_load_over_usb() {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
 fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() {
     let (mut desk, _) = plugged_in();
     desk.guest
         .shell("ihd record --device usb --out pulled.mcap --power 1000 >record.log 2>&1 & echo $!")
         .unwrap();
-    let written = "test $(stat -c %s pulled.mcap 2>/dev/null || echo 0) -gt 200000";
-    desk.until(&format!("{written} || ! kill -0 $!"), MINUTES)
-        .unwrap();
+    // In the guest, and seldom: each look is two processes, beside which the program under test is to keep up.
+    let written = "test $(stat -c %s pulled.mcap 2>/dev/null || echo 0) -gt 150000";
+    let wait = format!("while kill -0 $! && ! {written}; do sleep 1; done");
+    desk.guest.run(&wait, MINUTES).unwrap();
     desk.boards[0].cable.unplug();
     let ended = desk.guest.run("wait $!", MINUTES).unwrap();
     let said = desk.guest.shell("cat record.log").unwrap();
@@ -146,7 +144,7 @@ fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() 
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+#[ignore = "full tier: as a pulled cable, by the kernel"]
 fn linux_lets_go_of_a_board_and_takes_it_again() {
     let (mut desk, serial) = plugged_in();
     desk.guest
@@ -170,7 +168,7 @@ fn linux_lets_go_of_a_board_and_takes_it_again() {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+#[ignore = "full tier: two boards and a guest on two cores"]
 fn two_boards_at_once_are_told_apart_by_their_serial_numbers() {
     let boards = [0x12, 0x34].map(|unique| Board::emulated(&image(), unique).unwrap());
     let mut desk = Desk::new(boards.into()).unwrap();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_api::backend::{Alive, Answer, Backend, Figure, Tap};
 use ihd_api::model::{StoredLookup, StoredResult};
@@ -15,7 +15,10 @@ use ihd_daemon::model::{
     PotPoint, RecordingFile, Scope, WindowCounts, WindowSummary, WindowWanted,
 };
 use tokio::runtime::Runtime;
-use tokio::sync::{broadcast, watch};
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio::time::Instant;
+
+use crate::http::PATIENCE;
 
 /// The only device, whose name a path cannot hold as it is.
 pub const NAME: &str = "serial:/dev/tty ä";
@@ -386,6 +389,50 @@ impl Backend for Fake {
     }
 }
 
+/// Turns of the runtime in which everything that a moved clock has made due is done.
+const TURNS: u32 = 32;
+
+/// The clock of a server, which stands still between two calls of [`Clock::pass`].
+pub struct Clock {
+    moves: mpsc::UnboundedSender<(Duration, std::sync::mpsc::Sender<()>)>,
+}
+
+impl Clock {
+    /// Stops the clock of a runtime with one thread, and drives that runtime until the clock is dropped.
+    fn stop(runtime: Runtime) -> Self {
+        let (moves, mut moved) =
+            mpsc::unbounded_channel::<(Duration, std::sync::mpsc::Sender<()>)>();
+        std::thread::spawn(move || {
+            runtime.block_on(async {
+                tokio::time::pause();
+                // A paused clock jumps ahead when all tasks wait, unless a blocking one is running.
+                let (holds, held) = std::sync::mpsc::channel::<()>();
+                let holding = tokio::task::spawn_blocking(move || held.recv());
+                while let Some((time, passed)) = moved.recv().await {
+                    tokio::time::advance(time).await;
+                    for _ in 0..TURNS {
+                        tokio::task::yield_now().await;
+                    }
+                    // The test may have ended meanwhile.
+                    let _ = passed.send(());
+                }
+                drop(holds);
+                let _ = holding.await;
+            });
+            runtime.shutdown_background();
+        });
+        Self { moves }
+    }
+
+    /// Lets this much time pass, and the millisecond that timers are rounded up by; returns when the server has done what became due.
+    pub fn pass(&self, time: Duration) {
+        let (passed, has_passed) = std::sync::mpsc::channel();
+        let time = time + Duration::from_millis(1);
+        self.moves.send((time, passed)).expect("the server runs");
+        has_passed.recv().expect("the server runs");
+    }
+}
+
 /// A server that ends with the test.
 pub struct Running {
     pub fake: Fake,
@@ -394,7 +441,7 @@ pub struct Running {
     pub certificate: Option<PathBuf>,
     pub dir: tempfile::TempDir,
     stop: watch::Sender<bool>,
-    served: Option<tokio::task::JoinHandle<()>>,
+    served: tokio::task::JoinHandle<()>,
     runtime: Option<Runtime>,
 }
 
@@ -406,6 +453,18 @@ impl Running {
 
     /// With settings of one's own; the path is a folder for files.
     pub fn with(set: impl FnOnce(&mut Settings, &std::path::Path)) -> Self {
+        Self::on(Runtime::new().unwrap(), set)
+    }
+
+    /// On loopback without tokens, on a clock that the test moves.
+    pub fn with_clock() -> (Self, Clock) {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let mut server = Self::on(builder.enable_all().build().unwrap(), |_, _| {});
+        let runtime = server.runtime.take().expect("it was just built");
+        (server, Clock::stop(runtime))
+    }
+
+    fn on(runtime: Runtime, set: impl FnOnce(&mut Settings, &std::path::Path)) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let mut settings = Settings {
             listen: "127.0.0.1:0".into(),
@@ -415,7 +474,6 @@ impl Running {
             backups: dir.path().join("backups"),
         };
         set(&mut settings, dir.path());
-        let runtime = Runtime::new().unwrap();
         let fake = Fake::new();
         let (stop, stopping) = watch::channel(false);
         let server = runtime.block_on(Server::bind(&settings)).unwrap();
@@ -429,16 +487,18 @@ impl Running {
             certificate,
             dir,
             stop,
-            served: Some(served),
+            served,
             runtime: Some(runtime),
         }
     }
 
     /// Ends the server, and waits for it.
-    pub fn stop(&mut self) {
+    pub fn stop(&self) {
         self.stop.send(true).unwrap();
-        if let (Some(served), Some(runtime)) = (self.served.take(), &self.runtime) {
-            runtime.block_on(served).unwrap();
+        let deadline = std::time::Instant::now() + PATIENCE;
+        while !self.served.is_finished() {
+            assert!(std::time::Instant::now() < deadline, "it does not end");
+            std::thread::sleep(Duration::from_millis(5));
         }
     }
 }

@@ -4,6 +4,9 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
+/// Longest wait for an event; it only ends a hang.
+pub const PATIENCE: Duration = Duration::from_secs(300);
+
 /// Sends a request as it is; gives status and body of the answer. `Host: localhost` and `Connection: close` are added.
 pub fn ask(to: SocketAddr, request_line: &str, headers: &[&str], body: &str) -> (u16, String) {
     let mut all = vec!["Host: localhost"];
@@ -55,9 +58,7 @@ fn sent(to: SocketAddr, request_line: &str, headers: &[&str], body: &str) -> Tcp
 
 pub fn connect(to: SocketAddr) -> TcpStream {
     let stream = TcpStream::connect(to).unwrap();
-    stream
-        .set_read_timeout(Some(Duration::from_secs(30)))
-        .unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream
 }
 

@@ -4,13 +4,15 @@ use ihd_link::{Client, LinkError};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use tokio::time::Instant;
 
 use super::lookups::before_this;
 use super::recording;
-use super::session::{Ended, Session};
+use super::session::{Ended, HeatError, Session};
 use super::sweep::Sweep;
 use super::{Answer, Order};
 use crate::learning::Lookup;
+use crate::lease::{LeaseId, LeaseOver};
 use crate::looks::newest;
 use crate::model::{Command, CommandError, Done};
 use crate::printable::printable;
@@ -31,12 +33,30 @@ impl Session<'_> {
                 self.on_news(lookup).await;
                 Ok(())
             }
-            Order::Command { command, answer } => self.on_command(command, answer).await,
+            Order::Command {
+                command,
+                lease,
+                answer,
+            } => self.on_command(command, lease, answer).await,
         }
     }
 
-    async fn on_command(&mut self, command: Command, answer: Answer) -> Result<(), Ended> {
+    async fn on_command(
+        &mut self,
+        command: Command,
+        lease: Option<LeaseId>,
+        answer: Answer,
+    ) -> Result<(), Ended> {
         let mut ended = Ok(());
+        // It may have waited longer than its lease lived.
+        let is_off = matches!(command, Command::Power { power_w: 0 });
+        if let Some(id) = lease.filter(|_| !is_off) {
+            let living = self.face.lock().lease.check(id, Instant::now());
+            if let Err(over) = living {
+                let _ = answer.send(Err(self.refused(&over.to_string())));
+                return Ok(());
+            }
+        }
         let outcome = match command {
             Command::Off | Command::Power { power_w: 0 } => {
                 let off = self.off().await;
@@ -44,8 +64,8 @@ impl Session<'_> {
                 ended = off.map_err(|error| Ended::Link(error.to_string()));
                 done
             }
-            Command::Power { power_w } => self.power(power_w).await,
-            Command::Sweep { powers_w } => self.start_sweep(&powers_w).await,
+            Command::Power { power_w } => self.power(lease, power_w).await,
+            Command::Sweep { powers_w } => self.start_sweep(lease, &powers_w),
             Command::ClearFault => {
                 let cleared = self.ask(Client::clear_fault).await;
                 cleared
@@ -123,22 +143,24 @@ impl Session<'_> {
         }
     }
 
-    async fn power(&mut self, power_w: u16) -> Result<String, String> {
+    async fn power(&mut self, lease: Option<LeaseId>, power_w: u16) -> Result<String, String> {
+        let lease = lease.ok_or_else(|| LeaseOver.to_string())?;
         self.sweep = None;
         self.face.lock().sweep_left_w.clear();
-        match self.heat(power_w).await {
+        match self.heat(lease, power_w).await {
             Ok(()) => Ok(format!("{power_w} W asked for")),
             Err(error) => {
-                if !matches!(error, LinkError::Refused { .. }) {
+                if !matches!(error, HeatError::Link(LinkError::Refused { .. })) {
                     // Whether it heats is not known: it must not.
                     let _ = self.off().await;
                 }
-                Err(words(&error))
+                Err(error.to_string())
             }
         }
     }
 
-    async fn start_sweep(&mut self, powers_w: &[u16]) -> Result<String, String> {
+    fn start_sweep(&mut self, lease: Option<LeaseId>, powers_w: &[u16]) -> Result<String, String> {
+        let lease = lease.ok_or_else(|| LeaseOver.to_string())?;
         if powers_w.is_empty() || powers_w.len() > LONGEST_SWEEP {
             return Err(format!("a sweep has 1 to {LONGEST_SWEEP} powers"));
         }
@@ -146,8 +168,13 @@ impl Session<'_> {
             return Err(format!("{wrong} W is not 1 to {RATED_POWER_W} W"));
         }
         let sweep = Sweep::new(powers_w);
-        self.face.lock().sweep_left_w = sweep.left_w();
-        self.sweep = Some(sweep);
+        {
+            let mut inner = self.face.lock();
+            let kept = inner.lease.keep(lease, Instant::now());
+            kept.map_err(|over| over.to_string())?;
+            inner.sweep_left_w = sweep.left_w();
+        }
+        self.sweep = Some((lease, sweep));
         Ok(format!(
             "sweep through {} powers begun; it ends with the lease",
             powers_w.len()

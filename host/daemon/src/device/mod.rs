@@ -16,11 +16,12 @@ pub mod sweep;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_link::{AsyncClient, LinkError};
 use ihd_store::{Store, StoreError};
 use tokio::sync::{mpsc, oneshot, watch};
+use tokio::time::Instant;
 
 use crate::clocks::Backoff;
 use crate::config::Address;
@@ -29,6 +30,7 @@ use crate::firmware::updates_needed;
 use crate::fleet::Trust;
 use crate::history::Seconds;
 use crate::learning::{Learner, Lookup};
+use crate::lease::LeaseId;
 use crate::model::{Command, CommandError, DeviceState, Done, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
@@ -55,6 +57,8 @@ pub enum Order {
     Command {
         /// What.
         command: Command,
+        /// The lease that it was asked for under; none where it needs none.
+        lease: Option<LeaseId>,
         /// What became of it.
         answer: Answer,
     },
@@ -210,7 +214,7 @@ impl DeviceTask {
                 () = self.context.stopping() => return,
                 order = orders.recv() => match order {
                     None => return,
-                    Some(Order::Command { command: Command::RecordStop, answer }) => {
+                    Some(Order::Command { command: Command::RecordStop, answer, .. }) => {
                         recording::stop(&self.face, answer);
                     }
                     Some(Order::Command { answer, .. }) => {
@@ -237,7 +241,7 @@ impl DeviceTask {
     }
 
     fn absent(&self) -> CommandError {
-        let asked_w = self.face.lock().asked_w;
+        let asked_w = self.face.lock().lease.asked_w();
         let mut detail = self.face.detail();
         if asked_w > 0 {
             detail += "; what was asked of it ends by itself within 10 s";

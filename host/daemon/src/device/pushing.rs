@@ -1,11 +1,12 @@
 //! Lookups on their way to the device: pending in the store, pushed, active when the device says so.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_link::{Client, LinkError};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::{Confidence, LookupRow};
+use tokio::time::Instant;
 
 use super::Answer;
 use super::lookups::{Mend, mend, next_version};

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_link::{AsyncClient, Client, Event, HEARD_EVERY, LinkError, Window};
 use ihd_shared::fault::Fault;
@@ -14,6 +14,7 @@ use ihd_thermal::PotEvent;
 use ihd_train::WINDOWS_EVERY;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
 use super::pushing::Push;
 use super::sweep::{Step, Sweep};
@@ -23,6 +24,7 @@ use crate::board::now_ms;
 use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
 use crate::learning::{Lookup, Task, Work, curve_of};
+use crate::lease::{LeaseId, LeaseOver};
 use crate::ledger::Arrival;
 use crate::model::{DeviceState, What};
 use crate::pot_watch::words;
@@ -79,6 +81,17 @@ pub enum Ended {
     Slept(String),
 }
 
+/// Why no power is asked for.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum HeatError {
+    /// Nobody answers for it.
+    #[error(transparent)]
+    Lease(#[from] LeaseOver),
+    /// The device refused, or did not answer.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+}
+
 /// A session.
 pub struct Session<'a> {
     pub(super) face: &'a Arc<Face>,
@@ -86,7 +99,8 @@ pub struct Session<'a> {
     pub(super) client: Arc<AsyncClient>,
     pub(super) device: Option<DeviceId>,
     pub(super) session: Option<SessionId>,
-    pub(super) sweep: Option<Sweep>,
+    /// Under the lease that it was begun under.
+    pub(super) sweep: Option<(LeaseId, Sweep)>,
     /// A lookup that the device took and does not use yet.
     pub(super) push: Option<Push>,
     /// Until then nothing is sent that need not be: what a host before us asked for has to lapse.
@@ -223,7 +237,7 @@ impl<'a> Session<'a> {
     /// Heating that we, or a host before us, asked for and nobody answers for now. Our frames would keep it
     /// alive: it is switched off, or, where a person at the panel heats too, left alone until it has lapsed.
     async fn end_what_is_nobodys(&mut self, status: &Status) -> Result<(), LinkError> {
-        let ours = self.face.lock().asked_w > 0;
+        let ours = self.face.lock().lease.asked_w() > 0;
         let no_panel = status.panel_level == 255;
         if ours || (status.asked_w > 0 && no_panel) {
             let asked_w = status.asked_w;
@@ -357,7 +371,7 @@ impl<'a> Session<'a> {
             ));
         }
         self.is_pushed(t.lookup_version).await;
-        if let Some(sweep) = &mut self.sweep {
+        if let Some((_, sweep)) = &mut self.sweep {
             let step = sweep.telemetry(&t, Instant::now());
             self.sweep_step(step).await?;
         }
@@ -425,7 +439,7 @@ impl<'a> Session<'a> {
         if let Some(mut watch) = self.face.try_pot_watch() {
             watch.half_cycle_lasts(1e-9 * f64::from(window.half_cycle_ns));
         }
-        if let Some(sweep) = &mut self.sweep {
+        if let Some((_, sweep)) = &mut self.sweep {
             sweep.window(window.half_cycle);
         }
         let seq = window.seq;
@@ -449,12 +463,7 @@ impl<'a> Session<'a> {
             let trust = Arc::clone(&self.context.trust);
             self.context.store.offer(move |store| {
                 let for_fleet = teaches && trust.is_edge;
-                let kept = match for_fleet {
-                    true => store.keep_window_for_fleet(session, &window),
-                    false => store
-                        .keep_window(session, &window)
-                        .map(|kept| (kept, false)),
-                };
+                let kept = store.keep_window_for(session, &window, for_fleet);
                 let mut inner = face.lock();
                 match &kept {
                     Ok(_) => inner.ledger.fates.stored += 1,
@@ -466,10 +475,10 @@ impl<'a> Session<'a> {
                 if let Some(truth) = &truth {
                     store.keep_curve(session, seq, CurveOf::Truth, &curve_of(truth, &window))?;
                 }
-                if due && trust.holds() {
-                    // The fleet learns from it.
-                } else if teaches {
-                    // What it makes room for, the learner counts.
+                if !teaches {
+                    face.lock().ledger.fates.unfit += 1;
+                } else if !(due && trust.holds()) {
+                    // Else the fleet learns from it. What it makes room for, the learner counts.
                     learner.offer(Task {
                         device: face.name.clone(),
                         device_id,
@@ -480,8 +489,6 @@ impl<'a> Session<'a> {
                         truth,
                         stored: None,
                     });
-                } else {
-                    face.lock().ledger.fates.unfit += 1;
                 }
                 Ok(())
             })
@@ -504,13 +511,16 @@ impl<'a> Session<'a> {
             lease_ended(self.face, &holder);
             self.off_for("the lease has run out").await?;
         }
+        if self.face.lock().lease.must_end(Instant::now()) {
+            self.off_for("no lease answers for its power").await?;
+        }
         self.stay_in_touch().await?;
         self.face.recorder.tick();
         self.show();
         self.follow_pot();
         self.is_overdue().await;
         self.push_news().await;
-        if let Some(sweep) = &mut self.sweep {
+        if let Some((_, sweep)) = &mut self.sweep {
             let step = sweep.tick(Instant::now());
             self.sweep_step(step).await?;
         }
@@ -523,7 +533,7 @@ impl<'a> Session<'a> {
 
     /// Is heard where it must be, and asks whether a silent device is there.
     async fn stay_in_touch(&mut self) -> Result<(), Ended> {
-        let heats_for_us = self.face.lock().asked_w > 0;
+        let heats_for_us = self.face.lock().lease.heats(Instant::now());
         let silent = self.heard.elapsed();
         let is_due = heats_for_us && self.told.elapsed() >= HEARD_EVERY;
         let is_silent = silent >= SILENT && self.told.elapsed() >= SILENT;
@@ -647,26 +657,34 @@ impl<'a> Session<'a> {
             }
             Step::Ask(power_w) => {
                 tracing::info!(device = self.face.name, power_w, "sweep");
-                if let Err(error) = self.heat(power_w).await {
+                let Some((lease, _)) = self.sweep else {
+                    return Ok(());
+                };
+                if let Err(error) = self.heat(lease, power_w).await {
                     self.off_for(&format!("the sweep ended: {error}")).await?;
                 }
             }
             Step::Over(why) => self.off_for(&format!("the sweep ended: {why}")).await?,
         }
-        let left = self.sweep.as_ref().map(Sweep::left_w).unwrap_or_default();
+        let sweep = self.sweep.as_ref();
+        let left = sweep.map(|(_, sweep)| sweep.left_w()).unwrap_or_default();
         self.face.lock().sweep_left_w = left;
         Ok(())
     }
 
-    /// Asks for power that has to be taken back.
-    pub(super) async fn heat(&mut self, power_w: u16) -> Result<(), LinkError> {
-        let before = std::mem::replace(&mut self.face.lock().asked_w, power_w);
+    /// Asks for power under a living lease.
+    pub(super) async fn heat(&mut self, lease: LeaseId, power_w: u16) -> Result<(), HeatError> {
+        if self.face.lock().lease.must_end(Instant::now()) {
+            // What another lease left: this one begins with a hob that is off.
+            self.off().await?;
+        }
+        let before = (self.face.lock().lease).ask(lease, power_w, Instant::now())?;
         let asked = self.ask(move |client| client.set_power(power_w)).await;
         if let Err(LinkError::Refused { .. }) = &asked {
-            // It goes on with what it had.
-            self.face.lock().asked_w = before;
+            // It goes on with what it had; a lease that ended meanwhile has left that to be switched off.
+            let _ = (self.face.lock().lease).ask(lease, before, Instant::now());
         }
-        asked
+        Ok(asked?)
     }
 
     /// Switches off, and ends a sweep.
@@ -678,14 +696,14 @@ impl<'a> Session<'a> {
             off = self.ask(|client| client.set_power(0)).await;
         }
         if off.is_ok() {
-            self.face.lock().asked_w = 0;
+            self.face.lock().lease.switched_off();
         }
         off
     }
 
     /// Switches off what was asked for through the daemon, for a reason; nothing where nothing was.
     pub(super) async fn off_for(&mut self, why: &str) -> Result<(), Ended> {
-        if self.face.lock().asked_w == 0 && self.sweep.is_none() {
+        if self.face.lock().lease.asked_w() == 0 && self.sweep.is_none() {
             return Ok(());
         }
         tracing::info!(device = self.face.name, why, "off");
@@ -698,7 +716,7 @@ impl<'a> Session<'a> {
     /// After the last event: off where we had asked for power, the recording finished, the session ended in
     /// the store.
     pub async fn close(&mut self, ended: &Ended) {
-        if self.face.lock().asked_w > 0 {
+        if self.face.lock().lease.asked_w() > 0 {
             // Where the link is gone this fails at once, and the device ends it by itself.
             if let Err(error) = self.off().await {
                 tracing::warn!(device = self.face.name, %error, "could not be switched off; it ends by itself within 10 s");

@@ -8,11 +8,12 @@
 //! ```
 
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_train::{SETTLE_WITHIN, SETTLED_AFTER};
+use tokio::time::Instant;
 
 /// Windows of each power.
 const WINDOWS: u32 = 3;

@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-/// Longest name of an edge.
-const LONGEST_NAME: usize = 64;
+use crate::config::{LONGEST_NAME, is_name, is_name_letter};
 
 /// Where the fleet is, and who the daemon is there (docs/fleet.md).
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -53,13 +52,8 @@ impl FleetConfig {
     }
 }
 
-fn plain(c: char) -> bool {
-    matches!(c, 'a'..='z' | '0'..='9' | '-' | '_')
-}
-
-/// Names stand in subjects and keys.
 fn check_name(name: &str) -> Result<(), String> {
-    match !name.is_empty() && name.len() <= LONGEST_NAME && name.chars().all(plain) {
+    match is_name(name) {
         true => Ok(()),
         false => Err(format!(
             "fleet.edge = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
@@ -77,7 +71,7 @@ pub fn host_name() -> String {
     let name = name.trim().to_lowercase();
     let name: String = name
         .chars()
-        .map(|c| if plain(c) { c } else { '-' })
+        .map(|c| if is_name_letter(c) { c } else { '-' })
         .take(LONGEST_NAME)
         .collect();
     match name.is_empty() {

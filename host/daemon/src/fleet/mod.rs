@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_map::library::{Library, PotEntry, Provenance};
-use ihd_store::{Due, DueWindow, EventRow, Sent};
+use ihd_store::{Due, DueWindow, EventRow, FleetState, Sent};
 use tokio::sync::oneshot;
 
 pub use self::config::{FleetConfig, host_name};
@@ -49,6 +49,8 @@ pub enum Received {
     Known,
     /// The device or its boot is not known here: it is another edge's, or from before the store.
     Foreign,
+    /// The store holds no such window, or none that the fleet was to have: nobody asked for this result.
+    Unasked,
 }
 
 /// Why something that was found elsewhere is not stored; it may be tried again.
@@ -60,6 +62,9 @@ pub enum ReceiveError {
     /// Others had to be learned first, and there was no room.
     #[error("there is no room in the queue of what is to be learned")]
     NoRoom,
+    /// The window is here, and the fleet has not acknowledged it yet.
+    #[error("the fleet has not acknowledged its window yet")]
+    NotSent,
 }
 
 impl Daemon {
@@ -79,10 +84,7 @@ impl Daemon {
     /// What the store reports.
     pub async fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreTrouble> {
         let learner = self.learner();
-        let held = learner.as_ref().map_or(0, |learner| {
-            let figures = learner.figures();
-            figures.waiting + figures.threads
-        });
+        let held = learner.as_ref().map_or(0, |learner| learner.at_most_held());
         let mut due = self.in_store(move |store| store.due(limit + held)).await?;
         if let Some(learner) = learner {
             due.retain(|w| !learner.holds(&w.device, w.boot, w.seq));
@@ -186,10 +188,15 @@ impl Daemon {
             let Some(session) = store.session_of_boot(&name, boot)? else {
                 return Ok(Err(Received::Foreign));
             };
-            Ok(Ok((store.device(&name, &address)?, session)))
+            match store.fleet_state(&name, boot, seq)? {
+                Some(FleetState::Sent) => Ok(Ok(Some((store.device(&name, &address)?, session)))),
+                Some(FleetState::Due) => Ok(Ok(None)),
+                Some(FleetState::Answered) => Ok(Err(Received::Known)),
+                Some(FleetState::NotForFleet) | None => Ok(Err(Received::Unasked)),
+            }
         });
         let (device_id, session) = match known.await? {
-            Ok(ids) => ids,
+            Ok(ids) => ids.ok_or(ReceiveError::NotSent)?,
             Err(received) => return Ok(received),
         };
         let learner = self.learner().ok_or(ReceiveError::NoRoom)?;

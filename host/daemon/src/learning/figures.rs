@@ -41,7 +41,7 @@ impl Meter {
     /// A window was looked at.
     pub fn count(&mut self, took: Duration) {
         self.learned += 1;
-        self.busy += took;
+        self.busy = self.busy.saturating_add(took);
         if self.last.len() == REMEMBERED {
             self.last.pop_front();
         }

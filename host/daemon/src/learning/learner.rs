@@ -190,6 +190,11 @@ impl Learner {
         Some(state.queue.learning(device)?.to_bytes())
     }
 
+    /// Windows that wait or are at a thread, at most.
+    pub fn at_most_held(&self) -> usize {
+        self.shared.lock().queue.waiting() + self.threads.len()
+    }
+
     /// Whether the device was added, or a window of it came.
     pub fn knows(&self, device: &str) -> bool {
         self.shared.lock().queue.knows(device)

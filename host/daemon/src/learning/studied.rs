@@ -19,6 +19,9 @@ const MOST_TEXT: usize = 2_000;
 /// Most remarks and steps that are taken from elsewhere.
 const MOST_ENTRIES: usize = 1_024;
 
+/// Longest time in seconds that an honest worker is busy with a window; the slowest network there is takes minutes.
+const LONGEST_BUSY_S: f64 = 3_600.0;
+
 /// What was found in a window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Studied {
@@ -49,7 +52,7 @@ pub struct Studied {
 }
 
 /// Why something from elsewhere is not taken.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[derive(Debug, thiserror::Error, PartialEq)]
 pub enum NotTaken {
     /// The curve is no load's.
     #[error("its R and L over current are no load's")]
@@ -57,6 +60,9 @@ pub enum NotTaken {
     /// The lists of R(t) and L(t) are not equally long, or too long.
     #[error("its lists of R(t) and L(t) do not belong together")]
     Trajectory,
+    /// The time that it took is none.
+    #[error("it took {0} s, which is not 0 to {LONGEST_BUSY_S} s")]
+    Busy(f64),
     /// Text or lists beyond all measure.
     #[error("its {0} are longer than any honest ones")]
     TooLong(&'static str),
@@ -81,12 +87,9 @@ pub fn study_alone(window: &Window, skew_s: Option<f64>, network: NetworkConfig)
         Ok(curve) => (Some(curve), None),
         Err(why) => (None, Some(why)),
     };
+    let of = (window.seq, window.half_cycle);
+    let numbers = identified.map_or(Numbers::NONE, Numbers::of);
     Studied {
-        seq: window.seq,
-        half_cycle: window.half_cycle,
-        f_sw_hz: window.f_sw_hz,
-        power_w: None,
-        numbers: identified.map_or(Numbers::NONE, Numbers::of),
         refused,
         steps: course.steps,
         remarks: course.remarks,
@@ -94,15 +97,38 @@ pub fn study_alone(window: &Window, skew_s: Option<f64>, network: NetworkConfig)
         curve,
         evidence,
         busy_s: began.elapsed().as_secs_f64(),
+        ..Studied::of_numbers(of, window.f_sw_hz, numbers)
     }
 }
 
 impl Studied {
+    /// A window's numbers alone; `of` is its own number and its half-cycle, since its device's boot.
+    pub fn of_numbers(of: (u32, u32), f_sw_hz: u32, numbers: Numbers) -> Self {
+        let (seq, half_cycle) = of;
+        Self {
+            seq,
+            half_cycle,
+            f_sw_hz,
+            power_w: None,
+            numbers,
+            refused: None,
+            steps: Vec::new(),
+            remarks: Vec::new(),
+            trajectory: None,
+            curve: None,
+            evidence: Evidence::default(),
+            busy_s: 0.0,
+        }
+    }
+
     /// Looks at what came from another machine, which may lie.
     ///
     /// # Errors
     /// [`NotTaken`].
     pub fn check(&self) -> Result<(), NotTaken> {
+        if !(0.0..=LONGEST_BUSY_S).contains(&self.busy_s) {
+            return Err(NotTaken::Busy(self.busy_s));
+        }
         if self.curve.as_ref().is_some_and(|curve| !curve.is_sound()) {
             return Err(NotTaken::Curve);
         }

@@ -17,6 +17,9 @@ use tokio::sync::mpsc;
 
 use super::*;
 
+/// Longest wait for an event; it only ends a hang.
+const PATIENCE: Duration = Duration::from_secs(300);
+
 fn settings(threads: usize, queue: usize) -> LearnerSettings {
     LearnerSettings {
         threads,
@@ -99,7 +102,7 @@ fn take(outcomes: &mut mpsc::Receiver<Learned>, n: usize) -> Vec<Learned> {
 
 /// The first window is at a thread, where it waits.
 fn occupied(bench: &Arc<Bench>) {
-    let until = Instant::now() + Duration::from_secs(10);
+    let until = Instant::now() + PATIENCE;
     while bench.running.load(Ordering::SeqCst) == 0 {
         assert!(Instant::now() < until, "no thread took the window");
         std::thread::sleep(Duration::from_millis(1));
@@ -193,18 +196,44 @@ fn a_panic_costs_its_window_alone() {
     assert_eq!(learner.stop().panics, 1);
 }
 
+/// The longest times that a number can say, summed up: the thread goes on with the next window.
+#[test]
+fn what_another_machine_says_ends_no_thread() {
+    let bench = Arc::new(Bench::default());
+    bench.open.store(true, Ordering::SeqCst);
+    let (to, mut outcomes) = mpsc::channel(8);
+    let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
+    for (seq, busy_s) in [1e19, 1e19, f64::NAN, -1.0, f64::INFINITY]
+        .into_iter()
+        .enumerate()
+    {
+        let lie = Studied {
+            busy_s,
+            ..Studied::of_numbers((seq as u32, 0), 45_000, Numbers::NONE)
+        };
+        assert!(matches!(lie.check(), Err(NotTaken::Busy(_))), "{busy_s}");
+        learner.offer(Task {
+            work: Work::Studied(Box::new(lie)),
+            ..task("a", window(0))
+        });
+    }
+    learner.offer(task("a", window(5)));
+    let learned = take(&mut outcomes, 6);
+    assert!(learned.iter().map(|l| l.result.seq).eq(0..6));
+    assert_eq!(learner.stop().panics, 0);
+}
+
 #[test]
 fn a_daemon_that_is_slow_or_gone_blocks_nobody_who_offers() {
     let bench = Arc::new(Bench::default());
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(1);
     let learner = Learner::start_with(settings(2, 4), to, bench.study()).unwrap();
-    let began = Instant::now();
     let mut dropped = 0;
+    // Who waited here would wait for ever: nobody takes outcomes yet.
     for seq in 0..1_000 {
         dropped += usize::from(learner.offer(task("a", window(seq))).is_some());
     }
-    assert!(began.elapsed() < Duration::from_secs(1));
     assert!((990..=996).contains(&dropped), "{dropped}");
     let left = 1_000 - dropped;
     let first = take(&mut outcomes, left);
@@ -213,9 +242,7 @@ fn a_daemon_that_is_slow_or_gone_blocks_nobody_who_offers() {
         learner.offer(task("b", window(seq)));
     }
     // Nobody takes what is left, and the end comes all the same.
-    let began = Instant::now();
     learner.stop();
-    assert!(began.elapsed() < Duration::from_secs(5));
     drop(outcomes);
 }
 
@@ -284,7 +311,7 @@ fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between
                     lookups.push(built.lookup);
                 }
                 // The thread gives the learning back after the outcome.
-                let until = Instant::now() + Duration::from_secs(5);
+                let until = Instant::now() + PATIENCE;
                 saved = loop {
                     let state = learner.state_of("hob");
                     if state.is_some() || Instant::now() > until {

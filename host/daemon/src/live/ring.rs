@@ -1,9 +1,10 @@
 //! The last minute of a device in buckets of 0.1 s.
 
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_shared::wire::messages::{State, Telemetry};
+use tokio::time::Instant;
 
 /// Width of a bucket.
 const BUCKET: Duration = Duration::from_millis(100);

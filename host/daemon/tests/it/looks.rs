@@ -1,12 +1,12 @@
 //! What a page looks at: history, scope, training, map and journal of a hob that heats.
 
-use std::time::Duration;
+use std::time::Instant;
 
-use ihd_daemon::model::{Command, DeviceState, What, WindowWanted};
+use ihd_daemon::model::{Command, DeviceState, Fit, History, What, WindowWanted};
 use ihd_daemon::{Daemon, DaemonError, JournalFilter};
 use ihd_sim::behavioural::PotKind;
 
-use super::rig::{Rig, hear, power, until, until_state};
+use super::rig::{PATIENCE, Rig, hear, hold, nap, power, until, until_state};
 
 /// The end of time, for who wants all.
 const WHOLE: WindowWanted = WindowWanted {
@@ -39,6 +39,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     until_state(&daemon, DeviceState::Idle).await;
     let mut notices = daemon.watch();
     power(&daemon, "me", 1_200).await.unwrap();
+    let held = hold(&daemon, "me");
     hear(&mut notices, |what| {
         matches!(what, What::LookupActive { .. }).then_some(())
     })
@@ -52,16 +53,21 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     // The scope: samples, the device's own filter, the network and the truth.
     let windows = daemon.windows("bench", 100).await.unwrap();
     assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
-    let mut judged = Vec::new();
-    for window in &windows {
-        let which = Some((window.boot, window.seq));
-        let scope = daemon.scope("bench", WindowWanted { which, ..WHOLE }).await;
-        let scope = scope.unwrap().expect("its samples are kept");
-        if scope.pass == Some(true) {
-            judged.push(scope);
+    // One that passed, of which the truth came in time and all curves are kept.
+    let deadline = Instant::now() + PATIENCE;
+    let scope = 'found: loop {
+        for window in daemon.windows("bench", 100).await.unwrap() {
+            let which = Some((window.boot, window.seq));
+            let scope = daemon.scope("bench", WindowWanted { which, ..WHOLE }).await;
+            let scope = scope.unwrap().expect("its samples are kept");
+            let is_whole = scope.network.is_some() && scope.truth.is_some();
+            if scope.pass == Some(true) && scope.r_true_mean_ohm.is_some() && is_whole {
+                break 'found scope;
+            }
         }
-    }
-    let scope = judged.first().expect("one that passed");
+        assert!(Instant::now() < deadline, "none passed");
+        nap().await;
+    };
     assert_eq!(scope.t_s.len(), 1_200);
     let m = &scope.measured;
     assert!(m.periods > 300, "{m:?}");
@@ -114,7 +120,8 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
 
     // How the network came to it.
     let fits = daemon.training("bench", 50).await.unwrap();
-    let fit = fits.iter().find(|fit| fit.pass).unwrap();
+    let with_truth = |fit: &&Fit| fit.pass && fit.r_error_pct.is_some();
+    let fit = fits.iter().find(with_truth).unwrap();
     assert!(!fit.steps.is_empty() && fit.seconds.unwrap() > 0.0);
     assert_eq!(fit.steps.last().unwrap().step, fit.iterations);
     assert!(fit.r_error_pct.unwrap().abs() < 1.0 && fit.l_error_pct.unwrap().abs() < 1.0);
@@ -138,7 +145,8 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
             > 5
     );
     let ages = map.age_s.iter().flatten().flatten();
-    assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age < 60.0));
+    let at_most_s = 1.0 + (now_ms() - began_ms) as f64 * 1e-3;
+    assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age <= at_most_s));
     let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
     assert_eq!((prior.state.as_str(), prior.confidence), ("prior", None));
     assert!(
@@ -150,48 +158,56 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     );
 
     // A pot that is lifted, after some whole seconds of heating for the history to show.
-    tokio::time::sleep(Duration::from_millis(1_500)).await;
-    rig.bench().hob().set_pot(PotKind::None).unwrap();
-    until_state(&daemon, DeviceState::WaitingForPot).await;
-    daemon.command("bench", "me", Command::Off).await.unwrap();
-    until_state(&daemon, DeviceState::Idle).await;
-    // What happened is in the store within a second.
-    tokio::time::sleep(Duration::from_millis(1_500)).await;
-    assert!(
-        kinds(&daemon, "pot")
-            .await
-            .iter()
-            .any(|text| text == "lifted")
-    );
-    let states = kinds(&daemon, "state").await;
-    assert!(
-        states
-            .iter()
-            .any(|text| text.starts_with("waiting-for-pot")),
-        "{states:?}"
-    );
-    assert!(
-        kinds(&daemon, "lookup")
-            .await
-            .iter()
-            .any(|text| text.contains("is active"))
-    );
-    assert!(
-        kinds(&daemon, "lease")
-            .await
-            .iter()
-            .any(|text| text == "me commands it")
-    );
-    assert_eq!(kinds(&daemon, "command").await[0], "off: off");
-
-    // The past: while it runs, and after a restart.
     let history = |daemon: Daemon| async move {
         daemon
             .history("bench", began_ms, now_ms(), 600)
             .await
             .unwrap()
     };
-    let before = history(daemon.clone()).await;
+    let heated = |history: &History| {
+        let seconds = 0..history.at_ms.len();
+        seconds
+            .filter(|k| history.r_ohm.mean[*k].is_some())
+            .collect::<Vec<_>>()
+    };
+    while heated(&history(daemon.clone()).await).len() < 2 {
+        assert!(Instant::now() < deadline, "no seconds of heating");
+        nap().await;
+    }
+    rig.bench().hob().set_pot(PotKind::None).unwrap();
+    until_state(&daemon, DeviceState::WaitingForPot).await;
+    drop(held);
+    daemon.command("bench", "me", Command::Off).await.unwrap();
+    until_state(&daemon, DeviceState::Idle).await;
+    let off_ms = now_ms();
+    // What happened is soon in the store.
+    for (kind, wanted) in [
+        ("pot", "lifted"),
+        ("state", "waiting-for-pot"),
+        ("lookup", "is active"),
+        ("lease", "me commands it"),
+        ("command", "off: off"),
+    ] {
+        while !kinds(&daemon, kind)
+            .await
+            .iter()
+            .any(|text| text.contains(wanted))
+        {
+            assert!(Instant::now() < deadline, "no {wanted} in the journal");
+            nap().await;
+        }
+    }
+
+    // The past: while it runs, and after a restart.
+    let before = loop {
+        // The last seconds, not written yet, too.
+        let before = history(daemon.clone()).await;
+        if before.at_ms.last() >= Some(&off_ms) {
+            break before;
+        }
+        assert!(Instant::now() < deadline, "it ends before {off_ms}");
+        nap().await;
+    };
     // Results stand where their windows came, whenever the network had time for them.
     let came: Vec<_> = daemon.windows("bench", 1_000).await.unwrap();
     let came: Vec<_> = came.iter().map(|window| window.at_ms).collect();
@@ -200,10 +216,6 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         assert!(came.contains(at_ms), "{at_ms} of {came:?}");
     }
     let last = before.at_ms.len() - 1;
-    assert!(
-        now_ms() - before.at_ms[last] < 3_000,
-        "the last seconds, not written yet, too"
-    );
     let largest_w = before
         .power_w
         .max
@@ -212,9 +224,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         .copied()
         .fold(0.0, f64::max);
     assert!(largest_w > 1_000.0, "{largest_w}");
-    let heated: Vec<_> = (0..=last)
-        .filter(|k| before.r_ohm.mean[*k].is_some())
-        .collect();
+    let heated = heated(&before);
     assert!(heated.len() >= 2 && heated.len() < before.at_ms.len());
     assert!(before.phase_deg[heated[1]].is_some());
     assert_eq!(before.state[last], "Idle");
@@ -233,8 +243,9 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     );
     assert_eq!(after.half_cycles[..common], before.half_cycles[..common]);
     assert!(after.results.of >= before.results.of);
-    let scope = daemon.scope("bench", WHOLE).await.unwrap().unwrap();
-    assert!(scope.truth.is_some());
+    let which = Some((scope.boot, scope.seq));
+    let again = daemon.scope("bench", WindowWanted { which, ..WHOLE }).await;
+    assert!(again.unwrap().unwrap().truth.is_some());
     let fits = daemon.training("bench", 50).await.unwrap();
     assert!(
         fits.iter().any(|f| f.pass && f.steps.is_empty()),

@@ -1,5 +1,6 @@
 //! The daemon with simulated hobs.
 
+mod fleet;
 mod learning;
 mod leases;
 mod live;

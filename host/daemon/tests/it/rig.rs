@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use ihd_daemon::model::{Command, CommandError, DeviceReport, DeviceState, Done, Notice, What};
@@ -11,17 +11,68 @@ use ihd_daemon::{Config, Daemon, OpenDevice, Opened, TruthOf};
 use ihd_firmware::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
-use tokio::sync::broadcast;
+use tokio::sync::broadcast::{self, error::TryRecvError};
+use tokio::task::JoinHandle;
 
-/// Longer than anything here takes on a machine that does much else.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Longest wait for an event; it only ends a hang.
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Lag behind real time that is given up rather than caught up with.
 const LARGEST_LAG_S: f64 = 0.05;
 
+/// The daemon's clock, which stands still between two calls of [`Clock::pass`]. The hobs' goes on.
+pub struct Clock {
+    /// Keeps a blocking task running: without one a paused clock jumps ahead when all tasks wait.
+    _holds: std::sync::mpsc::Sender<()>,
+}
+
+impl Clock {
+    /// Stops the clock of this runtime, which must have one thread.
+    pub fn stop() -> Self {
+        tokio::time::pause();
+        let (holds, held) = std::sync::mpsc::channel::<()>();
+        tokio::task::spawn_blocking(move || held.recv());
+        Self { _holds: holds }
+    }
+
+    /// Lets this much time pass in steps, in each of which the hobs are heard.
+    pub async fn pass(&self, time: Duration) {
+        let mut left = time;
+        while !left.is_zero() {
+            let step = left.min(Duration::from_millis(500));
+            tokio::time::advance(step).await;
+            nap().await;
+            left -= step;
+        }
+    }
+
+    /// Lets the clock follow the machine's again.
+    pub fn go_on(self) {
+        tokio::time::resume();
+    }
+}
+
+/// Lets this much of a hob's own time pass.
+pub async fn lives(bench: &Bench, time_s: f64) {
+    let until_s = bench.hob().t_s() + time_s;
+    while bench.hob().t_s() < until_s {
+        nap().await;
+    }
+}
+
+/// Waits on the machine's clock, for what another thread does.
+pub async fn nap() {
+    let nap = || thread::sleep(Duration::from_millis(10));
+    tokio::task::spawn_blocking(nap).await.unwrap();
+}
+
 /// A hob, its plug, and what may be done to them.
 pub struct Bench {
     hob: Mutex<SimHob>,
+    /// Threads that wait for the hob: it lets them in between two steps, however far it is behind.
+    waiting: AtomicU64,
+    /// Microseconds on its plugs' clock: those that hobs have lived here, and those that somebody waited for a mute one.
+    clock_us: AtomicU64,
     /// Counts connections: one that is not the last is closed.
     connection: AtomicU64,
     /// Nobody can connect, and who is connected is cut off.
@@ -35,6 +86,8 @@ impl Bench {
     pub fn new(config: &HobConfig) -> Arc<Self> {
         let bench = Arc::new(Self {
             hob: Mutex::new(SimHob::new(config)),
+            waiting: AtomicU64::new(0),
+            clock_us: AtomicU64::new(0),
             connection: AtomicU64::new(0),
             unplugged: AtomicBool::new(false),
             mute: AtomicBool::new(false),
@@ -46,7 +99,10 @@ impl Bench {
     }
 
     pub fn hob(&self) -> MutexGuard<'_, SimHob> {
-        self.hob.lock().unwrap_or_else(PoisonError::into_inner)
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        let hob = self.hob.lock().unwrap_or_else(PoisonError::into_inner);
+        self.waiting.fetch_sub(1, Ordering::Relaxed);
+        hob
     }
 
     /// Another hob in its place, as after a reset.
@@ -66,11 +122,14 @@ impl Bench {
                 if due_s < hob.t_s() - 1.0 {
                     due_s = hob.t_s();
                 }
-                while hob.t_s() < due_s {
+                let from_s = hob.t_s();
+                while hob.t_s() < due_s && self.waiting.load(Ordering::Relaxed) == 0 {
                     hob.step();
                 }
+                let lived_us = (1e6 * (hob.t_s() - from_s)).round() as u64;
+                self.clock_us.fetch_add(lived_us, Ordering::Relaxed);
             }
-            thread::sleep(Duration::from_millis(2));
+            thread::sleep(Duration::from_millis(1));
         }
     }
 
@@ -135,19 +194,29 @@ impl Transport for Plug {
     }
 
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
-        let deadline = Instant::now() + timeout;
+        let deadline = self.clock() + timeout;
         loop {
             self.check()?;
-            let mute = self.bench.mute.load(Ordering::Relaxed);
             let n = self.bench.hob().receive(buf);
-            if n > 0 && !mute {
+            if self.bench.mute.load(Ordering::Relaxed) {
+                thread::sleep(Duration::from_millis(1));
+                let waited_us = timeout.as_micros() as u64;
+                self.bench.clock_us.fetch_add(waited_us, Ordering::Relaxed);
+                return Ok(0);
+            }
+            if n > 0 {
                 return Ok(n);
             }
-            if Instant::now() >= deadline {
+            if self.clock() >= deadline {
                 return Ok(0);
             }
             thread::sleep(Duration::from_millis(1));
         }
+    }
+
+    /// The hob's, which a busy machine makes slow: what waits for it has patience.
+    fn clock(&self) -> Duration {
+        Duration::from_micros(self.bench.clock_us.load(Ordering::Relaxed))
     }
 
     fn describe(&self) -> String {
@@ -193,6 +262,10 @@ impl Rig {
 
     /// A daemon on the rig's store.
     pub async fn daemon(&self) -> Daemon {
+        self.daemon_with(self.config()).await
+    }
+
+    pub async fn daemon_with(&self, config: Config) -> Daemon {
         let benches = self.benches.clone();
         let open: Arc<OpenDevice> = Arc::new(move |address| match &address.spec {
             DeviceSpec::Serial(name) => benches[name].plug(name).map(|transport| Opened {
@@ -201,7 +274,7 @@ impl Rig {
             }),
             other => panic!("{other} is on no bench"),
         });
-        Daemon::start(self.config(), open).await.unwrap()
+        Daemon::start(config, open).await.unwrap()
     }
 }
 
@@ -215,14 +288,14 @@ impl Drop for Rig {
 
 /// Waits until the device `bench` is as wanted; its report then.
 pub async fn until(daemon: &Daemon, wanted: impl Fn(&DeviceReport) -> bool) -> DeviceReport {
-    let began = Instant::now();
+    let deadline = Instant::now() + PATIENCE;
     loop {
         let report = daemon.device("bench").expect("it is configured");
         if wanted(&report) {
             return report;
         }
-        assert!(began.elapsed() < PATIENCE, "still {report:#?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
+        assert!(Instant::now() < deadline, "still {report:#?}");
+        nap().await;
     }
 }
 
@@ -235,17 +308,21 @@ pub async fn hear<T>(
     notices: &mut broadcast::Receiver<Arc<Notice>>,
     wanted: impl Fn(&What) -> Option<T>,
 ) -> T {
-    let heard = async {
-        loop {
-            let notice = notices.recv().await.expect("few enough to keep up with");
-            if let Some(found) = wanted(&notice.what) {
-                return found;
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        match notices.try_recv() {
+            Ok(notice) => {
+                if let Some(found) = wanted(&notice.what) {
+                    return found;
+                }
             }
+            Err(TryRecvError::Empty) => {
+                assert!(Instant::now() < deadline, "it is not told");
+                nap().await;
+            }
+            Err(e) => panic!("too many to keep up with, or none any more: {e}"),
         }
-    };
-    tokio::time::timeout(PATIENCE, heard)
-        .await
-        .expect("in time")
+    }
 }
 
 pub async fn power(daemon: &Daemon, holder: &str, power_w: u16) -> Result<Done, CommandError> {
@@ -254,11 +331,32 @@ pub async fn power(daemon: &Daemon, holder: &str, power_w: u16) -> Result<Done, 
         .await
 }
 
+/// Renews the lease of `bench` until it is dropped: what a test waits for may take longer on a busy machine than a lease lasts.
+pub struct Held(JoinHandle<()>);
+
+/// Holds the lease of `bench` in this name.
+pub fn hold(daemon: &Daemon, holder: &'static str) -> Held {
+    let daemon = daemon.clone();
+    Held(tokio::spawn(async move {
+        loop {
+            // Somebody else may have it: that is what a test may be about.
+            let _ = daemon.take_lease("bench", holder, false).await;
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        }
+    }))
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
 /// A server of a hob behind TCP, until it is dropped.
 pub struct Tcp {
     pub port: u16,
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<thread::JoinHandle<()>>,
 }
 
 impl Tcp {

@@ -12,7 +12,7 @@ use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_sim::hob::HobConfig;
 
-use super::rig::{PATIENCE, Rig, Tcp, power, until, until_state};
+use super::rig::{Clock, PATIENCE, Rig, Tcp, lives, nap, power, until, until_state};
 
 fn balanced(c: WindowCounts, on_their_way: u64) {
     let gone = c.stored + c.refused + c.not_stored + c.dropped_by_device + c.lost;
@@ -28,7 +28,7 @@ async fn it_heats_nothing_by_itself_and_stores_what_the_panel_heats() {
     let daemon = rig.daemon().await;
     let report = until_state(&daemon, DeviceState::Idle).await;
     assert_eq!(report.identity.unwrap().board, "simulated hob");
-    tokio::time::sleep(Duration::from_millis(500)).await;
+    lives(rig.bench(), 0.5).await;
     assert_eq!(rig.bench().asked_w(), 0);
     rig.bench().panel(6);
     let report = until(&daemon, |r| {
@@ -81,7 +81,7 @@ async fn a_cut_link_is_found_again_with_the_hob_off_and_nothing_counted_twice() 
     assert!(refused.contains("not connected"), "{refused}");
     rig.bench().unplugged.store(false, Ordering::Relaxed);
     let back = until(&daemon, |r| {
-        r.connections == 2 && r.state == DeviceState::Idle
+        r.connections >= 2 && r.state == DeviceState::Idle
     })
     .await;
     assert_eq!((rig.bench().asked_w(), back.asked_by_daemon_w), (0, 0));
@@ -90,16 +90,25 @@ async fn a_cut_link_is_found_again_with_the_hob_off_and_nothing_counted_twice() 
     daemon.stop().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
+#[tokio::test]
 async fn a_silent_device_is_suspended_and_comes_back() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
+    let clock = Clock::stop();
     rig.bench().mute.store(true, Ordering::Relaxed);
+    // What came before is heard now.
+    nap().await;
+    clock.pass(Duration::from_millis(1_500)).await;
+    assert_eq!(daemon.device("bench").unwrap().state, DeviceState::Idle);
+    clock.pass(Duration::from_secs(1)).await;
     let report = until_state(&daemon, DeviceState::Suspended).await;
     assert!(report.detail.contains("nothing came"), "{}", report.detail);
+    // It is asked three times, two seconds after the answer before.
+    clock.pass(Duration::from_secs(5)).await;
     until_state(&daemon, DeviceState::Searching).await;
     rig.bench().mute.store(false, Ordering::Relaxed);
+    clock.go_on();
     until_state(&daemon, DeviceState::Idle).await;
     daemon.stop().await;
 }
@@ -242,13 +251,18 @@ async fn a_store_is_one_daemons() {
     daemon.stop().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
+#[tokio::test]
 async fn stopping_does_not_wait_for_a_device_that_is_not_there() {
     let rig = Rig::new(&["bench"]);
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     let daemon = rig.daemon().await;
     until(&daemon, |r| r.detail.contains("unplugged")).await;
-    let began = Instant::now();
-    daemon.stop().await;
-    assert!(began.elapsed() < PATIENCE / 6, "{:?}", began.elapsed());
+    // At once, as no time passes.
+    let _clock = Clock::stop();
+    let stopping = tokio::spawn(async move { daemon.stop().await });
+    let deadline = Instant::now() + PATIENCE;
+    while !stopping.is_finished() {
+        assert!(Instant::now() < deadline, "it waits");
+        nap().await;
+    }
 }

@@ -98,7 +98,7 @@ async fn tell(link: &Link, told: &mut Told, outbox: u64) -> Result<(), EngineErr
         told.edge = Some(Instant::now());
     }
     for device in link.daemon.devices() {
-        if !crate::messages::is_hob(&device.name) {
+        if !ihd_daemon::config::is_name(&device.name) {
             continue;
         }
         let card = card(link, &device);
@@ -147,10 +147,6 @@ async fn put<T: serde::Serialize>(
     key: &str,
     card: &T,
 ) -> Result<(), EngineError> {
-    let payload = serde_json::to_vec(card).map_err(|e| EngineError::new(bucket, e))?;
-    let sent = context
-        .publish(names::key(bucket, key), payload.into())
-        .await;
-    let sent = sent.map_err(|e| engine::missing(bucket, e))?;
-    sent.await.map(drop).map_err(|e| engine::missing(bucket, e))
+    let card = serde_json::to_vec(card).map_err(|e| EngineError::new(bucket, e))?;
+    engine::put(context, bucket, key, card).await
 }

@@ -88,7 +88,7 @@ async fn send(
     number: i64,
     event: EventRow,
 ) -> Result<Option<async_nats::jetstream::context::PublishAckFuture>, String> {
-    let Some(hob) = event.device.filter(|hob| crate::messages::is_hob(hob)) else {
+    let Some(hob) = event.device.filter(|hob| ihd_daemon::config::is_name(hob)) else {
         return Ok(None);
     };
     let message = EventMessage {

@@ -71,13 +71,10 @@ async fn consumer(link: &Link, hobs: &[String]) -> Result<Consumer<pull::Config>
     }
     let name = names::edge_consumer(&link.edge);
     let found = context.get_consumer_from_stream(&name, names::RESULTS);
-    found.await.map_err(|e| EngineError {
-        why: format!(
-            "{e}: the operator makes it, `ihd fleet init --edge {}={}`",
-            link.edge,
-            hobs.join(",")
-        ),
-        ..EngineError::new(&name, "")
+    found.await.map_err(|e| {
+        let (edge, hobs) = (&link.edge, hobs.join(","));
+        let why = format!("{e}: the operator makes it, `ihd fleet init --edge {edge}={hobs}`");
+        EngineError::new(&name, why)
     })
 }
 
@@ -91,6 +88,7 @@ async fn take_one(link: &Link, message: jetstream::Message) {
         }
     };
     let (hob, boot, seq) = (result.hob, result.boot, result.studied.seq);
+    let by = result.by;
     if *message.subject != *names::result(&hob, boot, seq) {
         tracing::warn!(subject = %message.subject, hob, "a result says it is another window's");
         let _ = message.ack_with(AckKind::Term).await;
@@ -100,10 +98,21 @@ async fn take_one(link: &Link, message: jetstream::Message) {
     let key = (hob, boot, seq);
     match received {
         Ok(received) => {
-            link.state().answers.came(&key);
-            if received == Received::Foreign {
-                let (hob, boot, seq) = key;
-                tracing::info!(hob, boot, seq, "a result of a boot that is not known here");
+            let (hob, boot, seq) = &key;
+            match received {
+                Received::Foreign => {
+                    tracing::info!(hob, boot, seq, "a result of a boot that is not known here");
+                }
+                Received::Unasked => {
+                    tracing::warn!(
+                        hob,
+                        boot,
+                        seq,
+                        by,
+                        "a result of a window that the fleet was never sent: refused"
+                    );
+                }
+                Received::Stored | Received::Known => link.state().answers.came(&key),
             }
             // Where this is lost, it comes again and is known.
             let _ = message.ack().await;

@@ -45,7 +45,7 @@ async fn follow(link: &Link) -> Result<(), String> {
     let bucket = bucket.map_err(|e| e.to_string())?;
     let hobs = link.hobs();
     let client = link.context.client();
-    // A hint alone: refused puts are heard, too.
+    // A hint alone: refused puts are heard, too, and all before the server has stored them.
     let mut hints = SelectAll::new();
     for hob in &hobs {
         let heard = client.subscribe(names::key(names::LOOKUPS, hob)).await;

@@ -184,7 +184,7 @@ impl Link {
     pub fn hobs(&self) -> Vec<String> {
         let devices = self.daemon.devices().into_iter().map(|d| d.name);
         devices
-            .filter(|name| crate::messages::is_hob(name))
+            .filter(|name| ihd_daemon::config::is_name(name))
             .collect()
     }
 

@@ -43,7 +43,7 @@ enum SendError {
 /// What is on its way.
 struct UnderWay {
     due: DueWindow,
-    is_window: bool,
+    what: Sent,
     acknowledged: PublishAckFuture,
 }
 
@@ -127,9 +127,9 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
     let mut failed = None;
     for due in due {
         match send(link, identity, &due).await {
-            Ok(Some((is_window, acknowledged))) => under_way.push(UnderWay {
+            Ok(Some((what, acknowledged))) => under_way.push(UnderWay {
                 due,
-                is_window,
+                what,
                 acknowledged,
             }),
             Ok(None) => sent.push((due, Sent::Result)),
@@ -142,19 +142,18 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
     for one in under_way {
         match one.acknowledged.await {
             Ok(_) => {
-                if one.is_window {
+                if one.what == Sent::Window {
                     let key = (one.due.device.clone(), one.due.boot, one.due.seq);
                     link.state().answers.sent(key, Instant::now());
                 }
-                let what = match one.is_window {
-                    true => Sent::Window,
-                    false => Sent::Result,
-                };
-                sent.push((one.due, what));
+                sent.push((one.due, one.what));
             }
             // Another one has published a result of this window before.
-            Err(why) if !one.is_window && why.kind() == PublishErrorKind::WrongLastSequence => {
-                sent.push((one.due, Sent::Result));
+            Err(why)
+                if one.what == Sent::Result
+                    && why.kind() == PublishErrorKind::WrongLastSequence =>
+            {
+                sent.push((one.due, one.what));
             }
             Err(why) => failed = Some(why.into()),
         }
@@ -168,9 +167,9 @@ async fn send(
     link: &Link,
     identity: &Identity,
     due: &DueWindow,
-) -> Result<Option<(bool, PublishAckFuture)>, SendError> {
+) -> Result<Option<(Sent, PublishAckFuture)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
-    let (subject, message, is_window) = match link.daemon.read_due(due.clone()).await? {
+    let (subject, message, what) = match link.daemon.read_due(due.clone()).await? {
         Due::Window(window) => {
             let message = WindowMessage {
                 hob: hob.clone(),
@@ -182,7 +181,7 @@ async fn send(
             let message = PublishMessage::build()
                 .payload(message.to_bytes()?.into())
                 .message_id(identity.of_window(hob, boot, seq));
-            (names::window(hob), message, true)
+            (names::window(hob), message, Sent::Window)
         }
         Due::Result(row) => {
             let message = ResultMessage {
@@ -196,7 +195,7 @@ async fn send(
             let message = PublishMessage::build()
                 .payload(message.to_bytes()?.into())
                 .expected_last_subject_sequence(0);
-            (names::result(hob, boot, seq), message, false)
+            (names::result(hob, boot, seq), message, Sent::Result)
         }
         Due::Gone => {
             tracing::warn!(hob, boot, seq, "its samples are gone: it is not sent");
@@ -204,30 +203,22 @@ async fn send(
         }
     };
     let under_way = link.context.send_publish(subject, message).await?;
-    Ok(Some((is_window, under_way)))
+    Ok(Some((what, under_way)))
 }
 
 /// What the store has of a result; whoever reads it learns no map from it.
 fn studied(row: ResultRow) -> Studied {
+    let numbers = Numbers {
+        i_crest_a: row.i_crest_a,
+        r_ohm: row.r_ohm,
+        l_h: row.l_h,
+        sigma_r_pct: row.sigma_r_pct,
+        sigma_l_pct: row.sigma_l_pct,
+        iterations: row.iterations,
+    };
     Studied {
-        seq: row.seq,
-        half_cycle: row.half_cycle,
-        f_sw_hz: row.f_sw_hz,
         power_w: row.power_w,
-        numbers: Numbers {
-            i_crest_a: row.i_crest_a,
-            r_ohm: row.r_ohm,
-            l_h: row.l_h,
-            sigma_r_pct: row.sigma_r_pct,
-            sigma_l_pct: row.sigma_l_pct,
-            iterations: row.iterations,
-        },
         refused: (!row.pass).then_some(row.why),
-        steps: Vec::new(),
-        remarks: Vec::new(),
-        trajectory: None,
-        curve: None,
-        evidence: Default::default(),
-        busy_s: 0.0,
+        ..Studied::of_numbers((row.seq, row.half_cycle), row.f_sw_hz, numbers)
     }
 }

@@ -15,10 +15,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(60);
 
 /// Gives and takes until the edge ends.
 pub async fn run(link: Arc<Link>) {
-    let mut told: BTreeMap<String, Vec<u8>> = BTreeMap::new();
     loop {
         let pause = match link.is_connected() && link.serves() {
-            true => match exchange(&link, &mut told).await {
+            true => match exchange(&link).await {
                 Ok(()) => LOOK_EVERY,
                 Err(why) => {
                     link.failed("pots", &why);
@@ -33,7 +32,7 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn exchange(link: &Link, told: &mut BTreeMap<String, Vec<u8>>) -> Result<(), EngineError> {
+async fn exchange(link: &Link) -> Result<(), EngineError> {
     let there = engine::entries(&link.context, names::POTS).await?;
     let mut libraries: BTreeMap<String, Library> = BTreeMap::new();
     for (hob, bytes) in &there {
@@ -59,16 +58,9 @@ async fn exchange(link: &Link, told: &mut BTreeMap<String, Vec<u8>>) -> Result<(
             continue;
         }
         let bytes = mine.to_bytes();
-        if told.get(&hob) == Some(&bytes) {
-            continue;
+        if there.get(&hob).is_none_or(|known| *known != bytes) {
+            engine::put(&link.context, names::POTS, &hob, bytes).await?;
         }
-        let put = link
-            .context
-            .publish(names::key(names::POTS, &hob), bytes.clone().into())
-            .await;
-        let put = put.map_err(|e| engine::missing(names::POTS, e))?;
-        put.await.map_err(|e| engine::missing(names::POTS, e))?;
-        told.insert(hob, bytes);
     }
     let mut all = Library::default();
     for entry in libraries.values().flat_map(Library::entries) {

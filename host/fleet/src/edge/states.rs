@@ -94,7 +94,7 @@ async fn tell(link: &Link) -> Result<(), String> {
             },
         }
         for device in link.daemon.devices() {
-            if !crate::messages::is_hob(&device.name) {
+            if !ihd_daemon::config::is_name(&device.name) {
                 continue;
             }
             if !discovered.contains(&device.name) {

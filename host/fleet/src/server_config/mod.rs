@@ -11,7 +11,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use crate::messages::is_hob;
+use ihd_daemon::config::is_name;
 
 pub use keys::{Key, KeyError, read_or_make};
 pub use rights::Rights;
@@ -333,7 +333,7 @@ pub fn check_site(site: &Site) -> Result<(), ConfigError> {
 
 /// Names are tokens of subjects: a point or a star in one would be another right.
 fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
-    match is_hob(name) {
+    match is_name(name) {
         true => Ok(()),
         false => Err(ConfigError::Name {
             what,

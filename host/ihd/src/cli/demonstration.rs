@@ -1,14 +1,14 @@
 //! `ihd trainer --ui`: a hob that heats by itself, so that the page has something to show, until somebody takes it over.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::config::{Address, Config, DeviceConfig};
 use ihd_daemon::model::{Command, CommandError, Notice, What};
 use ihd_link::DeviceSpec;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::time::{MissedTickBehavior, interval, sleep};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 
 /// Who heats.
 const HOLDER: &str = "demonstration";

@@ -211,6 +211,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if empty
         || error.is::<inspect::UnfitCapture>()
         || error.is::<identify::RefusedResults>()
+        || error.is::<scenario::MissedLimits>()
         || error.is::<inspect::SingleChannel>()
         || error.is::<Incomplete>()
     {

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use ihd_sim::scenario::file::Scenario;
+use ihd_sim::scenario::limits::Checked;
 use ihd_sim::scenario::run::run;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output;
-use crate::report::scenario;
+use crate::report::scenario as report;
 
 /// Run the firmware in simulated time against a file of events: power, pots, mains, faults.
 #[derive(Debug, Args)]
@@ -31,7 +32,8 @@ A file (docs/control.md has every field):\n  \
     [[event]]\n  \
     at_s = 2.0\n  \
     mains = { v_rms = 138.0, for_s = 0.2 }\n\n\
-Exit codes: 0 it ran, whatever came of it, 1 the file cannot be read or run, 2 wrong usage")]
+Exit codes: 0 it ran and met the [limits] of its file, if there are any, 1 the file cannot be read or run, 2 wrong\n\
+usage, 7 a limit is missed")]
 pub struct ScenarioArgs {
     /// The scenario
     #[arg(value_name = "FILE.toml")]
@@ -44,11 +46,22 @@ pub struct ScenarioArgs {
     plot: Option<PathBuf>,
 }
 
+/// Limits of the file that the record does not meet; it was printed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{} of {of} limits missed: {}", missed.len(), missed.join("; "))]
+pub struct MissedLimits {
+    /// Each with value and allowed range.
+    pub missed: Vec<String>,
+    /// Number of limits.
+    pub of: usize,
+}
+
 impl ScenarioArgs {
     /// Reads, runs, reports.
     ///
     /// # Errors
-    /// A file that cannot be read, with line, field and what is allowed; a figure that cannot be written.
+    /// A file that cannot be read, with line, field and what is allowed; a figure that cannot be written;
+    /// [`MissedLimits`] after the report.
     pub fn run(&self) -> Result<()> {
         let path = self.file.display();
         let scenario = Scenario::read(&self.file).with_context(|| format!("scenario {path}"))?;
@@ -59,11 +72,22 @@ impl ScenarioArgs {
             .with_context(|| format!("scenario {path}"))?;
         bar.finish_and_clear();
         if let Some(plot) = &self.plot {
-            scenario::figure::write(&record, plot)?;
+            report::figure::write(&record, plot)?;
         }
+        let checked = scenario.file.limits.check(&record);
         match self.json {
-            true => output::json_line(&record),
-            false => output::text(&scenario::text(&record)),
+            true => output::json_line(&record)?,
+            false => output::text(&report::text(&record, &checked))?,
+        }
+        let missed = checked.iter().filter(|c| !c.ok).map(Checked::to_string);
+        let missed: Vec<String> = missed.collect();
+        match missed.is_empty() {
+            true => Ok(()),
+            false => Err(MissedLimits {
+                missed,
+                of: checked.len(),
+            }
+            .into()),
         }
     }
 }

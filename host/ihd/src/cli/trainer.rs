@@ -59,7 +59,7 @@ pub struct TrainerArgs {
     /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
     #[arg(long, value_name = "FILE", conflicts_with_all = ["power", "follow"])]
     replay: Option<PathBuf>,
-    /// What computes the network: fused (own code), flex or ndarray (burn).
+    /// What computes the network: fused (own code) or ndarray (burn).
     #[arg(long, value_name = "NAME")]
     backend: Option<Backend>,
     /// TOML file with the network's settings over the preset that it names; what it leaves out keeps

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use ihd_daemon::config::is_name;
 use ihd_daemon::fleet::host_name;
 use ihd_fleet::worker::{self, Figures, WorkerSettings};
 use ihd_train::NetworkConfig;
@@ -50,7 +51,7 @@ impl WorkerArgs {
         let name = self.name.clone();
         let name = name.unwrap_or_else(|| format!("{}-{}", host_name(), std::process::id()));
         ensure_usage!(
-            ihd_fleet::messages::is_hob(&name),
+            is_name(&name),
             "--name {name:?}: a name has 1 to 64 of a-z, 0-9, - and _"
         );
         let network = match &self.network {

@@ -13,10 +13,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::http;
-use crate::process::{Process, ihd};
-
-/// Longest that a daemon may take until it answers.
-const START: Duration = Duration::from_secs(60);
+use crate::process::{PATIENCE, Process, ihd};
 
 /// A daemon that is running, or has been.
 pub struct Daemon {
@@ -63,7 +60,7 @@ impl Daemon {
             if let Some(status) = daemon.process.ended() {
                 return Err(io::Error::other(format!("{status}: {}", daemon.log_tail())));
             }
-            if began.elapsed() > START {
+            if began.elapsed() > PATIENCE {
                 return Err(io::Error::other(format!(
                     "no answer: {}",
                     daemon.log_tail()
@@ -92,13 +89,12 @@ impl Daemon {
     /// Takes the lease of a device and asks for power.
     pub fn heat(&self, device: &str, power_w: u16) -> io::Result<()> {
         let at = format!("/api/v1/devices/{device}");
-        let five_s = Duration::from_secs(5);
         let (status, said) = http::ask(
             self.address,
             "PUT",
             &format!("{at}/lease"),
             "{\"force\":true}",
-            five_s,
+            PATIENCE,
         )?;
         if status != 200 {
             return Err(io::Error::other(format!("lease: {status} {said}")));
@@ -109,7 +105,7 @@ impl Daemon {
             "POST",
             &format!("{at}/commands"),
             &power,
-            five_s,
+            PATIENCE,
         )? {
             (200, _) => Ok(()),
             (status, said) => Err(io::Error::other(format!("power: {status} {said}"))),
@@ -118,16 +114,33 @@ impl Daemon {
 
     /// All of `GET /metrics`.
     pub fn metrics(&self) -> String {
-        http::ask(self.address, "GET", "/metrics", "", Duration::from_secs(5))
+        http::ask(self.address, "GET", "/metrics", "", PATIENCE)
             .map_or_else(|e| e.to_string(), |(_, text)| text)
     }
 
-    /// Ends it in order; whether it did within ten seconds, with exit code 0.
+    /// Ends it in order; whether it did, with exit code 0.
     pub fn stop(&mut self) -> bool {
         self.process.terminate();
         self.process
-            .wait(Duration::from_secs(15))
+            .wait(PATIENCE)
             .is_some_and(|status| status.success())
+    }
+
+    /// Waits until the devices are as wanted; their reports then.
+    pub fn until(&mut self, what: &str, wanted: impl Fn(&[Value]) -> bool) -> Vec<Value> {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let devices = self.devices();
+            if let Ok(devices) = &devices
+                && wanted(devices)
+            {
+                return devices.clone();
+            }
+            assert!(self.process.ended().is_none(), "{}", self.log_tail());
+            assert!(Instant::now() < deadline, "never: {what}; {devices:#?}");
+            self.process.rss();
+            thread::sleep(Duration::from_millis(100));
+        }
     }
 
     pub fn log_tail(&self) -> String {
@@ -161,8 +174,8 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// Answers later than `limit` are counted as missed.
-    pub fn of(address: SocketAddr, limit: Duration) -> Self {
+    /// Answers that do not come are counted as missed.
+    pub fn of(address: SocketAddr) -> Self {
         let pulse = Self {
             stop: Arc::default(),
             worst_ms: Arc::default(),
@@ -176,10 +189,11 @@ impl Pulse {
         thread::spawn(move || {
             while !own.0.load(Relaxed) {
                 let began = Instant::now();
-                let answered = http::ask(address, "GET", "/healthz", "", 10 * limit).is_ok();
+                let answer = http::ask(address, "GET", "/healthz", "", PATIENCE);
                 let took = began.elapsed();
                 own.1.fetch_max(took.as_millis() as u64, Relaxed);
-                if !answered || took > limit {
+                // One that says that the store is slow is an answer. The daemon may have ended meanwhile.
+                if answer.is_err() && !own.0.load(Relaxed) {
                     own.2.fetch_add(1, Relaxed);
                 }
                 thread::sleep(Duration::from_millis(250));
@@ -188,7 +202,7 @@ impl Pulse {
         pulse
     }
 
-    /// Longest answer in milliseconds, and how many were missed.
+    /// Longest answer in milliseconds, for whoever reads what a test prints, and how many were missed.
     pub fn seen(&self) -> (u64, u64) {
         (self.worst_ms.load(Relaxed), self.missed.load(Relaxed))
     }

@@ -8,6 +8,8 @@ use std::time::Duration;
 
 use serde_json::Value;
 
+use crate::process::PATIENCE;
+
 /// Who commands in these tests.
 const HOLDER: &str = "tests";
 
@@ -40,7 +42,7 @@ pub fn ask(
 
 /// A `GET` that must be answered with JSON.
 pub fn get(from: SocketAddr, path: &str) -> io::Result<Value> {
-    let (status, body) = ask(from, "GET", path, "", Duration::from_secs(10))?;
+    let (status, body) = ask(from, "GET", path, "", PATIENCE)?;
     match status {
         200 => serde_json::from_str(&body).map_err(io::Error::other),
         _ => Err(io::Error::other(format!("{path}: {status}: {body}"))),
@@ -57,8 +59,8 @@ pub struct Watch {
 impl Watch {
     /// Begins to listen; returns once the daemon has said that it will tell.
     pub fn begin(from: SocketAddr) -> io::Result<Self> {
-        let mut stream = TcpStream::connect_timeout(&from, Duration::from_secs(5))?;
-        stream.set_read_timeout(Some(Duration::from_secs(60)))?;
+        let mut stream = TcpStream::connect_timeout(&from, PATIENCE)?;
+        stream.set_read_timeout(Some(PATIENCE))?;
         write!(
             stream,
             "GET /api/v1/events HTTP/1.0\r\nHost: {from}\r\n\r\n"

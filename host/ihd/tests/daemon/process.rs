@@ -7,6 +7,9 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use std::{fs, io, thread};
 
+/// Longest wait for an event; it only ends a hang.
+pub const PATIENCE: Duration = Duration::from_secs(300);
+
 /// The command under test, of this build or of `IHD_BIN`.
 pub fn ihd(folder: &Path) -> Command {
     let built = env!("CARGO_BIN_EXE_ihd").into();
@@ -80,22 +83,26 @@ impl Process {
 
     /// Processor time that it has taken, in seconds.
     pub fn processor_s(&self) -> f64 {
-        let stat =
-            fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap_or_default();
-        let fields: Vec<_> = stat
-            .rsplit(')')
-            .next()
-            .unwrap_or("")
-            .split_whitespace()
-            .collect();
-        let ticks = |k: usize| {
-            fields
-                .get(k)
-                .and_then(|f| f.parse::<f64>().ok())
-                .unwrap_or(0.0)
-        };
-        (ticks(11) + ticks(12)) / 100.0
+        processor_s(self.child.id())
     }
+}
+
+/// Processor time that a process has taken, in seconds; 0 once it has ended.
+pub fn processor_s(pid: u32) -> f64 {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let fields: Vec<_> = stat
+        .rsplit(')')
+        .next()
+        .unwrap_or("")
+        .split_whitespace()
+        .collect();
+    let ticks = |k: usize| {
+        fields
+            .get(k)
+            .and_then(|f| f.parse::<f64>().ok())
+            .unwrap_or(0.0)
+    };
+    (ticks(11) + ticks(12)) / 100.0
 }
 
 impl Drop for Process {

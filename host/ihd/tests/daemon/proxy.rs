@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::chance::Chance;
+use crate::process::PATIENCE;
 
 /// How often a waiting thread looks whether it should end.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -433,15 +434,12 @@ fn connections_are_cut_and_stalled_as_asked() {
         ..Faults::default()
     };
     let proxy = Proxy::start(listener.local_addr().unwrap(), faults).unwrap();
-    let began = Instant::now();
     for _ in 0..10 {
         let mut near = TcpStream::connect(proxy.address()).unwrap();
-        near.set_read_timeout(Some(Duration::from_secs(20)))
-            .unwrap();
+        near.set_read_timeout(Some(PATIENCE)).unwrap();
         let _far = listener.accept().unwrap();
         assert_eq!(near.read(&mut [0; 8]).unwrap_or(0), 0);
     }
-    assert!(began.elapsed() < Duration::from_secs(15));
     assert!(proxy.counted().cuts.load(Relaxed) >= 10);
     assert!(proxy.counted().stalls.load(Relaxed) > 0);
 }

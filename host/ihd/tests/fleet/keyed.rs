@@ -9,9 +9,7 @@ use serde_json::Value;
 
 use crate::process::{Process, ihd};
 use crate::server::Server;
-
-/// For what a loaded machine takes.
-const PATIENCE: Duration = Duration::from_secs(120);
+use crate::site::PATIENCE;
 
 /// The server and where its keys are.
 struct Keyed {
@@ -128,7 +126,6 @@ fn started(command: &mut std::process::Command, log: &Path) -> Process {
 }
 
 #[test]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     let keyed = Keyed::start();
     let small = [

@@ -1,4 +1,4 @@
-//! The fleet against a real NATS server (`cargo xtask fleet`): what is lost when whoever is killed, what the engine keeps, what each key
+//! The fleet against a real NATS server (`cargo xtask setup` brings it): what is lost when whoever is killed, what the engine keeps, what each key
 //! may do, MQTT.
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 

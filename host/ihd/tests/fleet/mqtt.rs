@@ -124,7 +124,6 @@ impl Mqtt {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn states_that_an_edge_publishes_arrive_over_mqtt() {
     let lab = Lab::start().await;
     let mut mqtt = Mqtt::of(&lab, "lab-mqtt").await;
@@ -161,7 +160,6 @@ async fn tell_at_birth(edge: async_nats::Client, hob: &'static str) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn home_assistant_finds_each_quantity_after_its_birth() {
     let lab = Lab::start().await;
     let edge = lab.client("lab-edge-lab-1").await;
@@ -203,7 +201,6 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn who_reads_by_mqtt_may_only_read_and_only_states() {
     let lab = Lab::start().await;
     let operator = lab.client("lab-operator").await;
@@ -245,7 +242,6 @@ async fn who_reads_by_mqtt_may_only_read_and_only_states() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn a_password_of_mqtt_opens_mqtt_alone() {
     let lab = Lab::start().await;
     let (user, other) = ("lab-mqtt", "lab-home-assistant");

@@ -6,9 +6,7 @@ use async_nats::jetstream::{self, stream};
 
 use crate::cut::Cut;
 use crate::server::Server;
-
-/// Longest wait for a client to find its way back.
-const PATIENCE: Duration = Duration::from_secs(20);
+use crate::site::PATIENCE;
 
 /// Connects, with answers within a second or none.
 async fn connect(url: String) -> jetstream::Context {
@@ -46,7 +44,6 @@ async fn publish_at_last(js: &jetstream::Context) -> u64 {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn what_was_acknowledged_is_there_after_a_kill() {
     let mut server = Server::start("");
     let js = connect(server.url()).await;
@@ -75,7 +72,6 @@ async fn what_was_acknowledged_is_there_after_a_kill() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn a_client_goes_on_after_a_partition_and_after_a_cut() {
     let server = Server::start("");
     let cut = Cut::start(server.address()).unwrap();

@@ -73,7 +73,6 @@ async fn answered(client: &Client, subject: String, body: &'static str) -> bool 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn an_edge_does_its_work_and_no_other_hobs() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -128,7 +127,6 @@ async fn an_edge_does_its_work_and_no_other_hobs() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn an_edge_gets_the_lookups_and_results_of_its_hobs_alone() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -217,7 +215,6 @@ async fn all_answers(client: &Client, subject: &str, body: &'static str) -> Vec<
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn every_pot_is_readable_and_the_fleet_only_where_it_was_allowed() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -267,7 +264,6 @@ async fn keys(js: &Context, bucket: &str) -> Vec<String> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn nobody_but_the_operator_changes_streams_or_makes_consumers() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -315,7 +311,6 @@ async fn nobody_but_the_operator_changes_streams_or_makes_consumers() {
 
 /// The server looks at the subject of a request, not at where the answer is to go, and answers with rights of its own.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn an_answer_cannot_be_sent_where_its_asker_may_not_write() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -384,7 +379,6 @@ async fn ask(client: &Client, subject: String, answer: &str, body: &'static str)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn a_put_cannot_empty_the_bucket() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -415,7 +409,6 @@ async fn a_put_cannot_empty_the_bucket() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn a_worker_pulls_windows_and_publishes_results_and_nothing_else() {
     let lab = Lab::start().await;
     let operator = lab.jetstream("lab-operator").await;
@@ -466,7 +459,6 @@ async fn a_worker_pulls_windows_and_publishes_results_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn sites_do_not_see_each_other() {
     let lab = Lab::start().await;
     let (operator, other) = (
@@ -494,7 +486,6 @@ async fn sites_do_not_see_each_other() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn who_is_not_known_is_told_so_and_a_strange_server_is_refused() {
     let lab = Lab::start().await;
     let key = "lab-edge-lab-1";
@@ -527,7 +518,6 @@ async fn who_is_not_known_is_told_so_and_a_strange_server_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs nats-server: cargo xtask test --only fleet"]
 async fn a_revoked_key_is_out_at_once_and_the_others_stay() {
     let mut lab = Lab::start().await;
     let (lost, kept) = (

@@ -11,11 +11,10 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-/// Names the program; `cargo xtask fleet` sets it.
-const PROGRAM: &str = "IHD_NATS_SERVER";
+use super::site::PATIENCE;
 
-/// How long a start, a stop or a reload may take: this machine may be busy.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Names another program than `cargo xtask setup` brings.
+const PROGRAM: &str = "IHD_NATS_SERVER";
 
 /// How often a wait looks.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
@@ -265,10 +264,20 @@ impl Drop for Server {
     }
 }
 
-/// The program: `IHD_NATS_SERVER`, else one on the PATH.
+/// The program: `IHD_NATS_SERVER`, else the one that `cargo xtask setup` has put beside the build, else one on the PATH.
 fn program() -> PathBuf {
-    let named = std::env::var_os(PROGRAM);
-    named.unwrap_or_else(|| "nats-server".into()).into()
+    if let Some(named) = std::env::var_os(PROGRAM) {
+        return named.into();
+    }
+    // The test's own program lies in target/debug/deps.
+    let build = std::env::current_exe().unwrap_or_default();
+    let beside = build
+        .ancestors()
+        .nth(3)
+        .map(|target| target.join("tools/nats/bin/nats-server"));
+    beside
+        .filter(|program| program.is_file())
+        .unwrap_or_else(|| "nats-server".into())
 }
 
 fn spawn(folder: &Path, start: usize) -> io::Result<Child> {
@@ -287,7 +296,7 @@ fn spawn(folder: &Path, start: usize) -> io::Result<Child> {
         .stderr(File::create(folder.join("stderr"))?);
     command.spawn().map_err(|why| {
         let what = format!(
-            "{:?} does not start ({why}): `cargo xtask fleet` brings it, or name one in {PROGRAM}",
+            "{:?} does not start ({why}): `cargo xtask setup` brings it, or name one in {PROGRAM}",
             program()
         );
         io::Error::new(why.kind(), what)
@@ -327,7 +336,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "needs nats-server: cargo xtask test --only fleet"]
     fn a_server_comes_back_at_its_own_port_after_each_kind_of_end() {
         let mut server = Server::with_mqtt();
         let (address, mqtt) = (server.address(), server.mqtt_address());
@@ -349,7 +357,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "needs nats-server: cargo xtask test --only fleet"]
     fn a_reload_takes_a_sound_configuration_and_tells_of_another() {
         let server = Server::start("");
         server.rewrite(|text| text + "max_payload: 1000\n");

@@ -122,7 +122,7 @@ impl Site {
                 let mut window = tape.windows[n % tape.windows.len()].clone();
                 window.seq = n as u32;
                 window.half_cycle = u32::from(WINDOWS_EVERY) * n as u32;
-                let kept = store.keep_window_for_fleet(session, &window);
+                let kept = store.keep_window_for(session, &window, true);
                 assert!(kept.expect("kept").1);
                 self.windows
                     .insert((hob.clone(), hello.boot_id, window.seq));
@@ -293,6 +293,9 @@ pub fn status(url: &str) -> Option<Value> {
     let (text, code) = fleet(url, &["status", "--json"]);
     (code == 0).then(|| serde_json::from_str(&text).expect("JSON"))
 }
+
+/// Ends a hang: no test is judged by it.
+pub const PATIENCE: Duration = Duration::from_secs(600);
 
 /// Waits until something holds.
 pub fn until(what: &str, within: Duration, mut holds: impl FnMut() -> bool) -> Duration {

@@ -1,4 +1,4 @@
-//! What a fleet costs and what it manages, measured: the tables of docs/fleet.md (`cargo xtask fleet study --full`). One machine has
+//! What a fleet costs and what it manages, measured: the tables of docs/fleet.md (`--profile full study`). One machine has
 //! everything: server, edge and workers take from each other.
 
 use std::time::{Duration, Instant};
@@ -8,20 +8,12 @@ use ihd_fleet::Identity;
 use ihd_fleet::messages::WindowMessage;
 use ihd_store::{Reader, ResultFilter};
 
-use super::process::Process;
+use super::process::{Process, processor_s};
 use super::server::Server;
 use super::site::{Site, Worker, init, status, tape, until};
 
 /// For one run of the study.
 const PATIENCE: Duration = Duration::from_secs(3_000);
-
-fn wanted() -> bool {
-    let wanted = std::env::var_os("IHD_FLEET_STUDY").is_some();
-    if !wanted {
-        println!("not run: IHD_FLEET_STUDY is not set");
-    }
-    wanted
-}
 
 /// `ihd fleet status`'s numbers, asked for by this process: a command a look would be part of what is measured.
 struct Look {
@@ -54,19 +46,6 @@ impl Look {
     fn results(&self) -> u64 {
         self.stream("IHD_RESULTS").0
     }
-}
-
-fn processor_s(pid: u32) -> f64 {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let fields: Vec<f64> = stat
-        .rsplit(')')
-        .next()
-        .unwrap_or("")
-        .split_whitespace()
-        .map(|field| field.parse().unwrap_or(0.0))
-        .collect();
-    let ticks = |k: usize| fields.get(k).copied().unwrap_or(0.0);
-    (ticks(11) + ticks(12)) / 100.0
 }
 
 fn percentile(sorted: &[f64], percent: f64) -> f64 {
@@ -110,11 +89,7 @@ fn rate(server: &Server, site: &Site, look: &Look, workers: usize, options: &[&s
 }
 
 #[test]
-#[ignore = "minutes: cargo xtask fleet study --full"]
-fn windows_a_second_against_workers() {
-    if !wanted() {
-        return;
-    }
+fn windows_a_second_against_workers_at_length() {
     println!("| workers (a thread each) | windows/s | against one |\n|---|---|---|");
     let mut one = f64::NAN;
     for workers in [1, 2, 4] {
@@ -143,11 +118,7 @@ fn windows_a_second_against_workers() {
 }
 
 #[test]
-#[ignore = "minutes: cargo xtask fleet study --full"]
-fn what_a_window_costs() {
-    if !wanted() {
-        return;
-    }
+fn what_a_window_costs_at_length() {
     let count = 1_500;
     let (server, mut site, look) = backlog(count);
     let (_, window_bytes) = look.stream("IHD_WINDOWS");
@@ -189,11 +160,7 @@ fn what_a_window_costs() {
 }
 
 #[test]
-#[ignore = "minutes: cargo xtask fleet study --full"]
-fn from_window_to_lookup() {
-    if !wanted() {
-        return;
-    }
+fn from_window_to_lookup_at_length() {
     let server = Server::start("");
     let url = server.url();
     init(&url, &[]);
@@ -248,11 +215,7 @@ fn from_window_to_lookup() {
 }
 
 #[test]
-#[ignore = "minutes: cargo xtask fleet study --full"]
-fn a_backlog_of_an_hour() {
-    if !wanted() {
-        return;
-    }
+fn a_backlog_of_an_hour_at_length() {
     // One hob, five windows a second, an hour; identified by 32 threads that pretend to take a tenth of a second, as many machines would.
     let count = 18_000;
     let server = Server::start("");
@@ -285,11 +248,7 @@ fn a_backlog_of_an_hour() {
 }
 
 #[test]
-#[ignore = "minutes: cargo xtask fleet study --full"]
-fn a_thousand_edges_on_one_server() {
-    if !wanted() {
-        return;
-    }
+fn a_thousand_edges_on_one_server_at_length() {
     let server = Server::start("");
     let url = server.url();
     init(&url, &["--windows-bytes", "2000000000"]);

@@ -1,13 +1,9 @@
 //! A simulated hob that heats, its edge, a worker and the server: results come back, teach the hob, and the edge goes on alone.
 
-use std::time::Duration;
-
 use serde_json::Value;
 
 use super::server::Server;
-use super::site::{Site, Worker, fleet, init, status, until};
-
-const PATIENCE: Duration = Duration::from_secs(120);
+use super::site::{PATIENCE, Site, Worker, fleet, init, status, until};
 
 fn json(url: &str, arguments: &[&str]) -> Value {
     let (text, code) = fleet(url, arguments);
@@ -22,7 +18,6 @@ fn last_lookup(url: &str) -> Option<(u64, bool)> {
 }
 
 #[test]
-#[ignore = "needs nats-server: cargo xtask fleet"]
 fn a_hob_is_taught_by_workers_and_without_them() {
     let server = Server::start("");
     let url = server.url();
@@ -40,8 +35,11 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         let devices = json(&url, &["devices", "--json"]);
         devices[0]["name"] == *hob && devices[0]["state"] == "idle"
     });
-    site.device(&[&hob, "power", "1500", "--for", "10"]);
-    until("results of the worker", PATIENCE, || results() >= 10);
+    // Again and again: on a slow machine ten seconds of the wall are few of the hob.
+    until("results of the worker", PATIENCE, || {
+        site.device(&[&hob, "power", "1500", "--for", "5"]);
+        results() >= 10
+    });
     until("results in the store", PATIENCE, || {
         site.results().len() >= 10
     });
@@ -63,8 +61,8 @@ fn a_hob_is_taught_by_workers_and_without_them() {
     // Nobody identifies any more: the edge waits for a while, and then learns by itself.
     worker.kill();
     let before = site.results().len();
-    site.device(&[&hob, "power", "1200", "--for", "40"]);
     until("results of the edge itself", PATIENCE, || {
+        site.device(&[&hob, "power", "1200", "--for", "5"]);
         site.results().len() > before + 10
     });
     // A worker comes back: what was left to the fleet is identified, what the edge has found is known there.

@@ -83,7 +83,7 @@ fn wrong_usage_is_2_whoever_finds_it() {
             ("trainer --no-store --power 0", "--power"),
             ("trainer --no-store --power 9999", "2500"),
             ("trainer --no-store --mains 16.7", "--mains"),
-            ("trainer --backend torch", "flex"),
+            ("trainer --backend torch", "ndarray"),
             ("trainer --no-store --lift 5mm", "--load reduced"),
             ("trainer --no-store --load reduced --lift 1", "lift_m"),
             ("trainer --no-store --perturb round", "sharp-knee"),
@@ -120,6 +120,26 @@ fn what_fails_is_1_and_names_the_file() {
         let (code, _, stderr) = run(dir.path(), args);
         assert_eq!(code, 1, "{args}: {stderr}");
         assert!(stderr.contains("none."), "{args}: {stderr}");
+    }
+}
+
+#[test]
+fn a_missed_limit_of_a_scenario_is_7_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = "duration_s = 0.05\nload = \"behavioural\"\n[limits]\nstarts = [0, 0]\n";
+    std::fs::write(dir.path().join("met.toml"), text).unwrap();
+    std::fs::write(
+        dir.path().join("missed.toml"),
+        text.replace("[0, 0]", "[1, 2]"),
+    )
+    .unwrap();
+    let (code, stdout, stderr) = run(dir.path(), "scenario met.toml");
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.ends_with("limit met: starts is 0, allowed [0, 0]\n"));
+    for args in ["scenario missed.toml", "scenario missed.toml --json"] {
+        let (code, _, stderr) = run(dir.path(), args);
+        assert_eq!(code, 7, "{args}: {stderr}");
+        assert!(stderr.contains("1 of 1 limits missed: starts is 0, allowed [1, 2]"));
     }
 }
 

@@ -59,9 +59,12 @@ fn hob(dir: &Path) -> (Process, String) {
     (Process(child), address)
 }
 
+/// Longest wait for an event; it only ends a hang.
+const PATIENCE: Duration = Duration::from_secs(300);
+
 /// Waits until a file is larger than `bytes`.
 fn await_size(path: &Path, bytes: u64) {
-    let deadline = Instant::now() + Duration::from_secs(60);
+    let deadline = Instant::now() + PATIENCE;
     while std::fs::metadata(path).map_or(0, |m| m.len()) < bytes {
         assert!(Instant::now() < deadline, "{} stays small", path.display());
         std::thread::sleep(Duration::from_millis(20));
@@ -138,15 +141,12 @@ fn a_killed_recorder_leaves_a_readable_file() {
 
 /// Killed at any moment a recording can be inspected, and holds what came until half a second before.
 #[test]
-fn a_recording_killed_at_random_is_inspected() {
+fn a_recording_killed_at_any_moment_is_inspected() {
     let dir = tempfile::tempdir().unwrap();
-    // A fixed sequence of moments from 0 to 2 s.
-    let mut state = 0x2545_f491_u32;
     let mut with_windows = 0;
-    for k in 0..21 {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let moment = Duration::from_millis(u64::from(state >> 21));
-        let file = format!("killed-{k}.mcap");
+    // Moments by what is in the file, however slow the machine is: nothing, its head, half-cycles, windows.
+    for bytes in [0, 1, 3_000, 40_000, 300_000] {
+        let file = format!("killed-{bytes}.mcap");
         let args = format!("record --device sim --power 1500 --out {file}");
         let recorder = ihd(&args, dir.path())
             .stdout(Stdio::null())
@@ -154,26 +154,20 @@ fn a_recording_killed_at_random_is_inspected() {
             .spawn();
         let mut recorder = Process(recorder.expect("ihd record runs"));
         let path = dir.path().join(&file);
-        match k {
-            // The last one lives until it has windows, however slow the machine is.
-            20 => await_size(&path, 300_000),
-            _ => std::thread::sleep(moment),
-        }
+        await_size(&path, bytes);
         recorder.0.kill().unwrap();
         recorder.0.wait().unwrap();
         if !path.exists() {
             continue;
         }
-        let began = Instant::now();
         let output = run(&format!("inspect {file}"), dir.path());
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         // Nothing that a recorder which is killed leaves has an end mark.
-        assert_eq!(output.status.code(), Some(7), "{moment:?}: {stderr}");
+        assert_eq!(output.status.code(), Some(7), "{bytes}: {stderr}");
         assert!(
             !stderr.contains("panicked") && stderr.contains(&file),
             "{stderr}"
         );
-        assert!(began.elapsed() < Duration::from_secs(30), "{moment:?}");
         if std::fs::metadata(&path).unwrap().len() == 0 {
             continue;
         }

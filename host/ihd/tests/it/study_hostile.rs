@@ -1,7 +1,17 @@
-//! `ihd study hostile` on a few of its captures: all of them is `cargo xtask hostile`.
+//! `ihd study hostile` on a few of its captures: all of them are the step `hostile` of the full tier.
 
 use assert_cmd::Command;
 use serde_json::Value;
+
+/// Some twenty captures with one seed, each with something else wrong: none fools a method without a word.
+#[test]
+fn the_short_form_meets_its_goals() {
+    let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");
+    command
+        .args(["study", "hostile", "--short"])
+        .assert()
+        .success();
+}
 
 fn study(only: &str) -> (Option<i32>, Value) {
     let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");

@@ -64,7 +64,7 @@ impl Config {
                 return Ok(());
             }
             let problem = format!(
-                "{} has no double precision, which the harmonic branch needs: take fused, flex or \
+                "{} has no double precision, which the harmonic branch needs: take fused or \
                  ndarray",
                 self.backend
             );

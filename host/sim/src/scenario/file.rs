@@ -1,12 +1,14 @@
 //! The file of a scenario, as it is written.
 
+use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
+use super::limits::Limits;
 use super::{ScenarioError, number};
 use crate::adc::Noise;
 use crate::contents::Contents;
@@ -73,12 +75,12 @@ pub struct ScenarioFile {
     /// What happens, in any order.
     #[serde(default)]
     pub event: Vec<Spanned<EventField>>,
-    /// Limits that `cargo xtask scenarios` checks; a run does not look at them.
+    /// Limits on the record.
     #[serde(default)]
-    pub limits: Option<toml::Table>,
-    /// Variants that `cargo xtask scenarios` runs; a run does not look at them.
+    pub limits: Limits,
+    /// Values that [`variants`](super::variants::read) puts into the file, by path; a run leaves them aside.
     #[serde(default)]
-    pub matrix: Option<toml::Value>,
+    pub matrix: Vec<BTreeMap<String, Vec<toml::Value>>>,
 }
 
 impl ScenarioFile {
@@ -301,6 +303,19 @@ pub struct EventField {
     pub version: Option<u32>,
 }
 
+/// Text of a file.
+pub(super) fn text(path: &Path) -> Result<String, ScenarioError> {
+    std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Directory of a file, which the files that it names are relative to.
+pub(super) fn directory(path: &Path) -> PathBuf {
+    path.parent().map(PathBuf::from).unwrap_or_default()
+}
+
 /// A file read.
 #[derive(Clone, Debug)]
 pub struct Scenario {
@@ -317,13 +332,8 @@ impl Scenario {
     ///
     /// # Errors
     /// [`ScenarioError::Read`] and [`ScenarioError::Syntax`].
-    pub fn read(path: &std::path::Path) -> Result<Self, ScenarioError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let directory = path.parent().map(PathBuf::from).unwrap_or_default();
-        Self::parse(&text, directory)
+    pub fn read(path: &Path) -> Result<Self, ScenarioError> {
+        Self::parse(&text(path)?, directory(path))
     }
 
     /// Reads text; files that it names are relative to a directory.

@@ -1,13 +1,15 @@
 //! Scenarios: the firmware lib in simulated time against a file of events, and what came of it.
 //!
 //! ```text
-//! FILE.toml ─► file ─► timeline ─► run ─► record, summary ─► JSON
-//!                                   │▲
-//!                       host ◄─► SimHob (plant, firmware)
+//! FILE.toml ─► variants ─► file ─► timeline ─► run ─► record, summary ─► limits, JSON
+//!                                               │▲
+//!                                   host ◄─► SimHob (plant, firmware)
 //! ```
 
 pub mod file;
 mod host;
+pub mod limits;
+mod measured;
 mod number;
 pub mod record;
 pub mod run;
@@ -17,6 +19,7 @@ mod surroundings;
 #[cfg(test)]
 mod tests;
 pub mod timeline;
+pub mod variants;
 
 use std::path::PathBuf;
 
@@ -45,6 +48,14 @@ pub enum ScenarioError {
         /// Line of the file on which the event begins.
         line: usize,
         /// What is wrong and what is allowed.
+        why: String,
+    },
+    /// A `[[matrix]]` that cannot be put into its file.
+    #[error("matrix {path}: {why}")]
+    Matrix {
+        /// Path of names and numbers, separated by dots.
+        path: String,
+        /// Place at which it ends, and what is there.
         why: String,
     },
     /// A setting of the file's head that cannot be.

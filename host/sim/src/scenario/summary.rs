@@ -38,7 +38,7 @@ pub(super) struct Mark {
 }
 
 /// Half-cycles that lie within a time, their ends with them.
-fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
+pub(super) fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
     let from = half_cycles.partition_point(|h| h.t_s < from_s);
     let to = half_cycles.partition_point(|h| h.t_s < to_s).max(from);
     &half_cycles[from..to]

@@ -4,6 +4,8 @@
 //! cannot send it drops and counts itself, as on a board, and what it cannot take in waits at the host.
 
 mod guest;
+#[cfg(test)]
+mod tests;
 
 use std::io;
 use std::net::{SocketAddr, TcpListener, TcpStream};

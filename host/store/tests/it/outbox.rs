@@ -1,6 +1,6 @@
 //! What a fleet has not got: kept with the window, over restarts and days, until it is answered.
 
-use ihd_store::{Due, Keep, Sent, Settings, Store};
+use ihd_store::{Due, FleetState, Keep, Sent, Settings, Store};
 
 use super::fixture::*;
 
@@ -24,7 +24,7 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     store.keep_window(of, &window(1)).unwrap();
     for seq in 2..6 {
         clock.forward(DAY_MS / 2);
-        let (_, due) = store.keep_window_for_fleet(of, &window(seq)).unwrap();
+        let (_, due) = store.keep_window_for(of, &window(seq), true).unwrap();
         assert!(due);
     }
     assert_eq!(numbers(&mut store, 10), [2, 3, 4, 5]);
@@ -63,6 +63,41 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     assert_eq!(numbers(&mut store, 10), [2, 4]);
 }
 
+/// A daemon is started again on the day on which all windows were answered: what comes next is due at once, not from midnight on.
+#[test]
+fn a_store_that_owed_nothing_when_it_was_opened_owes_what_comes_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Settings::default();
+    let clock = SetClock::at(NOON_MS);
+    let open = || {
+        let opened = Store::open_with_clock(folder.path(), &settings, clock.clock());
+        opened.unwrap().store
+    };
+    let mut store = open();
+    let of = session(&mut store);
+    store.keep_window_for(of, &window(1), true).unwrap();
+    let state = |store: &mut Store, seq| store.fleet_state("bench", 7, seq).unwrap();
+    assert_eq!(state(&mut store, 1), Some(FleetState::Due));
+    let due = store.due(1).unwrap().remove(0);
+    store.sent(&[(due.clone(), Sent::Window)]).unwrap();
+    assert_eq!(state(&mut store, 1), Some(FleetState::Sent));
+    store.answered(&due.device, due.boot, due.seq).unwrap();
+    assert_eq!(state(&mut store, 1), Some(FleetState::Answered));
+    assert_eq!(state(&mut store, 2), None);
+    drop(store);
+
+    let mut store = open();
+    let of = session(&mut store);
+    assert_eq!(numbers(&mut store, 10), [] as [u32; 0]);
+    store.keep_window_for(of, &window(2), true).unwrap();
+    assert_eq!(numbers(&mut store, 10), [2]);
+    assert_eq!(store.count_due().unwrap(), 1);
+    // The clock of this machine was put back.
+    clock.forward(-DAY_MS);
+    store.keep_window_for(of, &window(3), true).unwrap();
+    assert_eq!(numbers(&mut store, 10), [3, 2]);
+}
+
 #[test]
 fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got() {
     let folder = tempfile::tempdir().unwrap();
@@ -72,7 +107,7 @@ fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got()
     let mut store = opened.unwrap().store;
     let of = session(&mut store);
     let due: Vec<bool> = (0..4)
-        .map(|seq| store.keep_window_for_fleet(of, &window(seq)).unwrap().1)
+        .map(|seq| store.keep_window_for(of, &window(seq), true).unwrap().1)
         .collect();
     assert_eq!(due, [true, false, true, false]);
     assert_eq!(numbers(&mut store, 10), [0, 2]);

@@ -3,27 +3,19 @@
 use std::time::Duration;
 
 use ihd_link::{Client, Event};
-use ihd_shared::wire::messages::{State, Telemetry};
+use ihd_shared::wire::messages::Telemetry;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
 use ihd_thermal::{HalfCycle, Thermometer};
 
 fn half_cycle(t: &Telemetry) -> HalfCycle {
-    HalfCycle {
-        t_s: f64::from(t.half_cycle) * 0.01,
-        f_hz: f64::from(t.f_sw_hz),
-        i_a: f64::from(t.i_crest_ma) * 1e-3,
-        r_ohm: t.r.ohm(),
-        l_h: t.l.henry(),
-        power_w: f64::from(t.power_mw) * 1e-3,
-        heats: t.state == State::Heating,
-    }
+    HalfCycle::told(t, f64::from(t.half_cycle) * 0.01)
 }
 
 /// The firmware's own control, filter and link; the load is the field's table.
 #[test]
-fn the_firmwares_telemetry_shows_how_warm_the_pot_is() {
+fn the_firmwares_telemetry_shows_how_warm_the_pot_is_at_length() {
     let hob = SharedHob::new(SimHob::new(&HobConfig {
         load: LoadKind::Surrogate,
         pot: "ferritic-15".parse().unwrap(),

@@ -98,13 +98,18 @@ impl Hrtim {
 
     fn repetition(&self, timer: usize, file: &RegisterFile) -> Option<Ticks> {
         let counter = [&self.a, &self.b][timer];
-        let [by_repetition, repetitions] = [
-            [hrtim_tima::timacr::TXREPU, hrtim_tima::repar::REPX],
-            [hrtim_timb::timbcr::TXREPU, hrtim_timb::repbr::REPX],
-        ][timer];
-        let on = counter.running && counter.period > 0 && file.is(by_repetition);
-        let periods = Ticks::from(file.get(repetitions)) + 1;
-        on.then(|| counter.started + periods * Ticks::from(counter.period))
+        if !counter.running || counter.period == 0 {
+            return None;
+        }
+        let (by_repetition, repetitions) = if timer == 0 {
+            use hrtim_tima::{repar, timacr};
+            (file.is(timacr::TXREPU), file.get(repar::REPX))
+        } else {
+            use hrtim_timb::{repbr, timbcr};
+            (file.is(timbcr::TXREPU), file.get(repbr::REPX))
+        };
+        let periods = Ticks::from(repetitions) + 1;
+        by_repetition.then(|| counter.started + periods * Ticks::from(counter.period))
     }
 
     /// Does what repetition events that are due now do: what was preloaded comes into force.

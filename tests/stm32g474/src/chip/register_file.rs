@@ -1,15 +1,42 @@
 //! All registers as plain words, with what holds for each of them: it exists, its peripheral is clocked, its reserved
 //! bits stay.
 
-use std::collections::HashMap;
+use std::sync::LazyLock;
 
 use crate::registers::{Field, REGISTERS, rcc};
 use crate::violation::Log;
 
+/// Words of address space in the ranges that have registers.
+const PLACES: usize = 0xB400;
+
+/// For each word of address space the number of its register and 1, or 0: registers are looked up some ten times in each block of code, and
+/// hashing their addresses took half of the emulator's time.
+static INDEX: LazyLock<[u16; PLACES]> = LazyLock::new(|| {
+    let mut index = [0; PLACES];
+    for (number, register) in (1..).zip(REGISTERS) {
+        index[place(register.address).expect("in one of the ranges")] = number;
+    }
+    index
+});
+
+/// Place of an address in [`INDEX`]. Inlined, as what calls it is, since most addresses are constants.
+#[inline]
+fn place(address: u32) -> Option<usize> {
+    let (first, base, bytes) = match address >> 24 {
+        0x40 => (0, 0x4000_0000, 0x2_8000),
+        0x48 => (0xA000, 0x4800_0000, 0x2000),
+        0x50 => (0xA800, 0x5000_0000, 0x2000),
+        0xE0 => (0xB000, 0xE004_2000, 0x1000),
+        _ => return None,
+    };
+    let offset = address.wrapping_sub(base);
+    (offset < bytes && offset.is_multiple_of(4)).then_some(first + offset as usize / 4)
+}
+
 /// The words.
 #[derive(Clone, Debug)]
 pub struct RegisterFile {
-    index: HashMap<u32, usize>,
+    index: &'static [u16; PLACES],
     values: Vec<u32>,
 }
 
@@ -39,36 +66,40 @@ pub fn clock_of(peripheral: &str) -> Option<Field> {
 
 impl Default for RegisterFile {
     fn default() -> Self {
-        let index = REGISTERS
-            .iter()
-            .enumerate()
-            .map(|(k, register)| (register.address, k));
         Self {
-            index: index.collect(),
+            index: &INDEX,
             values: REGISTERS.iter().map(|register| register.reset).collect(),
         }
     }
 }
 
 impl RegisterFile {
+    #[inline]
+    fn number(&self, address: u32) -> Option<usize> {
+        usize::from(self.index[place(address)?]).checked_sub(1)
+    }
+
     /// A register's word; 0 where there is none.
+    #[inline]
     pub fn word(&self, address: u32) -> u32 {
-        self.index.get(&address).map_or(0, |&k| self.values[k])
+        self.number(address).map_or(0, |k| self.values[k])
     }
 
     /// Sets a register's word.
     pub fn set_word(&mut self, address: u32, value: u32) {
-        if let Some(&k) = self.index.get(&address) {
+        if let Some(k) = self.number(address) {
             self.values[k] = value;
         }
     }
 
     /// A field's value.
+    #[inline]
     pub fn get(&self, field: Field) -> u32 {
         field.of(self.word(field.address))
     }
 
     /// Whether a field is not 0.
+    #[inline]
     pub fn is(&self, field: Field) -> bool {
         self.get(field) != 0
     }
@@ -89,7 +120,7 @@ impl RegisterFile {
 
     /// Whether an access is one that the chip takes; notes it where it is not.
     pub fn check_access(&self, address: u32, written: Option<u32>, log: &mut Log) -> bool {
-        let Some(&k) = self.index.get(&address) else {
+        let Some(k) = self.number(address) else {
             log.broken(format!(
                 "{address:#010x} is no register of what the image uses (SVD)"
             ));

@@ -7,6 +7,7 @@ pub mod nvic;
 pub mod trace;
 
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
 use std::rc::Rc;
 
 use unicorn_engine::RegisterARM;
@@ -39,13 +40,36 @@ pub enum CycleModel {
     PerInstruction(u32),
 }
 
+/// A hash of an address, for the lookup before each block of code: the standard library's, which nobody can foresee, takes longer than
+/// the block.
+#[derive(Default)]
+struct AddressHasher(u64);
+
+impl Hasher for AddressHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.write_u32((*byte).into());
+        }
+    }
+
+    fn write_u32(&mut self, word: u32) {
+        // The golden ratio of 2^64 spreads neighbours over all bits; the table wants good ones at both ends.
+        let spread = (self.0 ^ u64::from(word)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        self.0 = spread ^ (spread >> 32);
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
+
 /// Time-keeping of the instructions.
 pub struct Timing {
     /// How they are counted.
     pub model: CycleModel,
     /// The flash behind its accelerator.
     pub flash: FlashAccelerator,
-    blocks: HashMap<u32, Rc<Block>>,
+    blocks: HashMap<u32, Rc<Block>, BuildHasherDefault<AddressHasher>>,
     /// Where the last block ended: a block that begins elsewhere was branched to.
     last_end: u32,
     /// Everything since power-on.
@@ -72,7 +96,7 @@ impl Default for Timing {
         Self {
             model: CycleModel::Published,
             flash: FlashAccelerator::default(),
-            blocks: HashMap::new(),
+            blocks: HashMap::default(),
             last_end: 0,
             total: Cost::default(),
             handlers: HashMap::new(),

@@ -79,7 +79,16 @@ fn flip(machine: &mut Machine, address: u32, bit: u32) {
 }
 
 #[test]
-fn a_healthy_board_starts_and_heats_for_seconds_without_a_fault() {
+fn a_healthy_board_starts_and_heats_without_a_fault() {
+    heats_without_a_fault(1);
+}
+
+#[test]
+fn a_healthy_board_starts_and_heats_without_a_fault_at_length() {
+    heats_without_a_fault(5);
+}
+
+fn heats_without_a_fault(seconds_of_heat: usize) {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     let started_s = bench.now_s();
@@ -99,7 +108,7 @@ fn a_healthy_board_starts_and_heats_for_seconds_without_a_fault() {
         ..prior()
     };
     client.push_lookup(&lookup).unwrap();
-    for _ in 0..5 {
+    for _ in 0..seconds_of_heat {
         bench.run_s(1.0);
         let status = client.status().unwrap();
         assert_eq!(status.fault, Fault::NONE);
@@ -136,14 +145,17 @@ fn a_bit_of_flash_that_flips_while_it_heats_is_found() {
 
 #[test]
 fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run() {
-    // Stack, variables, the end of SRAM2 with the crash record, CCM SRAM at both ends.
-    for cell in [
-        0x2000_0000,
-        0x2000_A7C4,
-        0x2001_7FE4,
-        0x1000_0000,
-        0x1000_7FFC,
-    ] {
+    lets_nothing_run(&[0x2000_A7C4]);
+}
+
+#[test]
+fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run_all_variants() {
+    // Stack, the end of SRAM2 with the crash record, CCM SRAM at both ends.
+    lets_nothing_run(&[0x2000_0000, 0x2001_7FE4, 0x1000_0000, 0x1000_7FFC]);
+}
+
+fn lets_nothing_run(cells: &[u32]) {
+    for &cell in cells {
         let bench = started_with(move |machine| machine.stick_bit(cell, 13));
         bench.run_s(1.5);
         let (bites, answered, lit) = bench.with(|machine| {
@@ -167,9 +179,22 @@ fn a_cell_of_the_ram_that_is_stuck_lets_nothing_run() {
 
 #[test]
 fn a_register_of_the_processor_that_is_stuck_lets_nothing_run() {
+    use RegisterARM::{R7, S31};
+    held_up_by(&[R7, S31], &[1]);
+    // And it is these registers that hold it up.
+    let bench = started_with(|machine| machine.stick_register(R7, 0));
+    drop(connect(&bench));
+}
+
+#[test]
+fn a_register_of_the_processor_that_is_stuck_lets_nothing_run_all_variants() {
     use RegisterARM::{LR, R0, R7, R12, S0, S31};
-    for register in [R0, R7, R12, LR, S0, S31] {
-        for mask in [1, 1 << 31] {
+    held_up_by(&[R0, R7, R12, LR, S0, S31], &[1, 1 << 31]);
+}
+
+fn held_up_by(registers: &[RegisterARM], masks: &[u32]) {
+    for &register in registers {
+        for &mask in masks {
             let bench = started_with(move |machine| machine.stick_register(register, mask));
             bench.run_s(0.3);
             let (bites, running, sent) = bench.with(|machine| {
@@ -180,21 +205,26 @@ fn a_register_of_the_processor_that_is_stuck_lets_nothing_run() {
             assert_eq!((bites, running, sent), (0, false, 0), "{register:?}");
         }
     }
-    // And it is these registers that hold it up.
-    let bench = started_with(|machine| machine.stick_register(RegisterARM::R7, 0));
-    drop(connect(&bench));
 }
 
-/// In the stack, where nothing has used it, and in the last word before the crash record.
+/// In the stack, where nothing has used it.
 #[test]
 fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found() {
-    for (cell, bit) in [(0x2000_0180, 3), (0x2001_7FDC, 0)] {
-        let bench = heating();
-        let off_s = off_after_s(&bench, 15.0, move |machine| machine.stick_bit(cell, bit));
-        println!("RAM at {cell:#x}: off after {off_s:.2} s");
-        assert!(off_s < 10.0, "{off_s}");
-        assert_stands(&bench, Fault::RAM_TEST);
-    }
+    is_found_while_it_heats(0x2000_0180, 3);
+}
+
+/// In the last word before the crash record, too.
+#[test]
+fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found_all_variants() {
+    is_found_while_it_heats(0x2001_7FDC, 0);
+}
+
+fn is_found_while_it_heats(cell: u32, bit: u32) {
+    let bench = heating();
+    let off_s = off_after_s(&bench, 15.0, move |machine| machine.stick_bit(cell, bit));
+    println!("RAM at {cell:#x}: off after {off_s:.2} s");
+    assert!(off_s < 10.0, "{off_s}");
+    assert_stands(&bench, Fault::RAM_TEST);
 }
 
 #[test]
@@ -210,14 +240,24 @@ fn a_ram_that_was_broken_is_reported_by_the_next_start_that_finds_it_whole() {
 /// Ten percent of the main clock is, seen from it, that of everything else: LSI × 1.1 is a main clock 9 % too slow, and so on.
 #[test]
 fn a_clock_that_is_ten_percent_off_is_found_at_start_and_while_it_heats() {
-    for lsi_hz in [28_800, 29_091, 35_200, 35_556] {
+    clocks_are_found(&[28_800], &[35_200]);
+}
+
+/// At both ends, and an oscillator that stands still.
+#[test]
+fn a_clock_that_is_ten_percent_off_is_found_at_start_and_while_it_heats_all_variants() {
+    clocks_are_found(&[29_091, 35_200, 35_556], &[28_800, 0]);
+}
+
+fn clocks_are_found(at_start: &[u64], while_it_heats: &[u64]) {
+    for &lsi_hz in at_start {
         let bench = started_with(move |machine| {
             let now = machine.now();
             machine.chip().lsi.set_hz(lsi_hz, now);
         });
         assert_stands(&bench, Fault::CLOCK);
     }
-    for lsi_hz in [28_800, 35_200, 0] {
+    for &lsi_hz in while_it_heats {
         let bench = heating();
         let off_s = off_after_s(&bench, 2.0, move |machine| {
             let now = machine.now();

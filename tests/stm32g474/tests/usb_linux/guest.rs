@@ -90,7 +90,7 @@ impl Guest {
         fs::write(&image, initramfs(&files)?)?;
         let mut command = Command::new(variable("IHD_QEMU_X86")?);
         command.args([
-            "-M", "pc", "-accel", "tcg", "-cpu", "max", "-m", "256", "-smp", "1",
+            "-M", "pc", "-accel", "tcg", "-cpu", "max", "-m", "512", "-smp", "1",
         ]);
         command.args([
             "-nodefaults",

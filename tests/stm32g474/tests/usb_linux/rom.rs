@@ -39,7 +39,7 @@ fn assert_flashed(rom: &Mutex<Bootloader>) {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+#[ignore = "full tier: the model of the bootloader, which host/flash and the unit tests drive too"]
 fn the_image_goes_through_the_bootloader_over_usb() {
     let (mut desk, rom) = plugged_in();
     let began = Instant::now();
@@ -57,7 +57,7 @@ fn the_image_goes_through_the_bootloader_over_usb() {
 }
 
 #[test]
-#[ignore = "needs QEMU and a kernel: cargo xtask usb"]
+#[ignore = "full tier: the model of the bootloader, which host/flash and the unit tests drive too"]
 fn a_cable_pulled_while_flashing_is_told_and_the_next_run_mends_it() {
     let (mut desk, rom) = plugged_in();
     rom.lock().unwrap().expect(Fault::PowerLost {

@@ -230,7 +230,7 @@ fn hold(
                     return Ok(());
                 }
             }
-            Err(error) if is_somebody_elses(&error) || heard.elapsed() > SILENCE => {
+            Err(error) if lasts(&error, heard.elapsed()) => {
                 heated.ended_by = "error";
                 return Err(error);
             }
@@ -239,6 +239,11 @@ fn hold(
         looked = now;
         sleep(LOOK_EVERY.saturating_sub(now.elapsed()));
     }
+}
+
+/// Returns `true` if an error ends the heating: the lease is somebody else's, or nothing was heard for longer than [`SILENCE`].
+fn lasts(error: &anyhow::Error, silent: Duration) -> bool {
+    is_somebody_elses(error) || silent > SILENCE
 }
 
 /// The hob now, and whether the lease was renewed.
@@ -298,4 +303,25 @@ fn bar(json: bool) -> ProgressBar {
         bar.set_style(style);
     }
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_api::client::ClientError;
+    use ihd_daemon::model::CommandError;
+
+    use super::*;
+
+    #[test]
+    fn lost_answers_end_it_after_eight_seconds_and_another_ones_lease_at_once() {
+        let lost = anyhow::anyhow!("no answer");
+        assert!(!lasts(&lost, Duration::from_secs(8)));
+        assert!(lasts(&lost, Duration::from_millis(8_001)));
+        let leased = CommandError::Leased {
+            name: "bench".into(),
+            holder: "Ada".into(),
+            expires_in_s: 9,
+        };
+        assert!(lasts(&ClientError::Command(leased).into(), Duration::ZERO));
+    }
 }

@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use clap::Args;
+use ihd_daemon::config::is_name;
 use ihd_fleet::dead::{self, DeadFilter};
 
 use super::{AccessArgs, ago};
@@ -41,10 +42,7 @@ struct Which {
 impl Which {
     fn filter(&self) -> Result<DeadFilter> {
         if let Some(hob) = &self.hob {
-            ensure_usage!(
-                ihd_fleet::messages::is_hob(hob),
-                "--hob {hob:?}: no hob has such a name"
-            );
+            ensure_usage!(is_name(hob), "--hob {hob:?}: no hob has such a name");
         }
         Ok(DeadFilter {
             hob: self.hob.clone(),

@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use ihd_daemon::config::is_name;
 use ihd_fleet::engine::{self, Limits};
 use ihd_fleet::names;
 
@@ -46,7 +47,6 @@ fn edge(text: &str) -> Result<(String, Vec<String>), String> {
     let wrong = || format!("{text:?} is not EDGE=HOB,HOB: names have a-z, 0-9, - and _");
     let (edge, hobs) = text.split_once('=').ok_or_else(wrong)?;
     let hobs: Vec<String> = hobs.split(',').map(str::to_owned).collect();
-    let is_name = ihd_fleet::messages::is_hob;
     let named = is_name(edge) && hobs.iter().all(|hob| is_name(hob));
     match named {
         true => Ok((edge.to_owned(), hobs)),

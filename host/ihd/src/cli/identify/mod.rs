@@ -29,7 +29,7 @@ use crate::report::identified;
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \
     ihd identify capture.csv --method all --plot identified.svg\n  \
-    ihd identify capture.mcap --method pinn --preset hybrid --backend flex\n  \
+    ihd identify capture.mcap --method pinn --preset hybrid --backend ndarray\n  \
     ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
     Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 a result is refused (it is printed, with the\n\
     reason; --anyway makes it 0), or the file is empty, cut or damaged (what could be read is identified)")]
@@ -55,7 +55,7 @@ pub struct IdentifyArgs {
         help = format!("With the method pinn: preset of the network: {}", preset_names())
     )]
     preset: Option<String>,
-    /// With the method pinn: what computes the network, fused, flex or ndarray
+    /// With the method pinn: what computes the network, fused or ndarray
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
     /// With the method pinn: no wall-clock limit, so that two runs give the same digits

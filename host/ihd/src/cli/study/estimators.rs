@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::identify::MethodWord;
 use crate::cli::output;
@@ -54,9 +53,7 @@ impl EstimatorsArgs {
             seeds: if self.quick { 2 } else { self.seeds },
             field: !self.quick,
         };
-        let bar = ProgressBar::new(1);
-        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left");
-        bar.set_style(style.context("progress bar")?);
+        let bar = super::bar(1, "captures")?;
         let cells = study(&plan, &|done, total| {
             bar.set_length(total as u64);
             bar.set_position(done as u64);

@@ -2,9 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::cli::identify::MethodWord;
@@ -75,9 +74,7 @@ impl HostileArgs {
         };
         ensure_usage!(plan.seeds > 0, "--seeds is 0: give one at least");
         ensure_usage!(!plan.cases().is_empty(), "no capture has that in its name");
-        let bar = ProgressBar::new(plan.cases().len() as u64);
-        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left");
-        bar.set_style(style.context("progress bar")?);
+        let bar = super::bar(plan.cases().len() as u64, "captures")?;
         let runs = study(&plan, &|done, _| bar.set_position(done as u64))?;
         bar.finish_and_clear();
         let section = table::markdown(&runs, plan.seeds);

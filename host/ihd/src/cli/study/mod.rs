@@ -10,8 +10,9 @@ mod paper;
 mod pots;
 mod temperature;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 
 /// Run a study and print its tables.
 #[derive(Debug, Args)]
@@ -55,4 +56,11 @@ impl StudyArgs {
             Study::Temperature(args) => args.run(),
         }
     }
+}
+
+/// A bar of so many `things` (in words), which a study moves.
+fn bar(count: u64, things: &str) -> Result<ProgressBar> {
+    let text = format!("{{bar:40}} {{pos}}/{{len}} {things}, {{eta}} left");
+    let style = ProgressStyle::with_template(&text).context("progress bar")?;
+    Ok(ProgressBar::new(count).with_style(style))
 }

@@ -2,11 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use ihd_sim::perturbation::Perturbation;
 use ihd_sim::recording::settings::LoadKind;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::cli::output;
@@ -96,9 +95,7 @@ impl PotsArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
         let plan = self.plan()?;
-        let bar = ProgressBar::new(1);
-        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} pots, {eta} left");
-        bar.set_style(style.context("progress bar")?);
+        let bar = super::bar(1, "pots")?;
         let runs = study(&plan, &|done, total| {
             bar.set_length(total as u64);
             bar.set_position(done as u64);

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Serialize;
 
 use crate::cli::output;
@@ -64,9 +64,7 @@ struct Set<'a> {
 impl TemperatureArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
-        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} runs, {eta} left");
-        let bar = ProgressBar::new(4 * self.runs);
-        bar.set_style(style.context("progress bar")?);
+        let bar = super::bar(4 * self.runs, "runs")?;
         let mut sets = Vec::new();
         for (name, alloy) in [("alloy known", 0.0), ("alloy off by up to 20 %", ALLOY)] {
             let plan = Plan {

@@ -4,6 +4,7 @@ pub mod figure;
 
 use std::fmt::Write;
 
+use ihd_sim::scenario::limits::Checked;
 use ihd_sim::scenario::record::{HalfCycle, Record};
 
 use super::table::Table;
@@ -11,8 +12,8 @@ use super::table::Table;
 /// Changes of state, pot, fault or request that are listed; a host that repeats itself makes many.
 const ROWS: usize = 60;
 
-/// Power steps, faults, what the edges were like, and the energy.
-pub fn text(record: &Record) -> String {
+/// Power steps, states with their largest values, faults, energy, and the limits of the file.
+pub fn text(record: &Record, checked: &[Checked]) -> String {
     let summary = &record.summary;
     let mut text = String::new();
     let number = |value: Option<f64>, digits: usize| match value {
@@ -103,6 +104,10 @@ pub fn text(record: &Record) -> String {
         "{:.1} kJ into the load{latched}",
         summary.energy_j * 1e-3
     );
+    for limit in checked {
+        let verdict = if limit.ok { "met" } else { "MISSED" };
+        let _ = writeln!(text, "limit {verdict}: {limit}");
+    }
     text
 }
 

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use ihd_link::{Client, Event};
-use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
@@ -38,18 +37,6 @@ pub struct Outcome {
     pub moves: u32,
 }
 
-fn half_cycle(t: &Telemetry) -> HalfCycle {
-    HalfCycle {
-        t_s: f64::from(t.half_cycle) * 0.01,
-        f_hz: f64::from(t.f_sw_hz),
-        i_a: f64::from(t.i_crest_ma) * 1e-3,
-        r_ohm: t.r.ohm(),
-        l_h: t.l.henry(),
-        power_w: f64::from(t.power_mw) * 1e-3,
-        heats: t.state == State::Heating,
-    }
-}
-
 /// 0.3 litre in a ferritic pot of 15 cm at 1000 W, from tables of the field; some minutes. `progress` hears the hob's seconds.
 ///
 /// # Errors
@@ -77,7 +64,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
         if t.half_cycle.is_multiple_of(300) {
             client.status()?;
         }
-        thermometer.push(&half_cycle(&t));
+        thermometer.push(&HalfCycle::told(&t, f64::from(t.half_cycle) * 0.01));
         let (t_s, truth) = {
             let sim = hob.lock();
             (sim.t_s(), sim.thermal().copied())

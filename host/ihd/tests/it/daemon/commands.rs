@@ -1,8 +1,6 @@
 //! Commands through the daemon.
 
-use std::time::{Duration, Instant};
-
-use super::processes::Kitchen;
+use super::processes::{Kitchen, heated};
 
 fn asked_w(report: &serde_json::Value) -> u64 {
     report["asked_by_daemon_w"].as_u64().unwrap()
@@ -26,7 +24,6 @@ fn a_daemon_heats_nothing_by_itself_and_is_seen() {
     let (code, stdout, _) = kitchen.device(&[&place, "status"]);
     assert_eq!(code, 0);
     assert!(stdout.contains("idle"), "{stdout}");
-    std::thread::sleep(Duration::from_secs(2));
     let report = kitchen.report();
     assert_eq!(report["live"]["asked_w"], 0, "{report:#}");
     assert_eq!(report["live"]["f_sw_hz"], 0, "{report:#}");
@@ -57,17 +54,21 @@ fn a_log_of_what_the_daemon_has_says_so() {
 #[test]
 fn power_heats_for_its_time_and_is_off_after() {
     let kitchen = Kitchen::start();
-    let began = Instant::now();
-    let args = ["bench", "power", "1200", "--for", "5", "--json"];
-    let (code, stdout, stderr) = kitchen.device(&args);
-    assert_eq!(code, 0, "{stderr}");
-    assert!((5.0..15.0).contains(&began.elapsed().as_secs_f64()));
+    let (stdout, times) = heated(&kitchen.dir.path().join("ihd.toml"), |times| {
+        format!("bench power 1200 --for {} --json", 2 * times)
+            .split(' ')
+            .map(str::to_owned)
+            .collect()
+    });
     let heated: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(heated["ended_by"], "time");
     let number = |name: &str| heated[name].as_f64().unwrap();
-    assert!(number("heating_seconds") > 1.0, "{heated:#}");
-    // 1200 W for at most five seconds and what starting takes off.
-    assert!((0.2..2.5).contains(&number("energy_wh")), "{heated:#}");
+    assert!(number("seconds") >= 2.0 * times as f64, "{heated:#}");
+    assert!(number("heating_seconds") > 0.0, "{heated:#}");
+    // 1200 W for as long as it was seen to heat at most.
+    let most_wh = 1.1 * 1_200.0 * number("heating_seconds") / 3_600.0;
+    let energy_wh = number("energy_wh");
+    assert!(energy_wh > 0.0 && energy_wh < most_wh, "{heated:#}");
     let report = kitchen.report();
     assert_eq!(
         (asked_w(&report), report["lease"].is_null()),
@@ -77,19 +78,21 @@ fn power_heats_for_its_time_and_is_off_after() {
     kitchen.until("the hob is off", |r| r["live"]["asked_w"] == 0);
 }
 
+/// One that is killed renews its lease no more; what follows, `power_ends_with_the_lease_that_nobody_renews` shows (host/daemon).
 #[test]
-fn an_interrupted_power_leaves_the_hob_off_and_a_killed_one_within_ten_seconds() {
+fn an_interrupted_power_leaves_the_hob_off() {
     let kitchen = Kitchen::start();
-    for (signal, code) in [("INT", 0), ("TERM", 0), ("KILL", -1)] {
+    for signal in ["INT", "TERM"] {
         let mut power = kitchen.in_the_background(&["bench", "power", "900"]);
         kitchen.until("it heats", |r| asked_w(r) == 900);
         power.signal(signal);
-        assert_eq!(power.code_within(Duration::from_secs(8)), code, "{signal}");
-        let ended = Instant::now();
-        kitchen.until("it is off", |r| asked_w(r) == 0 && r["lease"].is_null());
-        let took = ended.elapsed().as_secs_f64();
-        let limit = if signal == "KILL" { 14.0 } else { 3.0 };
-        assert!(took < limit, "{signal}: off after {took} s");
+        assert_eq!(power.code(), 0, "{signal}");
+        // At its end, not when its lease runs out.
+        let report = kitchen.report();
+        assert!(
+            asked_w(&report) == 0 && report["lease"].is_null(),
+            "{report:#}"
+        );
     }
 }
 
@@ -109,15 +112,14 @@ fn one_commands_and_force_takes_over_and_the_other_is_told() {
     let mut second = kitchen.in_the_background(&["bench", "power", "700", "--force"]);
     kitchen.until("the other heats", |r| asked_w(r) == 700);
     // The first ends by itself, and does not switch the second off.
-    assert_eq!(first.code_within(Duration::from_secs(10)), 1);
-    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(first.code(), 1);
     assert_eq!(asked_w(&kitchen.report()), 700);
     // Off is anybody's.
     let (code, _, stderr) = kitchen.device(&["bench", "off"]);
     assert_eq!(code, 0, "{stderr}");
     kitchen.until("it is off", |r| asked_w(r) == 0);
     // Who had asked for it notices.
-    assert_eq!(second.code_within(Duration::from_secs(8)), 4);
+    assert_eq!(second.code(), 4);
 }
 
 #[test]
@@ -126,8 +128,7 @@ fn what_happens_is_watched() {
     let mut watch = kitchen.in_the_background(&["bench", "watch", "--json"]);
     let mut words = kitchen.in_the_background(&["bench", "watch"]);
     watch.line_with("\"event\":\"telemetry\"");
-    let (code, ..) = kitchen.device(&["bench", "power", "800", "--for", "8"]);
-    assert_eq!(code, 0);
+    let _power = kitchen.in_the_background(&["bench", "power", "800"]);
     let line = watch.line_with("\"event\":\"window-stored\"");
     let notice: serde_json::Value = serde_json::from_str(&line).unwrap();
     assert_eq!(notice["device"], "bench");

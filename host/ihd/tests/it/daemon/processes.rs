@@ -11,6 +11,9 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tempfile::TempDir;
 
+/// Longest wait for an event; it only ends a hang.
+pub const PATIENCE: Duration = Duration::from_secs(300);
+
 pub fn ihd() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
     command
@@ -58,7 +61,7 @@ impl Process {
 
     /// The first line from now on that holds `word`.
     pub fn line_with(&mut self, word: &str) -> String {
-        let until = Instant::now() + Duration::from_secs(30);
+        let until = Instant::now() + PATIENCE;
         loop {
             let left = until.saturating_duration_since(Instant::now());
             match self.lines.recv_timeout(left) {
@@ -82,8 +85,8 @@ impl Process {
     }
 
     /// Its exit code, once it has ended.
-    pub fn code_within(&mut self, time: Duration) -> i32 {
-        let until = Instant::now() + time;
+    pub fn code(&mut self) -> i32 {
+        let until = Instant::now() + PATIENCE;
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status.code().unwrap_or(-1);
@@ -158,6 +161,11 @@ impl Kitchen {
         kitchen
     }
 
+    /// Another daemon on the same port and the same store, at once.
+    pub fn start_daemon_again(&mut self) {
+        self.daemon = daemon(&self.dir.path().join("ihd.toml"));
+    }
+
     /// `ihd device …` with this configuration.
     pub fn device(&self, args: &[&str]) -> (i32, String, String) {
         let config = self.dir.path().join("ihd.toml");
@@ -173,14 +181,14 @@ impl Kitchen {
 
     /// Waits until the device is as it should be.
     pub fn until(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
-        let until = Instant::now() + Duration::from_secs(30);
+        let until = Instant::now() + PATIENCE;
         loop {
             let report = self.report();
             if is(&report) {
                 return report;
             }
             assert!(Instant::now() < until, "{what}: never; {report:#}");
-            std::thread::sleep(Duration::from_millis(100));
+            std::thread::sleep(Duration::from_millis(50));
         }
     }
 
@@ -214,6 +222,22 @@ pub fn device(config: &Path, args: &[&str]) -> (i32, String, String) {
     outcome(command.output().expect("ihd runs"))
 }
 
+/// `ihd device …` with a `--for` or a number of powers that grows until the hob has heated (exit code 4 is that it has not): it takes
+/// time to begin, which on a busy machine is longer by the wall's clock.
+pub fn heated(config: &Path, args: impl Fn(usize) -> Vec<String>) -> (String, usize) {
+    let mut times = 1;
+    loop {
+        let args = args(times);
+        let args: Vec<_> = args.iter().map(String::as_str).collect();
+        let (code, stdout, stderr) = device(config, &args);
+        if code == 0 {
+            return (stdout, times);
+        }
+        assert!(code == 4 && times < 32, "{code}: {stderr}");
+        times *= 2;
+    }
+}
+
 pub fn outcome(output: Output) -> (i32, String, String) {
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
     let stderr = text(output.stderr);
@@ -224,17 +248,12 @@ pub fn outcome(output: Output) -> (i32, String, String) {
 
 /// What the hob itself says it was asked for, in watt, over its one link; the daemon must be gone.
 pub fn asked_w_directly(address: &str) -> u64 {
-    live_directly(address)["asked_w"].as_u64().unwrap()
-}
-
-/// What the hob itself says of its last half-cycle. It has heard its host then.
-pub fn live_directly(address: &str) -> Value {
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("ihd.toml");
     let text = format!("listen = \"127.0.0.1:{}\"\n", free_port());
     std::fs::write(&config, text).unwrap();
     let place = format!("tcp:{address}");
-    let until = Instant::now() + Duration::from_secs(5);
+    let until = Instant::now() + PATIENCE;
     let stdout = loop {
         let (code, stdout, stderr) = device(&config, &[&place, "status", "--json"]);
         if code == 0 {
@@ -244,5 +263,5 @@ pub fn live_directly(address: &str) -> Value {
         assert!(code == 3 && Instant::now() < until, "{stderr}");
     };
     let report: Value = serde_json::from_str(&stdout).unwrap();
-    report["live"].clone()
+    report["live"]["asked_w"].as_u64().unwrap()
 }

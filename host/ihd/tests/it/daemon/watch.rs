@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use nix::pty::{Winsize, openpty};
 use nix::sys::termios::{LocalFlags, tcgetattr};
 
-use super::processes::{Kitchen, daemon, free_port, ihd, outcome};
+use super::processes::{Kitchen, PATIENCE, free_port, ihd, outcome};
 
 /// The parser's own size, too.
 const ROWS: u16 = 24;
@@ -60,7 +60,7 @@ impl Screen {
     }
 
     fn until(&self, what: &str, is: impl Fn(&str) -> bool) -> String {
-        let until = Instant::now() + Duration::from_secs(60);
+        let until = Instant::now() + PATIENCE;
         loop {
             let text = self.text();
             if is(&text) {
@@ -77,7 +77,7 @@ impl Screen {
 
     /// Its exit code; the terminal must be as it was: not raw, and on its first screen with a cursor.
     fn ended(mut self) -> i32 {
-        let until = Instant::now() + Duration::from_secs(20);
+        let until = Instant::now() + PATIENCE;
         let code = loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status.code().unwrap_or(-1);
@@ -152,7 +152,7 @@ fn a_daemon_that_ends_is_told_and_comes_back_by_itself() {
     screen.until("it is seen", |text| text.contains("bench: idle"));
     kitchen.daemon.signal("KILL");
     screen.until("it is gone", |text| text.contains("NO DAEMON"));
-    kitchen.daemon = daemon(&kitchen.dir.path().join("ihd.toml"));
+    kitchen.start_daemon_again();
     let back = screen.until("it is back", |text| {
         !text.contains("NO DAEMON") && text.contains("the daemon is back")
     });

@@ -32,8 +32,12 @@ fn assert_close(a: &[f32], b: &[f32], tolerance: f32, what: &str) {
     }
 }
 
+fn device() -> Device {
+    Backend::Ndarray.device().expect("a backend of burn")
+}
+
 #[test]
-fn fused_flex_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
+fn fused_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
     for (hidden_layers, slow) in [
         (vec![64; 3], SlowEmbedding::Symmetric),
         (vec![20, 7], SlowEmbedding::Fourier { first: 1, count: 1 }),
@@ -56,17 +60,14 @@ fn fused_flex_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
             (terms.expect("computes"), gradient)
         };
         let (terms, gradient) = evaluate(&mut Fused::new(&shape));
-        for backend in [Backend::Flex, Backend::Ndarray] {
-            let device = backend.device().expect("a burn backend");
-            let (by_burn, burns) = evaluate(&mut Burn::new(backend, device));
-            assert_close(&gradient, &burns, 2e-5, "gradient");
-            let ours = [terms.l_f, terms.l_i1, terms.l_i2];
-            for (a, b) in ours.iter().zip([by_burn.l_f, by_burn.l_i1, by_burn.l_i2]) {
-                assert!((a / b - 1.0).abs() < 1e-5, "{a} against {b}");
-            }
+        let mut burn = Burn::new(Backend::Ndarray, device());
+        let (by_burn, burns) = evaluate(&mut burn);
+        assert_close(&gradient, &burns, 2e-5, "gradient");
+        let ours = [terms.l_f, terms.l_i1, terms.l_i2];
+        for (a, b) in ours.iter().zip([by_burn.l_f, by_burn.l_i1, by_burn.l_i2]) {
+            assert!((a / b - 1.0).abs() < 1e-5, "{a} against {b}");
         }
         let mut fused = Fused::new(&shape);
-        let mut burn = Burn::new(Backend::Flex, Backend::Flex.device().expect("flex"));
         let (v, i) = fused.signals(&problem, &theta).expect("computes");
         let (v_burn, i_burn) = burn.signals(&problem, &theta).expect("computes");
         assert_close(&v, &v_burn, 1e-5, "v");
@@ -93,7 +94,7 @@ fn the_gradient_is_the_finite_difference_of_burns_loss_in_double_precision() {
     let mut fused = Fused::new(&shape);
     let computed = fused.loss(&problem, &theta, all.clone(), WEIGHTS, &mut gradient);
     computed.expect("computes");
-    let mut burn = Burn::double(Backend::Flex, Backend::Flex.device().expect("flex"));
+    let mut burn = Burn::double(Backend::Ndarray, device());
     let largest = gradient.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
     let mut unused = vec![0.0; shape.len];
     for p in (0..shape.len).step_by(13) {
@@ -127,7 +128,7 @@ fn the_tangent_of_the_network_is_its_finite_difference_in_double_precision() {
         points: &points,
         impedances,
     };
-    let burn = Burn::double(Backend::Flex, Backend::Flex.device().expect("flex"));
+    let burn = Burn::double(Backend::Ndarray, device());
     let networks = burn.networks(&problem, &shape.xavier(9));
     let wide = |values: Vec<f64>, width: usize| -> Tensor<2> {
         let shape = [values.len() / width, width];

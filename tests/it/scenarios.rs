@@ -1,0 +1,163 @@
+//! Every scenario of tests/scenarios against the limits in its file; docs/control.md shows what came of all variants.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::PathBuf;
+
+use ihd_sim::scenario::limits::{Checked, Measured, three_digits};
+use ihd_sim::scenario::run::run;
+use ihd_sim::scenario::variants::{self, Variant};
+
+use super::document;
+
+/// Two kinds of tests for each family: the first variant of each file, and all of them with the family's table.
+macro_rules! scenarios {
+    ($($family:ident { $($file:ident)+ })+) => {
+        const FILES: &[&str] = &[$($(concat!(stringify!($family), "/", stringify!($file))),+),+];
+
+        $(mod $family {
+            $(#[test]
+            fn $file() {
+                super::first_variant(concat!(stringify!($family), "/", stringify!($file)));
+            })+
+
+            #[test]
+            fn table_of_all_variants() {
+                super::all_variants(stringify!($family), &[$(stringify!($file)),+]);
+            }
+        })+
+    };
+}
+
+scenarios! {
+    absent { give_up no_pot put_on unsuitable }
+    bursts { bursts pots }
+    lift { lift shift }
+    panel { host_silent key_lock levels off_wins }
+    plausibility { dead_comparator gains mains_hz off offsets stuck timing unseen }
+    pots { places recovered_mains risen_mains }
+    restart { doubled host_clears host_repeats lookups person tries }
+    sags { dip dropout swell }
+    steps { dither steps taught }
+    temperatures { derating over sensors }
+    zvs { powers }
+}
+
+fn directory() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("scenarios")
+}
+
+/// Variants of a file, by its path without ending.
+fn read(name: &str) -> Vec<Variant> {
+    let path = directory().join(name).with_extension("toml");
+    variants::read(&path).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// Limits of a variant, each with what its run showed.
+fn check(variant: &Variant) -> Vec<Checked> {
+    let name = &variant.name;
+    let record = run(&variant.scenario, |_| ()).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let checked = variant.scenario.file.limits.check(&record);
+    assert!(!checked.is_empty(), "{name}: no [limits]");
+    checked
+}
+
+/// Lines of limits that a variant missed.
+fn missed(file: &str, variant: &str, checked: &[Checked]) -> Vec<String> {
+    let missed = checked.iter().filter(|checked| !checked.ok);
+    let line = |checked| format!("{file} {variant}: {checked}");
+    missed.map(line).collect()
+}
+
+fn first_variant(name: &str) {
+    let first = &read(name)[0];
+    let missed = missed(name, &first.name, &check(first));
+    assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
+}
+
+fn all_variants(family: &str, files: &[&str]) {
+    let mut table = String::from(
+        "| scenario | runs | what | allowed | measured | |\n|---|---:|---|---|---|---|\n",
+    );
+    let mut all_missed = Vec::new();
+    for file in files {
+        let variants = read(&format!("{family}/{file}"));
+        let mut rows: Vec<Row> = Vec::new();
+        for variant in &variants {
+            let checked = check(variant);
+            all_missed.extend(missed(file, &variant.name, &checked));
+            checked
+                .into_iter()
+                .for_each(|checked| add(&mut rows, checked));
+        }
+        for (n, row) in rows.iter().enumerate() {
+            let head = match n {
+                0 => format!("{} | {}", variants[0].scenario.file.title, variants.len()),
+                _ => " | ".to_owned(),
+            };
+            table += &format!("| {head} | {} |\n", row.text());
+        }
+    }
+    assert!(
+        all_missed.is_empty(),
+        "limits missed:\n{}",
+        all_missed.join("\n")
+    );
+    let mark = format!("scenarios {family}");
+    let command = "cargo nextest run -p ihd-tests --ignore-default-filter scenarios";
+    document::hold("control.md", &mark, &table, command);
+}
+
+/// A limit over all variants that have it in the same form.
+struct Row {
+    name: &'static str,
+    allowed: String,
+    numbers: Vec<f64>,
+    words: BTreeSet<String>,
+}
+
+fn add(rows: &mut Vec<Row>, checked: Checked) {
+    let same = |row: &Row| row.name == checked.name && row.allowed == checked.allowed;
+    let at = rows.iter().position(same).unwrap_or_else(|| {
+        rows.push(Row {
+            name: checked.name,
+            allowed: checked.allowed.clone(),
+            numbers: Vec::new(),
+            words: BTreeSet::new(),
+        });
+        rows.len() - 1
+    });
+    match checked.measured {
+        Measured::Numbers(numbers) => rows[at].numbers.extend(numbers),
+        Measured::Word(word) => drop(rows[at].words.insert(word)),
+    }
+}
+
+impl Row {
+    fn text(&self) -> String {
+        let words: Vec<&str> = self.words.iter().map(String::as_str).collect();
+        let least = self.numbers.iter().copied().reduce(f64::min);
+        let most = self.numbers.iter().copied().reduce(f64::max);
+        let measured = match (least.map(three_digits), most.map(three_digits)) {
+            (Some(least), Some(most)) if least == most => least,
+            (Some(least), Some(most)) => format!("{least} to {most}"),
+            _ => words.join(", "),
+        };
+        format!("{} | {} | {measured} | ", self.name, self.allowed)
+    }
+}
+
+#[test]
+fn every_file_has_its_test() {
+    let mut files = BTreeSet::new();
+    for family in fs::read_dir(directory()).unwrap() {
+        let family = family.unwrap();
+        for file in fs::read_dir(family.path()).unwrap() {
+            let (family, file) = (family.file_name(), file.unwrap().path());
+            assert_eq!(file.extension().unwrap(), "toml", "{}", file.display());
+            let stem = file.file_stem().unwrap().display();
+            files.insert(format!("{}/{stem}", family.display()));
+        }
+    }
+    assert_eq!(files, FILES.iter().map(|file| (*file).to_owned()).collect());
+}
