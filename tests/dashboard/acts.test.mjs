@@ -36,8 +36,20 @@ after(async () => {
   for (const end of life.ends) await end();
 });
 
-/** Types a power into the page and sets it. */
+/** The page has heard that nobody else holds the lease: before that it asks whether to take it over. */
+const isFree = async (on) => {
+  const says = on.getByTestId('power-says');
+  await until('nobody else commands', async () => /^(Set|This page) heats/.test(await says.innerText()));
+};
+
+/** Types a power into the page and sets it, once the lease is free. */
 async function setPower(on, watt) {
+  await isFree(on);
+  await takeOver(on, watt);
+}
+
+/** Types a power into the page and sets it, whoever holds the lease. */
+async function takeOver(on, watt) {
   await on.getByTestId('power-input').fill(String(watt));
   await on.getByTestId('power-set').click();
 }
@@ -105,9 +117,7 @@ describe('acts', () => {
   });
 
   test('the keyboard sets power', async () => {
-    // Else the page asks first, whether to take it over from whom it heard of last.
-    const says = page.getByTestId('power-says');
-    await until('nobody else commands', async () => !/commands it now/.test(await says.innerText()));
+    await isFree(page);
     const input = page.getByTestId('power-input');
     await input.focus();
     await input.fill('');
@@ -140,7 +150,7 @@ describe('acts', () => {
     await setPower(page, 600);
     await heats('inside', 600);
     const second = await open(chromium, `${daemon.url}/#/live/inside`);
-    await setPower(second.page, 800);
+    await takeOver(second.page, 800);
     const dialog = second.page.getByRole('dialog');
     await dialog.waitFor();
     await dialog.locator('button.danger, button.strong').first().click();
