@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, ensure};
 
 use crate::seal;
-use crate::toolchain::{FirmwareToolchain, TARGET};
+use crate::toolchain::{self, TARGET};
 use crate::workspace::{Workspace, first_line, run};
 
 /// An image of the firmware.
@@ -53,23 +53,23 @@ impl Image {
     }
 
     /// `cargo <subcommand>` on what this image compiles.
-    fn cargo(self, subcommand: &str, on: &Workspace, toolchain: &FirmwareToolchain) -> Command {
-        let mut command = toolchain.cargo(on, subcommand);
+    fn cargo(self, subcommand: &str, on: &Workspace) -> Command {
+        let mut command = toolchain::cargo(on, subcommand);
         command.args(["--package", "ihd-firmware", "--bin", "ihd-firmware"]);
         command.args(["--features", self.features]);
         command
     }
 
     /// Clippy on what only this image compiles.
-    pub fn lint(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<()> {
-        let mut clippy = self.cargo("clippy", on, toolchain);
+    pub fn lint(self, on: &Workspace) -> anyhow::Result<()> {
+        let mut clippy = self.cargo("clippy", on);
         // Of the build's profile: what both compile for this machine, macros and build scripts, is compiled once.
         run(clippy.args(["--profile", "firmware", "--", "-D", "warnings"]))
     }
 
     /// Builds it; returns where the ELF file is: what is to be flashed. What cargo leaves elsewhere has no CRC.
-    pub fn build(self, on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<PathBuf> {
-        let mut build = self.cargo("build", on, toolchain);
+    pub fn build(self, on: &Workspace) -> anyhow::Result<PathBuf> {
+        let mut build = self.cargo("build", on);
         run(build.args(["--profile", "firmware"]))?;
         // Each image has the same name where cargo puts it.
         let target = on.target.join("firmware");

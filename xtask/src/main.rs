@@ -23,7 +23,6 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use setup::Wanted;
 use steps::{Session, Tier};
 use workspace::Workspace;
 
@@ -34,9 +33,6 @@ use workspace::Workspace;
 struct Cli {
     #[command(subcommand)]
     chore: Chore,
-    /// Which compiler builds the firmware
-    #[arg(long, global = true, value_name = "WHICH", default_value = "auto")]
-    toolchain: Wanted,
 }
 
 #[derive(Subcommand)]
@@ -69,12 +65,7 @@ enum Chore {
         under_load: bool,
     },
     /// Find or install what the build needs, and say what was done.
-    ///
-    /// The firmware is built by rustup's toolchain with the target thumbv7em-none-eabihf; where rustup cannot download
-    /// that target, by Debian's rustc-web and rust-web-src, which are installed when this runs as root on Debian.
-    #[command(after_help = "Examples:\n  \
-        cargo xtask setup\n  \
-        cargo xtask setup --toolchain debian-web")]
+    #[command(after_help = "Example:\n  cargo xtask setup")]
     Setup,
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
     #[command(after_help = "Example:\n  cargo xtask firmware")]
@@ -100,14 +91,6 @@ enum Chore {
         #[arg(long)]
         write: bool,
     },
-    /// Plug the board's image, emulated, into a Linux that runs the host program, and test it over USB.
-    ///
-    /// The Linux is a guest of QEMU, made of Debian's or Ubuntu's packages, which are downloaded once into target/.
-    #[command(after_help = "Example:\n  cargo xtask usb")]
-    Usb,
-    /// Test the board's image as it is flashed, on an emulated STM32G474.
-    #[command(after_help = "Example:\n  cargo xtask board")]
-    Board,
     /// Run the tests that are for the controller itself (firmware/on-target): in QEMU, and on a board behind a debug probe.
     ///
     /// The board's part wants probe-rs and is skipped, with a line that says so, where either is missing. It overwrites
@@ -128,26 +111,6 @@ enum Chore {
         /// Options of the emulated hob
         #[arg(last = true, value_name = "OPTIONS")]
         options: Vec<String>,
-    },
-    /// Test the dashboard in a real browser, against the real daemon with two simulated hobs and against a fake one.
-    ///
-    /// Installs Node, npm and Chromium by apt where they are missing, and npm's packages into target/dashboard. The short
-    /// form takes some three minutes; the full one has a soak of 30 minutes (IHD_SOAK_S sets it by hand).
-    #[command(after_help = "Examples:\n  \
-        cargo xtask dashboard\n  \
-        cargo xtask dashboard --only pot\n  \
-        cargo xtask dashboard --screenshots\n  \
-        cargo xtask dashboard --full")]
-    Dashboard {
-        /// Only browser tests whose name contains this
-        #[arg(long)]
-        only: Option<String>,
-        /// The long form
-        #[arg(long)]
-        full: bool,
-        /// Make the pictures of docs/dashboard.md anew
-        #[arg(long)]
-        screenshots: bool,
     },
     /// Fuzz the targets of fuzz/Cargo.toml with coverage feedback: one of them, or all in turn.
     ///
@@ -175,16 +138,12 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> anyhow::Result<()> {
-    let (workspace, wanted) = (Workspace::find()?, cli.toolchain);
+    let workspace = Workspace::find()?;
     let tier = match cli.chore {
         Chore::Test { full: true, .. } => Tier::Full,
         _ => Tier::Quick,
     };
-    let session = Session {
-        workspace,
-        wanted,
-        tier,
-    };
+    let session = Session { workspace, tier };
     match cli.chore {
         Chore::Test {
             only,
@@ -205,23 +164,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
-        Chore::Board => session.board(),
         Chore::TargetTests => session.target_tests(),
         Chore::Hob { image, options } => session.hob(image, &options),
-        Chore::Usb => session.usb(),
-        Chore::Dashboard {
-            only,
-            full,
-            screenshots,
-        } => {
-            let only = only.as_deref();
-            let extent = dashboard::Extent {
-                only,
-                full,
-                screenshots,
-            };
-            dashboard::test(&session.workspace, &extent)
-        }
         // A number alone is the time: no target's name is one.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, seconds),

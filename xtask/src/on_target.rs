@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use object::{Object, ObjectSection, ObjectSymbol};
 use serde::Deserialize;
 
-use crate::toolchain::{FirmwareToolchain, TARGET};
+use crate::toolchain::{self, TARGET};
 use crate::workspace::{Workspace, first_line, run};
 use crate::{emulator, images};
 
@@ -33,8 +33,8 @@ struct Symbol {
 }
 
 /// Builds the tests for a part and returns their ELF file.
-fn build(on: &Workspace, toolchain: &FirmwareToolchain, board: bool) -> anyhow::Result<PathBuf> {
-    let mut build = toolchain.cargo(on, "build");
+fn build(on: &Workspace, board: bool) -> anyhow::Result<PathBuf> {
+    let mut build = toolchain::cargo(on, "build");
     build.args(["--manifest-path", MANIFEST, "--tests", "--release"]);
     build.args(["--message-format", "json-render-diagnostics"]);
     if board {
@@ -83,18 +83,14 @@ fn tests(image: &[u8]) -> anyhow::Result<Vec<Test>> {
 }
 
 /// Formatting and clippy, then the tests in QEMU, each from a reset.
-pub fn in_emulator(
-    on: &Workspace,
-    toolchain: &FirmwareToolchain,
-    qemu: &Path,
-) -> anyhow::Result<()> {
+pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
     run(&mut on.cargo(["fmt", "--manifest-path", MANIFEST, "--check"]))?;
-    let mut clippy = toolchain.cargo(on, "clippy");
+    let mut clippy = toolchain::cargo(on, "clippy");
     clippy.args(["--manifest-path", MANIFEST, "--tests", "--release"]);
     run(clippy.args(["--features", "stm32g474", "--", "-D", "warnings"]))?;
     // Those for the board cannot run here, but link.
-    build(on, toolchain, true)?;
-    let image = build(on, toolchain, false)?;
+    build(on, true)?;
+    let image = build(on, false)?;
     let bytes = std::fs::read(&image).with_context(|| image.display().to_string())?;
     let tests = tests(&bytes)?;
     let mut failed = Vec::new();
@@ -123,7 +119,7 @@ pub fn in_emulator(
 }
 
 /// Runs them on the board behind a debug probe; says so where there is none.
-pub fn on_board(on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result<()> {
+pub fn on_board(on: &Workspace) -> anyhow::Result<()> {
     let Some(version) = first_line(Command::new("probe-rs").arg("--version")) else {
         println!(
             "on target, board: skipped, as probe-rs is not installed (`cargo install probe-rs-tools --locked`)"
@@ -135,6 +131,6 @@ pub fn on_board(on: &Workspace, toolchain: &FirmwareToolchain) -> anyhow::Result
         println!("on target, board: skipped, as {version} sees no debug probe");
         return Ok(());
     }
-    let image = build(on, toolchain, true)?;
+    let image = build(on, true)?;
     images::probe_rs_run(&image)
 }

@@ -4,23 +4,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
-use clap::ValueEnum;
 
-use crate::toolchain::{FirmwareToolchain, TARGET};
 use crate::workspace::{Workspace, first_line, run};
-
-const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
-
-/// Which compiler the user wants for the firmware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Wanted {
-    /// rustup's if it has or can get the target, else Debian's
-    Auto,
-    /// The active toolchain with its target
-    Rustup,
-    /// Debian's rustc-web and rust-web-src
-    DebianWeb,
-}
 
 /// Finds or installs what cargo needs beside itself.
 pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
@@ -29,37 +14,6 @@ pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     let nextest = nextest.context("the tests need `cargo install cargo-nextest --locked`")?;
     say(&format!("tests: {nextest}"));
     components.into_iter().collect()
-}
-
-/// The firmware's compiler, installed if need be: first rustup's target, because it is the smaller and the official one.
-pub fn firmware_toolchain(wanted: Wanted) -> anyhow::Result<FirmwareToolchain> {
-    let mut tried = String::new();
-    if wanted != Wanted::DebianWeb {
-        let found = FirmwareToolchain::rustup().or_else(|lacks| {
-            let mut rustup = Command::new("rustup");
-            install(rustup.args(["target", "add", TARGET])).context(lacks)?;
-            FirmwareToolchain::rustup()
-        });
-        match found {
-            Ok(toolchain) => return Ok(toolchain),
-            Err(why) => tried += &format!("  rustup: {why:#}\n"),
-        }
-    }
-    if wanted != Wanted::Rustup {
-        let found = FirmwareToolchain::debian_web().or_else(|lacks| {
-            apt_get(&DEBIAN_PACKAGES).context(lacks)?;
-            FirmwareToolchain::debian_web()
-        });
-        match found {
-            Ok(toolchain) => return Ok(toolchain),
-            Err(why) => tried += &format!("  Debian: {why:#}\n"),
-        }
-    }
-    bail!(
-        "no compiler for {TARGET}, so the firmware cannot be built.\n{tried}Do one of these by hand, then run `cargo \
-         xtask setup` again:\n  rustup target add {TARGET}\n  (Debian, as root) apt-get install {}",
-        DEBIAN_PACKAGES.join(" ")
-    );
 }
 
 /// Makes sure that `cargo fmt` or `cargo clippy` is there. rust-toolchain.toml names both, but rustup does not

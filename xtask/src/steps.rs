@@ -6,9 +6,9 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
-use crate::setup::{self, Wanted, say};
+use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run};
-use crate::{board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target};
+use crate::{board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target, toolchain};
 
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
@@ -72,8 +72,6 @@ const FUZZ_SECONDS: u64 = 300;
 pub struct Session {
     /// The checkout.
     pub workspace: Workspace,
-    /// Which compiler builds the firmware.
-    pub wanted: Wanted,
     /// Extent of the run.
     pub tier: Tier,
 }
@@ -90,8 +88,8 @@ impl Session {
         let guest = emulator::find(&self.workspace, emulator::X86)
             .and_then(|_| guest::find(&self.workspace));
         // A missing tool must not keep the firmware's compiler from being looked for.
-        let firmware = setup::firmware_toolchain(self.wanted)?;
-        say(&format!("firmware: {}", firmware.describe()));
+        toolchain::ensure_target()?;
+        say(&format!("firmware: {}", toolchain::TARGET));
         let board = board::tools(&self.workspace);
         let browser = dashboard::tools().map(drop);
         let nats = fleet::server(&self.workspace).map(drop);
@@ -123,14 +121,7 @@ impl Session {
     }
 
     fn dashboard(&self) -> anyhow::Result<()> {
-        let full = self.tier == Tier::Full;
-        dashboard::test(
-            &self.workspace,
-            &dashboard::Extent {
-                full,
-                ..Default::default()
-            },
-        )
+        dashboard::test(&self.workspace, self.tier == Tier::Full)
     }
 
     fn docs(&self) -> anyhow::Result<()> {
@@ -147,16 +138,14 @@ impl Session {
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
-        let toolchain = setup::firmware_toolchain(self.wanted)?;
-        image.build(&self.workspace, &toolchain)
+        toolchain::ensure_target()?;
+        image.build(&self.workspace)
     }
 
     /// Builds every image and says where it is.
     pub fn images(&self) -> anyhow::Result<()> {
-        let toolchain = setup::firmware_toolchain(self.wanted)?;
-        println!("built by {}", toolchain.describe());
         for image in IMAGES {
-            let built = image.build(&self.workspace, &toolchain)?;
+            let built = self.image(image)?;
             println!("{}: {}", image.name, built.display());
         }
         Ok(())
@@ -164,9 +153,8 @@ impl Session {
 
     fn firmware(&self) -> anyhow::Result<()> {
         self.images()?;
-        let toolchain = setup::firmware_toolchain(self.wanted)?;
         // Clippy of the host's workspace does not see what only a board compiles.
-        let lint = |image: &Image| image.lint(&self.workspace, &toolchain);
+        let lint = |image: &Image| image.lint(&self.workspace);
         IMAGES.iter().try_for_each(lint)
     }
 
@@ -190,7 +178,7 @@ impl Session {
     }
 
     /// Has a Linux drive the board's image over USB.
-    pub fn usb(&self) -> anyhow::Result<()> {
+    fn usb(&self) -> anyhow::Result<()> {
         guest::test(
             &self.workspace,
             &self.image(STM32G474)?,
@@ -199,7 +187,7 @@ impl Session {
     }
 
     /// The image as it is flashed on the emulated board.
-    pub fn board(&self) -> anyhow::Result<()> {
+    fn board(&self) -> anyhow::Result<()> {
         board::test(
             &self.workspace,
             &self.image(STM32G474)?,
@@ -220,14 +208,14 @@ impl Session {
     /// The tests for the controller itself, in QEMU.
     fn on_target(&self) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
-        let toolchain = setup::firmware_toolchain(self.wanted)?;
-        on_target::in_emulator(&self.workspace, &toolchain, &qemu)
+        toolchain::ensure_target()?;
+        on_target::in_emulator(&self.workspace, &qemu)
     }
 
     /// The same, and on a board where there is one.
     pub fn target_tests(&self) -> anyhow::Result<()> {
         self.on_target()?;
-        on_target::on_board(&self.workspace, &setup::firmware_toolchain(self.wanted)?)
+        on_target::on_board(&self.workspace)
     }
 }
 

@@ -7,7 +7,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
-/** The command under test: `cargo xtask dashboard` names it. */
+/** The command under test: `cargo xtask test --only dashboard` names it. */
 const IHD = process.env.IHD_BIN;
 
 /** Ends what hangs; no test is judged by it. */

@@ -1,5 +1,5 @@
 //! Linux drives boards over USB: a guest under QEMU with the host program in it, and the image on an emulated chip
-//! plugged into it over USB/IP. `cargo xtask usb` runs this.
+//! plugged into it over USB/IP. `cargo xtask test --only usb` runs this.
 
 #[path = "usb_linux/boards.rs"]
 mod boards;
@@ -24,7 +24,7 @@ const DEVICE: i32 = 3;
 const MINUTES: Duration = Duration::from_secs(180);
 
 fn image() -> PathBuf {
-    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask usb` names the image");
+    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask test --only usb` names the image");
     path.into()
 }
 

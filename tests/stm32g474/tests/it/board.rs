@@ -1,4 +1,4 @@
-//! A board for a test: the image that `cargo xtask board` built, a pot, the serial cable.
+//! A board for a test: the image that `cargo xtask test --only board` built, a pot, the serial cable.
 
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -20,7 +20,7 @@ pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
 /// The image under test.
 pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
     let path =
-        std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask board` names the image");
+        std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask test --only board` names the image");
     PathBuf::from(path)
 });
 
