@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use tokio::sync::broadcast;
 
+use crate::machine::Machine;
 use crate::model::{Notice, What};
 
 /// Notices that a slow watcher may be behind before it misses some: some seconds of 32 devices.
@@ -13,22 +14,29 @@ const BEHIND: usize = 4_096;
 #[derive(Clone)]
 pub struct Board {
     notices: broadcast::Sender<Arc<Notice>>,
+    machine: Machine,
 }
 
 impl Default for Board {
     fn default() -> Self {
-        Self {
-            notices: broadcast::channel(BEHIND).0,
-        }
+        Self::new(Machine::default())
     }
 }
 
 impl Board {
+    /// One whose notices bear the time of this machine.
+    pub fn new(machine: Machine) -> Self {
+        Self {
+            notices: broadcast::channel(BEHIND).0,
+            machine,
+        }
+    }
+
     /// Tells whoever watches; `device` is empty where the daemon itself speaks.
     pub fn tell(&self, device: &str, what: What) {
         // Nobody needs to watch.
         let _ = self.notices.send(Arc::new(Notice {
-            at_ms: now_ms(),
+            at_ms: self.machine.now_ms(),
             device: device.to_owned(),
             what,
         }));

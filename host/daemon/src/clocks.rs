@@ -1,6 +1,8 @@
 //! Whether this machine was asleep, and when to try again.
 
-use std::time::{Duration, Instant, SystemTime};
+use std::time::Duration;
+
+use tokio::time::Instant;
 
 /// A turn that comes this late was not merely busy: the machine slept, or this process was stopped.
 const SLEPT: Duration = Duration::from_secs(5);
@@ -8,30 +10,30 @@ const SLEPT: Duration = Duration::from_secs(5);
 /// Watches the clocks for time in which nothing ran.
 pub struct Clocks {
     turn: Instant,
-    wall: SystemTime,
-}
-
-impl Default for Clocks {
-    fn default() -> Self {
-        Self {
-            turn: Instant::now(),
-            wall: SystemTime::now(),
-        }
-    }
+    wall_ms: i64,
 }
 
 impl Clocks {
+    /// From now on, at this time in milliseconds since 1970.
+    pub fn new(wall_ms: i64) -> Self {
+        Self {
+            turn: Instant::now(),
+            wall_ms,
+        }
+    }
+
     /// To be called many times a second; how long nothing ran, where that was long.
-    pub fn turn(&mut self) -> Option<Duration> {
-        self.turn_at(Instant::now(), SystemTime::now())
+    pub fn turn(&mut self, wall_ms: i64) -> Option<Duration> {
+        self.turn_at(Instant::now(), wall_ms)
     }
 
     /// The clock that counts turns stands still while most machines sleep, the wall's goes on; that of a
     /// process that was stopped goes on as well.
-    fn turn_at(&mut self, turn: Instant, wall: SystemTime) -> Option<Duration> {
+    fn turn_at(&mut self, turn: Instant, wall_ms: i64) -> Option<Duration> {
         let awake = turn.saturating_duration_since(self.turn);
-        let passed = wall.duration_since(self.wall).unwrap_or_default();
-        (self.turn, self.wall) = (turn, wall);
+        let passed_ms = wall_ms.saturating_sub(self.wall_ms).max(0);
+        let passed = Duration::from_millis(passed_ms.unsigned_abs());
+        (self.turn, self.wall_ms) = (turn, wall_ms);
         if awake >= SLEPT {
             return Some(awake.max(passed));
         }
@@ -127,7 +129,7 @@ mod tests {
 
     #[test]
     fn sleep_and_stops_are_seen_and_a_clock_that_is_set_back_is_not() {
-        let (t, w) = (Instant::now(), SystemTime::now());
+        let (t, w) = (Instant::now(), 1_000_000);
         let s = Duration::from_secs;
         for (turn_s, wall_s, slept) in [
             (1, 1, None),
@@ -136,11 +138,17 @@ mod tests {
             (50, 50, Some(s(50))),
             (50, 0, Some(s(50))),
         ] {
-            let mut clocks = Clocks { turn: t, wall: w };
-            assert_eq!(clocks.turn_at(t + s(turn_s), w + s(wall_s)), slept);
+            let mut clocks = Clocks {
+                turn: t,
+                wall_ms: w,
+            };
+            assert_eq!(clocks.turn_at(t + s(turn_s), w + 1_000 * wall_s), slept);
         }
-        let mut clocks = Clocks { turn: t, wall: w };
-        assert_eq!(clocks.turn_at(t + s(1), w - s(3_600)), None);
+        let mut clocks = Clocks {
+            turn: t,
+            wall_ms: w,
+        };
+        assert_eq!(clocks.turn_at(t + s(1), w - 3_600_000), None);
     }
 
     #[test]

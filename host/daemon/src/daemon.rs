@@ -24,6 +24,7 @@ use crate::learning::{Learner, LearnerError, LearnerSettings};
 use crate::lease::{LeaseId, Taken};
 use crate::live::LiveTap;
 use crate::looks::{Ages, READERS};
+use crate::machine::Machine;
 use crate::model::{
     Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, RecordingFile, Trigger,
     What,
@@ -87,6 +88,7 @@ pub struct Daemon {
 }
 
 pub(crate) struct Inner {
+    machine: Machine,
     board: Board,
     store: StoreThread,
     recordings: PathBuf,
@@ -115,10 +117,25 @@ impl Daemon {
     /// # Errors
     /// [`DaemonError`] where there is no store, or another process has it.
     pub async fn start(config: Config, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
-        let board = Board::default();
+        Self::start_on(Machine::default(), config, open).await
+    }
+
+    /// As [`Daemon::start`], on this machine.
+    ///
+    /// # Errors
+    /// As [`Daemon::start`].
+    pub(crate) async fn start_on(
+        machine: Machine,
+        config: Config,
+        open: Arc<OpenDevice>,
+    ) -> Result<Self, DaemonError> {
+        let board = Board::new(machine.clone());
         let network = config.network().map_err(DaemonError::Config)?;
         let (folder, settings) = (config.store.clone(), config.store_settings());
-        let opening = tokio::task::spawn_blocking(move || Store::open(&folder, &settings)).await;
+        let clock = machine.clock();
+        let opening = machine
+            .spawn_blocking(move || Store::open_with_clock(&folder, &settings, clock))
+            .await;
         let opened = opening.map_err(|_| StoreTrouble::Gone("opening it panicked"))??;
         let mut damage = Vec::new();
         for found in opened.damage {
@@ -131,8 +148,8 @@ impl Daemon {
             tracing::error!(text, "store: a damaged file was set aside");
             damage.push(text);
         }
-        let store =
-            StoreThread::start(opened.store, board.clone()).map_err(DaemonError::NoThread)?;
+        let store = StoreThread::start(opened.store, board.clone(), &machine)
+            .map_err(DaemonError::NoThread)?;
         let (stop, stopped) = watch::channel(false);
         let (outcomes, learned) = mpsc::channel(LEARNED);
         let settings = LearnerSettings {
@@ -140,11 +157,12 @@ impl Daemon {
             queue: config.learning.queue,
             network,
         };
-        let learner = Arc::new(Learner::start(settings, outcomes)?);
+        let learner = Arc::new(Learner::start_on(&machine, settings, outcomes)?);
         let seconds = Arc::new(Seconds::default());
         let trust = Arc::new(Trust::new(config.fleet.is_some()));
         let recordings = config.store.join("recordings");
         let context = Context {
+            machine: machine.clone(),
             store: store.clone(),
             seconds: Arc::clone(&seconds),
             learner: Arc::clone(&learner),
@@ -171,9 +189,11 @@ impl Daemon {
             Arc::clone(&devices),
             store.clone(),
             Arc::downgrade(&learner),
+            machine.clone(),
         ));
         Ok(Self {
             inner: Arc::new(Inner {
+                machine,
                 board,
                 store,
                 recordings,
@@ -509,7 +529,8 @@ impl Daemon {
     pub async fn stop(self) {
         self.inner.stop.send_replace(true);
         self.inner.devices.ended().await;
-        history::write(&self.inner.seconds, &self.inner.store, true).await;
+        let now_ms = self.inner.machine.now_ms();
+        history::write(&self.inner.seconds, &self.inner.store, now_ms, true).await;
         // Behind the windows under way, which hold the learner.
         let _ = self.inner.store.run(|_| Ok(())).await;
         drop(lock(&self.inner.learner).take());
@@ -533,6 +554,7 @@ async fn keep_tidy(context: Context) {
         // The store's trouble is told by its thread.
         let _ = context.store.run(Store::collect_garbage).await;
         tokio::select! {
+            biased;
             () = context.stopping() => return,
             () = tokio::time::sleep(GARBAGE_EVERY) => {}
         }

@@ -11,7 +11,6 @@ use ihd_store::NewEvent;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::TryRecvError;
 
-use crate::board::now_ms;
 use crate::device::Context;
 use crate::model::{Notice, What};
 use crate::store_thread::StoreThread;
@@ -27,13 +26,16 @@ const A_LOOK: usize = 100;
 
 /// Takes notices down until the daemon stops.
 pub async fn take_down(context: Context, mut notices: broadcast::Receiver<Arc<Notice>>) {
+    let of_daemon = |text| of_daemon(text, context.machine.now_ms());
     let mut waiting = VecDeque::from([of_daemon("started")]);
     loop {
         let stopping = tokio::select! {
+            biased;
             () = context.stopping() => true,
             () = tokio::time::sleep(LOOK_EVERY) => false,
         };
-        collect(&mut notices, &mut waiting);
+        let now_ms = context.machine.now_ms();
+        collect(&mut notices, &mut waiting, now_ms);
         if stopping {
             waiting.push_back(of_daemon("stopped"));
         }
@@ -45,16 +47,20 @@ pub async fn take_down(context: Context, mut notices: broadcast::Receiver<Arc<No
 }
 
 /// What the daemon says of itself.
-fn of_daemon(text: &str) -> NewEvent {
+fn of_daemon(text: &str, at_ms: i64) -> NewEvent {
     NewEvent {
-        at_ms: now_ms(),
+        at_ms,
         device: String::new(),
         kind: "daemon",
         text: text.to_owned(),
     }
 }
 
-fn collect(notices: &mut broadcast::Receiver<Arc<Notice>>, waiting: &mut VecDeque<NewEvent>) {
+fn collect(
+    notices: &mut broadcast::Receiver<Arc<Notice>>,
+    waiting: &mut VecDeque<NewEvent>,
+    at_ms: i64,
+) {
     let (mut taken, mut beyond) = (0, 0);
     loop {
         let event = match notices.try_recv() {
@@ -79,7 +85,7 @@ fn collect(notices: &mut broadcast::Receiver<Arc<Notice>>, waiting: &mut VecDequ
             return;
         }
         waiting.push_back(NewEvent {
-            at_ms: now_ms(),
+            at_ms,
             device: String::new(),
             kind: "missed",
             text: format!("{beyond} notices were not taken down"),
@@ -167,7 +173,7 @@ mod tests {
                 },
             );
         }
-        collect(&mut notices, &mut waiting);
+        collect(&mut notices, &mut waiting, 0);
         assert_eq!(waiting.len(), A_LOOK + 1);
         let last = waiting.back().unwrap();
         assert_eq!(
@@ -185,7 +191,7 @@ mod tests {
                     },
                 );
             }
-            collect(&mut notices, &mut waiting);
+            collect(&mut notices, &mut waiting, 0);
         }
         assert!(waiting.len() <= WAITING + 100, "{}", waiting.len());
         board.tell(
@@ -196,7 +202,7 @@ mod tests {
             },
         );
         let mut fresh = VecDeque::new();
-        collect(&mut notices, &mut fresh);
+        collect(&mut notices, &mut fresh, 0);
         assert_eq!(
             (
                 fresh[0].kind,

@@ -29,11 +29,14 @@ pub mod lease;
 mod ledger;
 pub mod live;
 mod looks;
+mod machine;
 pub mod model;
 mod pot_watch;
 mod printable;
 pub mod recording;
 mod routing;
+#[cfg(test)]
+mod simulation;
 mod states;
 mod store_thread;
 mod supervisor;

@@ -6,9 +6,9 @@ use std::time::Duration;
 use ihd_store::{Confidence, CurveOf, NewResult};
 use tokio::sync::mpsc;
 
-use crate::board::now_ms;
 use crate::device::Order;
 use crate::learning::{Course, Learned, Learner, Lookup};
+use crate::machine::Machine;
 use crate::model::{Fit, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
@@ -20,10 +20,11 @@ pub async fn route(
     devices: Arc<Devices>,
     store: StoreThread,
     learner: Weak<Learner>,
+    machine: Machine,
 ) {
     while let Some(learned) = outcomes.recv().await {
         let (device, news) = (learned.device.clone(), learned.news.clone());
-        settle(learned, &devices, &store).await;
+        settle(learned, &devices, &store, machine.now_ms()).await;
         let Some(built) = news else { continue };
         let version = built.lookup.version;
         let lookup = Lookup {
@@ -40,7 +41,7 @@ pub async fn route(
 }
 
 /// Counts it, stores it, tells it.
-async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
+async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms: i64) {
     let handle = devices.get(&learned.device);
     if let Some(handle) = &handle {
         let mut inner = handle.face.lock();
@@ -59,7 +60,7 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
         pass: result.pass,
         why: printable(&result.why),
     };
-    let fit = fit(learned.boot, &result, &learned.course, learned.busy);
+    let fit = fit(at_ms, learned.boot, &result, &learned.course, learned.busy);
     let curve = learned.course.curve;
     let (state, device_id) = (learned.state, learned.device_id);
     let no_lookup = learned.no_lookup.map(|why| printable(&why));
@@ -92,12 +93,12 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread) {
 }
 
 /// A result with how the network came to it.
-fn fit(boot: u32, result: &NewResult, course: &Course, busy: Duration) -> Fit {
+fn fit(at_ms: i64, boot: u32, result: &NewResult, course: &Course, busy: Duration) -> Fit {
     let finite = |x: f64| x.is_finite().then_some(x);
     Fit {
         boot,
         seq: result.seq,
-        at_ms: now_ms(),
+        at_ms,
         f_sw_hz: result.f_sw_hz,
         r_ohm: finite(result.r_ohm),
         l_h: finite(result.l_h),

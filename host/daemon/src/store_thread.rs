@@ -3,13 +3,13 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 use ihd_store::{Store, StoreError};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::board::Board;
+use crate::machine::Machine;
 use crate::model::What;
 
 /// Jobs that may wait: with a window of 70 kB each some 9 MB.
@@ -49,11 +49,18 @@ impl StoreGauge {
     }
 }
 
+/// Runs the jobs.
+enum Running {
+    Thread(std::thread::JoinHandle<()>),
+    #[cfg(test)]
+    Task(tokio::task::JoinHandle<()>),
+}
+
 /// The store's thread; cheap to clone.
 #[derive(Clone)]
 pub struct StoreThread {
     jobs: Arc<Mutex<Option<mpsc::Sender<Job>>>>,
-    thread: Arc<Mutex<Option<JoinHandle<()>>>>,
+    running: Arc<Mutex<Option<Running>>>,
     gauge: Arc<StoreGauge>,
 }
 
@@ -62,16 +69,17 @@ impl StoreThread {
     ///
     /// # Errors
     /// What the operating system says where there is no thread to be had.
-    pub fn start(store: Store, board: Board) -> std::io::Result<Self> {
+    pub fn start(store: Store, board: Board, machine: &Machine) -> std::io::Result<Self> {
         let (jobs, waiting) = mpsc::channel(JOBS);
         let gauge = Arc::new(StoreGauge::default());
-        let told = Arc::clone(&gauge);
-        let thread = std::thread::Builder::new()
-            .name("ihd-store".to_owned())
-            .spawn(move || serve(store, waiting, &told, &board))?;
+        let worker = Worker {
+            store,
+            gauge: Arc::clone(&gauge),
+            board,
+        };
         Ok(Self {
             jobs: Arc::new(Mutex::new(Some(jobs))),
-            thread: Arc::new(Mutex::new(Some(thread))),
+            running: Arc::new(Mutex::new(Some(worker.start(waiting, machine)?))),
             gauge,
         })
     }
@@ -132,32 +140,73 @@ impl StoreThread {
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .take();
-        let thread = self
-            .thread
+        let running = self
+            .running
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .take();
-        if let Some(thread) = thread {
-            // Its panics are caught in it.
-            let _ = tokio::task::spawn_blocking(move || thread.join()).await;
+        // Its panics are caught in it.
+        match running {
+            Some(Running::Thread(thread)) => {
+                let _ = tokio::task::spawn_blocking(move || thread.join()).await;
+            }
+            #[cfg(test)]
+            Some(Running::Task(task)) => {
+                let _ = task.await;
+            }
+            None => {}
         }
     }
 }
 
-fn serve(mut store: Store, mut jobs: mpsc::Receiver<Job>, gauge: &StoreGauge, board: &Board) {
-    while let Some(job) = jobs.blocking_recv() {
+/// The store, on its thread.
+struct Worker {
+    store: Store,
+    gauge: Arc<StoreGauge>,
+    board: Board,
+}
+
+impl Worker {
+    fn start(
+        mut self,
+        mut jobs: mpsc::Receiver<Job>,
+        machine: &Machine,
+    ) -> std::io::Result<Running> {
+        #[cfg(test)]
+        if let Some(disk) = machine.disk().cloned() {
+            return Ok(Running::Task(tokio::spawn(async move {
+                while let Some(job) = jobs.recv().await {
+                    disk.wait().await;
+                    disk.apply_to(&self.store);
+                    self.carry_out(job);
+                }
+            })));
+        }
+        #[cfg(not(test))]
+        let _ = machine;
+        let serve = move || {
+            while let Some(job) = jobs.blocking_recv() {
+                self.carry_out(job);
+            }
+        };
+        let thread = std::thread::Builder::new().name("ihd-store".to_owned());
+        Ok(Running::Thread(thread.spawn(serve)?))
+    }
+
+    fn carry_out(&mut self, job: Job) {
         let began = Instant::now();
         // A transaction that a panic leaves is rolled back.
-        let outcome = catch_unwind(AssertUnwindSafe(|| job(&mut store)))
+        let outcome = catch_unwind(AssertUnwindSafe(|| job(&mut self.store)))
             .unwrap_or_else(|_| Err("a fault of this program".to_owned()));
         let took_us = began.elapsed().as_micros() as u64;
+        let gauge = &self.gauge;
         gauge.jobs.fetch_add(1, Ordering::Relaxed);
         gauge.busy_us.fetch_add(took_us, Ordering::Relaxed);
         gauge.longest_us.fetch_max(took_us, Ordering::Relaxed);
         if outcome.is_err() {
             gauge.failures.fetch_add(1, Ordering::Relaxed);
         }
-        tell_health(outcome, gauge, board);
+        tell_health(outcome, gauge, &self.board);
     }
 }
 

@@ -9,7 +9,7 @@ use ihd_link::{DeviceSpec, usb};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use crate::board::{Board, now_ms};
+use crate::board::Board;
 use crate::config::Address;
 use crate::device::{Context, DeviceTask, Order};
 use crate::face::Face;
@@ -111,7 +111,8 @@ impl Devices {
 /// The recorder of a device: into the store's folder, told to whoever watches and the log.
 fn recorder(device: &str, context: &Context, board: &Board) -> Recorder {
     let (folder, name) = (context.recordings.clone(), device.to_owned());
-    let named = move |_| folder.join(file_name(&name, now_ms()));
+    let machine = context.machine.clone();
+    let named = move |_| folder.join(file_name(&name, machine.now_ms()));
     let (device, board) = (device.to_owned(), board.clone());
     Recorder::new(named, move |Told { phase, text, file }| {
         let (text, file) = (printable(&text), file.as_deref().map(name_of));

@@ -17,6 +17,8 @@ use std::time::Duration;
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 use tokio::sync::mpsc::error::{TryRecvError, TrySendError};
 use tokio::sync::{mpsc, oneshot};
+#[cfg(feature = "simulation")]
+use tokio::time::{sleep, timeout};
 
 use super::{Client, Event, LinkError, Transport};
 
@@ -25,6 +27,14 @@ const SLICE: Duration = Duration::from_millis(10);
 
 /// Orders that may wait; whoever gives one more waits for room.
 const ORDERS: usize = 8;
+
+/// As [`SLICE`] for a simulated device, whose frames may wait a little longer for a faster simulation.
+#[cfg(feature = "simulation")]
+const SIMULATED_SLICE: Duration = Duration::from_millis(40);
+
+/// Events that a simulated device may send within a slice.
+#[cfg(feature = "simulation")]
+const EVENTS_A_SLICE: usize = 8;
 
 type Order = Box<dyn FnOnce(&mut Client) + Send>;
 
@@ -37,6 +47,9 @@ pub struct AsyncClient {
     hello: Hello,
     front_end: FrontEnd,
     description: String,
+    /// A request takes as long on the runtime's clock as it took on the transport's.
+    #[cfg(feature = "simulation")]
+    takes_simulated_time: bool,
 }
 
 /// What the thread leaves behind.
@@ -60,53 +73,40 @@ impl AsyncClient {
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
         events: mpsc::Sender<Event>,
     ) -> Result<Self, LinkError> {
-        let (orders, waiting) = mpsc::channel(ORDERS);
-        let (connected, outcome) = oneshot::channel();
-        let (closing, closed) = oneshot::channel::<()>();
-        let last_words = Arc::new(LastWords::default());
-        let heir = Arc::clone(&last_words);
+        let (serving, calling) = ServingSide::new(events);
         let serve = move || {
-            // Dropped last, when the transport is closed.
-            let _closing = closing;
-            let client = match open().and_then(Client::connect) {
-                Ok(client) => client,
-                Err(error) => return drop(connected.send(Err(error))),
-            };
-            let told = (
-                client.hello().clone(),
-                client.front_end().clone(),
-                client.describe(),
-            );
-            if connected.send(Ok(told)).is_ok() {
-                let mut served = Served {
-                    client,
-                    events,
-                    held: None,
-                    last_words: heir,
-                };
-                let reason = served.serve(waiting);
+            if let Some((mut served, orders, _closing)) = serving.serve_behind(open) {
+                let reason = served.serve(orders);
                 served.leave(reason);
             }
-        };
-        let no_thread = |source| LinkError::Connect {
-            device: "the device".to_owned(),
-            hint: "; no thread could be started for it".to_owned(),
-            source,
         };
         thread::Builder::new()
             .name("ihd-link".to_owned())
             .spawn(serve)
             .map_err(no_thread)?;
-        let panicked = |_| no_thread(io::Error::other("it ended in a panic"));
-        let (hello, front_end, description) = outcome.await.map_err(panicked)??;
-        Ok(Self {
-            orders,
-            closed,
-            last_words,
-            hello,
-            front_end,
-            description,
-        })
+        calling.client().await
+    }
+
+    /// As [`AsyncClient::connect`], on the runtime that calls it and without a thread: for a simulated device that never blocks, on a
+    /// simulated clock. A request takes as long as the transport's clock says.
+    ///
+    /// # Errors
+    /// As [`AsyncClient::connect`].
+    #[cfg(feature = "simulation")]
+    pub async fn connect_simulated(
+        open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
+        events: mpsc::Sender<Event>,
+    ) -> Result<Self, LinkError> {
+        let (serving, calling) = ServingSide::new(events);
+        tokio::spawn(async move {
+            if let Some((mut served, orders, _closing)) = serving.serve_behind(open) {
+                let reason = served.serve_simulated(orders).await;
+                served.leave(reason);
+            }
+        });
+        let mut client = calling.client().await?;
+        client.takes_simulated_time = true;
+        Ok(client)
     }
 
     /// Runs `f` with the client, between two events, and gives what it returned. Orders of one caller
@@ -123,15 +123,23 @@ impl AsyncClient {
         let (answer, answered) = oneshot::channel();
         let order: Order = Box::new(move |client| {
             if !answer.is_closed() {
+                let began = client.clock();
+                let outcome = f(client);
+                let took = client.clock().saturating_sub(began);
                 // Whoever left meanwhile does not want to know.
-                let _ = answer.send(f(client));
+                let _ = answer.send((outcome, took));
             }
         });
         let closed = || LinkError::Closed {
             device: self.description.clone(),
         };
         self.orders.send(order).await.map_err(|_| closed())?;
-        answered.await.map_err(|_| closed())
+        let (outcome, _took) = answered.await.map_err(|_| closed())?;
+        #[cfg(feature = "simulation")]
+        if self.takes_simulated_time {
+            sleep(_took).await;
+        }
+        Ok(outcome)
     }
 
     /// Why the thread ended, once it has: the events' channel is closed then.
@@ -165,6 +173,102 @@ impl AsyncClient {
         drop(self.orders);
         // Nothing is ever sent: this ends when the thread has.
         let _ = self.closed.await;
+    }
+}
+
+fn no_thread(source: io::Error) -> LinkError {
+    LinkError::Connect {
+        device: "the device".to_owned(),
+        hint: "; no thread could be started for it".to_owned(),
+        source,
+    }
+}
+
+/// Hello, front end and description of a device that shook hands.
+type Greeting = (Hello, FrontEnd, String);
+
+/// What the thread needs before it has a client.
+struct ServingSide {
+    events: mpsc::Sender<Event>,
+    orders: mpsc::Receiver<Order>,
+    connected: oneshot::Sender<Result<Greeting, LinkError>>,
+    closing: oneshot::Sender<()>,
+    last_words: Arc<LastWords>,
+}
+
+/// The caller's counterpart of a [`ServingSide`].
+struct CallingSide {
+    orders: mpsc::Sender<Order>,
+    outcome: oneshot::Receiver<Result<Greeting, LinkError>>,
+    closed: oneshot::Receiver<()>,
+    last_words: Arc<LastWords>,
+}
+
+impl ServingSide {
+    fn new(events: mpsc::Sender<Event>) -> (Self, CallingSide) {
+        let (to_thread, orders) = mpsc::channel(ORDERS);
+        let (connected, outcome) = oneshot::channel();
+        let (closing, closed) = oneshot::channel::<()>();
+        let last_words = Arc::new(LastWords::default());
+        let serving = Self {
+            events,
+            orders,
+            connected,
+            closing,
+            last_words: Arc::clone(&last_words),
+        };
+        let calling = CallingSide {
+            orders: to_thread,
+            outcome,
+            closed,
+            last_words,
+        };
+        (serving, calling)
+    }
+
+    /// Opens the transport and shakes hands; the last of what is returned is to be dropped last, when the transport is closed.
+    fn serve_behind(
+        self,
+        open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError>,
+    ) -> Option<(Served, mpsc::Receiver<Order>, oneshot::Sender<()>)> {
+        let client = match open().and_then(Client::connect) {
+            Ok(client) => client,
+            Err(error) => {
+                // Whoever asked has left.
+                let _ = self.connected.send(Err(error));
+                return None;
+            }
+        };
+        let greeting = (
+            client.hello().clone(),
+            client.front_end().clone(),
+            client.describe(),
+        );
+        self.connected.send(Ok(greeting)).ok()?;
+        let served = Served {
+            client,
+            events: self.events,
+            held: None,
+            last_words: self.last_words,
+        };
+        Some((served, self.orders, self.closing))
+    }
+}
+
+impl CallingSide {
+    async fn client(self) -> Result<AsyncClient, LinkError> {
+        let panicked = |_| no_thread(io::Error::other("it ended in a panic"));
+        let (hello, front_end, description) = self.outcome.await.map_err(panicked)??;
+        Ok(AsyncClient {
+            orders: self.orders,
+            closed: self.closed,
+            last_words: self.last_words,
+            hello,
+            front_end,
+            description,
+            #[cfg(feature = "simulation")]
+            takes_simulated_time: false,
+        })
     }
 }
 
@@ -212,14 +316,45 @@ impl Served {
             } else {
                 Duration::ZERO
             };
-            match self.event(slice) {
-                Ok(()) => {}
-                // The link goes on.
-                Err(failure @ LinkError::Recording(_)) => {
-                    *lock(&self.last_words.recording) = Some(failure);
-                }
-                Err(reason) => return reason,
+            if let Err(reason) = self.pass_on(slice) {
+                return reason;
             }
+        }
+    }
+
+    /// As [`Served::serve`], on the runtime's clock.
+    #[cfg(feature = "simulation")]
+    async fn serve_simulated(&mut self, mut orders: mpsc::Receiver<Order>) -> LinkError {
+        loop {
+            match timeout(SIMULATED_SLICE, orders.recv()).await {
+                Ok(Some(order)) => {
+                    let began = self.client.clock();
+                    order(&mut self.client);
+                    sleep(self.client.clock().saturating_sub(began)).await;
+                }
+                Ok(None) => {
+                    return LinkError::Closed {
+                        device: self.client.describe(),
+                    };
+                }
+                Err(_) => {}
+            }
+            for _ in 0..EVENTS_A_SLICE {
+                if let Err(reason) = self.pass_on(Duration::ZERO) {
+                    return reason;
+                }
+            }
+        }
+    }
+
+    /// As [`Served::event`]; a recording that fails does not end the link.
+    fn pass_on(&mut self, slice: Duration) -> Result<(), LinkError> {
+        match self.event(slice) {
+            Err(failure @ LinkError::Recording(_)) => {
+                *lock(&self.last_words.recording) = Some(failure);
+                Ok(())
+            }
+            other => other,
         }
     }
 

@@ -104,6 +104,17 @@ impl Store {
         self.figures
     }
 
+    /// Refuses to write windows, and what else there is, from now on, as on a full disk; or writes again.
+    #[cfg(feature = "simulation")]
+    pub fn refuse_writes(&self, records: bool, windows: bool) {
+        let days = self.days.each().map(|day| (&day.connection, windows));
+        for (connection, refuses) in days.chain([(&self.records, records)]) {
+            connection
+                .pragma_update(None, "query_only", refuses)
+                .expect("it is no write");
+        }
+    }
+
     pub(crate) fn settings(&self) -> &Settings {
         &self.settings
     }

@@ -31,6 +31,7 @@ use crate::fleet::Trust;
 use crate::history::Seconds;
 use crate::learning::{Learner, Lookup};
 use crate::lease::LeaseId;
+use crate::machine::Machine;
 use crate::model::{Command, CommandError, DeviceState, Done, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
@@ -79,6 +80,8 @@ pub type Answer = oneshot::Sender<Result<Done, CommandError>>;
 /// What all devices share.
 #[derive(Clone)]
 pub struct Context {
+    /// The machine that all runs on.
+    pub machine: Machine,
     /// The store.
     pub store: StoreThread,
     /// What devices did, on its way to the store.
@@ -185,8 +188,9 @@ impl DeviceTask {
             let _ = tell.send(opened.truth);
             Ok(opened.transport)
         };
-        let connecting = AsyncClient::connect(opening, events);
+        let connecting = self.context.machine.connect(opening, events);
         tokio::select! {
+            biased;
             connected = connecting => {
                 let truth = match &connected {
                     Ok(_) => truth.await.ok().flatten(),
@@ -201,6 +205,7 @@ impl DeviceTask {
     /// Waits; false when the daemon stops.
     async fn wait(&self, time: Duration, orders: &mut mpsc::Receiver<Order>) -> bool {
         tokio::select! {
+            biased;
             () = tokio::time::sleep(time) => true,
             () = self.without_device(orders) => false,
         }
@@ -211,6 +216,7 @@ impl DeviceTask {
         let mut tick = tokio::time::interval(Duration::from_millis(250));
         loop {
             tokio::select! {
+                biased;
                 () = self.context.stopping() => return,
                 order = orders.recv() => match order {
                     None => return,

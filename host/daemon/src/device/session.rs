@@ -20,7 +20,6 @@ use super::pushing::Push;
 use super::sweep::{Step, Sweep};
 use super::{Context, Order, lease_ended};
 use crate::TruthOf;
-use crate::board::now_ms;
 use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
 use crate::learning::{Lookup, Task, Work, curve_of};
@@ -150,7 +149,7 @@ impl<'a> Session<'a> {
             sweep: None,
             push: None,
             quiet_until: None,
-            clocks: Clocks::default(),
+            clocks: Clocks::new(context.machine.now_ms()),
             heard: now,
             told: now,
             looked: now,
@@ -192,16 +191,18 @@ impl<'a> Session<'a> {
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             let on = tokio::select! {
+                biased;
                 () = self.context.stopping() => return Ended::Stopping,
-                event = events.recv() => match event {
-                    Some(event) => self.on_event(event).await,
-                    None => Err(self.why_ended()),
-                },
+                // Neither a flood of events nor one of orders keeps a lease from running out.
+                _ = tick.tick() => self.on_tick().await,
                 order = orders.recv() => match order {
                     Some(order) => self.on_order(order).await,
                     None => return Ended::Stopping,
                 },
-                _ = tick.tick() => self.on_tick().await,
+                event = events.recv() => match event {
+                    Some(event) => self.on_event(event).await,
+                    None => Err(self.why_ended()),
+                },
             };
             if let Err(ended) = on {
                 return ended;
@@ -345,10 +346,11 @@ impl<'a> Session<'a> {
     async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), Ended> {
         self.face.ring().push(&t, Instant::now());
         let seconds = &self.context.seconds;
-        seconds.push(&self.face.name, &t, now_ms());
+        seconds.push(&self.face.name, &t, self.context.machine.now_ms());
         self.look_at_pot(t.pot);
         if self.pot_waiting.len() < POT_WAITING {
-            self.pot_waiting.push((t.clone(), now_ms()));
+            let now_ms = self.context.machine.now_ms();
+            self.pot_waiting.push((t.clone(), now_ms));
         }
         let before = {
             let mut inner = self.face.lock();
@@ -404,7 +406,7 @@ impl<'a> Session<'a> {
             return;
         }
         let (face, waiting) = (Arc::clone(self.face), std::mem::take(&mut self.pot_waiting));
-        self.pot_work = Some(tokio::task::spawn_blocking(move || {
+        self.pot_work = Some(self.context.machine.spawn_blocking(move || {
             let (mut events, curve) = {
                 let mut watch = face.pot_watch();
                 let events: Vec<_> = waiting
@@ -428,7 +430,10 @@ impl<'a> Session<'a> {
     async fn truth_of(&self, half_cycle: u32) -> Option<Arc<Truth>> {
         let truth = Arc::clone(self.truth.as_ref()?);
         // It may wait for the simulation.
-        let asked = tokio::task::spawn_blocking(move || truth(half_cycle));
+        let asked = self
+            .context
+            .machine
+            .spawn_blocking(move || truth(half_cycle));
         let told = tokio::time::timeout(TRUTH_WITHIN, asked).await;
         told.ok()?.ok()?.map(Arc::new)
     }
@@ -499,7 +504,7 @@ impl<'a> Session<'a> {
     }
 
     async fn on_tick(&mut self) -> Result<(), Ended> {
-        if let Some(slept) = self.clocks.turn() {
+        if let Some(slept) = self.clocks.turn(self.context.machine.now_ms()) {
             self.face.lock().lease.void();
             return Err(Ended::Slept(format!(
                 "nothing ran here for {:.0} s",

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use crate::board::now_ms;
 use crate::device::Context;
 use crate::history::Seconds;
 use crate::store_thread::StoreThread;
@@ -15,10 +14,12 @@ pub async fn keep(context: Context) {
     let mut told = 0;
     loop {
         tokio::select! {
+            biased;
             () = context.stopping() => return,
             () = tokio::time::sleep(WRITE_EVERY) => {}
         }
-        write(&context.seconds, &context.store, false).await;
+        let now_ms = context.machine.now_ms();
+        write(&context.seconds, &context.store, now_ms, false).await;
         let dropped = context.seconds.dropped();
         if dropped > told {
             let seconds = dropped - std::mem::replace(&mut told, dropped);
@@ -31,8 +32,8 @@ pub async fn keep(context: Context) {
 }
 
 /// Writes what waits; with `all` the present seconds, too.
-pub async fn write(seconds: &Seconds, store: &StoreThread, all: bool) {
-    let batch = seconds.take(now_ms(), all);
+pub async fn write(seconds: &Seconds, store: &StoreThread, now_ms: i64, all: bool) {
+    let batch = seconds.take(now_ms, all);
     if batch.is_empty() {
         return;
     }

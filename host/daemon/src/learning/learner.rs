@@ -18,6 +18,7 @@ use super::figures::{LearnerFigures, Meter};
 use super::outcome::{Course, Learned, Numbers, Task, Work, fit_remark};
 use super::queue::{Dropped, Known, Note, Queue};
 use super::studied::Studied;
+use crate::machine::Machine;
 
 /// How often what was learned goes to the store where nothing new was.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
@@ -80,6 +81,24 @@ impl Shared {
 }
 
 impl Learner {
+    /// As [`Learner::start`], on this machine.
+    ///
+    /// # Errors
+    /// As [`Learner::start`].
+    pub fn start_on(
+        machine: &Machine,
+        settings: LearnerSettings,
+        outcomes: Sender<Learned>,
+    ) -> Result<Self, LearnerError> {
+        #[cfg(test)]
+        if machine.disk().is_some() {
+            return Ok(Self::simulated(settings, outcomes));
+        }
+        #[cfg(not(test))]
+        let _ = machine;
+        Self::start(settings, outcomes)
+    }
+
     /// Begins the threads; outcomes go to `outcomes`, those of one device in the order of its windows. While that
     /// channel is full, nothing is learned.
     ///
@@ -99,19 +118,9 @@ impl Learner {
         outcomes: Sender<Learned>,
         study: Box<Study>,
     ) -> Result<Self, LearnerError> {
-        let shared = Arc::new(Shared {
-            state: Mutex::default(),
-            changed: Condvar::new(),
-            study,
-            outcomes,
-        });
-        let mut learner = Self {
-            shared,
-            threads: Vec::new(),
-            network: settings.network,
-            limit: settings.queue.max(1),
-        };
-        for n in 0..settings.threads.max(1) {
+        let threads = settings.threads.max(1);
+        let mut learner = Self::without_threads(settings, outcomes, study);
+        for n in 0..threads {
             let shared = Arc::clone(&learner.shared);
             let thread = thread::Builder::new()
                 .name(format!("learner {n}"))
@@ -119,6 +128,50 @@ impl Learner {
             learner.threads.push(thread);
         }
         Ok(learner)
+    }
+
+    pub(super) fn without_threads(
+        settings: LearnerSettings,
+        outcomes: Sender<Learned>,
+        study: Box<Study>,
+    ) -> Self {
+        let shared = Arc::new(Shared {
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            study,
+            outcomes,
+        });
+        Self {
+            shared,
+            threads: Vec::new(),
+            network: settings.network,
+            limit: settings.queue.max(1),
+        }
+    }
+
+    /// One that learns when it is told to, and then finds every window unfit.
+    #[cfg(test)]
+    pub fn simulated(settings: LearnerSettings, outcomes: Sender<Learned>) -> Self {
+        let unfit = |_: &mut Learning, _: &Window| Outcome::Unfit {
+            why: "simulated".to_owned(),
+            identified: None,
+            findings: Vec::new(),
+        };
+        Self::without_threads(settings, outcomes, Box::new(unfit))
+    }
+
+    /// Learns from the next window that waits. Returns `false` where none does, or nobody has room for what it shows.
+    #[cfg(test)]
+    pub fn learn_one(&self) -> bool {
+        if self.shared.outcomes.capacity() == 0 {
+            return false;
+        }
+        let next = self.shared.lock().queue.next();
+        let Some((task, known)) = next else {
+            return false;
+        };
+        learn(&self.shared, task, known);
+        true
     }
 
     /// A device begins, or begins anew, with what was learned of it before. Damaged bytes are an error, and the
@@ -258,25 +311,29 @@ impl Drop for Learner {
 }
 
 fn work(shared: &Shared) {
-    while let Some((mut task, known)) = next(shared) {
-        let device = task.device.clone();
-        let began = Instant::now();
-        let (mut known, mut found) = match &mut task.work {
-            Work::Window(window) => {
-                let (known, outcome) = study(shared, known, window);
-                let found = Found::of(window, outcome, task.truth.as_deref());
-                (known, found)
-            }
-            Work::Studied(studied) => take(shared, known, task.boot, studied),
-        };
-        found.busy = found.busy.max(began.elapsed());
-        let learned = settle(shared, &mut known, task, found);
-        hand_over(shared, learned);
-        let mut state = shared.lock();
-        state.queue.back(&device, known);
-        drop(state);
-        shared.changed.notify_one();
+    while let Some((task, known)) = next(shared) {
+        learn(shared, task, known);
     }
+}
+
+fn learn(shared: &Shared, mut task: Task, known: Box<Known>) {
+    let device = task.device.clone();
+    let began = Instant::now();
+    let (mut known, mut found) = match &mut task.work {
+        Work::Window(window) => {
+            let (known, outcome) = study(shared, known, window);
+            let found = Found::of(window, outcome, task.truth.as_deref());
+            (known, found)
+        }
+        Work::Studied(studied) => take(shared, known, task.boot, studied),
+    };
+    found.busy = found.busy.max(began.elapsed());
+    let learned = settle(shared, &mut known, task, found);
+    hand_over(shared, learned);
+    let mut state = shared.lock();
+    state.queue.back(&device, known);
+    drop(state);
+    shared.changed.notify_one();
 }
 
 fn next(shared: &Shared) -> Option<(Task, Box<Known>)> {

@@ -1,0 +1,115 @@
+//! What fails, and when.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::time::sleep;
+
+use super::disk::DiskState;
+use super::world::{HOBS, Socket, World};
+
+/// Lets something fail now and then, some of it for a while.
+pub async fn fail_at_random(world: Arc<World>, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    if world.is_calm {
+        return;
+    }
+    {
+        let mut state = world.lock();
+        for socket in &mut state.sockets {
+            let mut chance = |most: f64| match rng.random_bool(0.4) {
+                true => rng.random_range(0.0..most),
+                false => 0.0,
+            };
+            socket.lost = chance(0.1);
+            socket.doubled = chance(0.1);
+            socket.late = chance(0.01);
+        }
+    }
+    loop {
+        sleep(Duration::from_millis(rng.random_range(500..8_000))).await;
+        let hob = rng.random_range(0..HOBS.len());
+        let lasts = Duration::from_millis(rng.random_range(10..6_000));
+        match rng.random_range(0..9) {
+            0 => cut(&world, hob),
+            1 => for_a_while(&world, hob, lasts, "is unplugged", |s, on| {
+                s.is_plugged = !on
+            }),
+            2 | 3 => for_a_while(&world, hob, lasts, "is mute", |s, on| s.is_mute = on),
+            4 => reboot(&world, hob),
+            5 => trip(&world, hob),
+            6 | 7 => {
+                let delay_ms = rng.random_range(0..3_000);
+                let state = DiskState {
+                    delay: Duration::from_millis(if rng.random_bool(0.5) { delay_ms } else { 0 }),
+                    refuses_records: rng.random_bool(0.3),
+                    refuses_windows: rng.random_bool(0.3),
+                };
+                for_disk(&world, lasts, state);
+            }
+            _ => put_clock(&world, &mut rng),
+        }
+    }
+}
+
+fn cut(world: &World, hob: usize) {
+    world.note(&format!("{} is cut off", HOBS[hob]));
+    world.lock().sockets[hob].connection += 1;
+}
+
+fn reboot(world: &World, hob: usize) {
+    world.note(&format!("{} reboots", HOBS[hob]));
+    let now = world.now();
+    world.lock().sockets[hob].hob.reboot(now);
+}
+
+fn trip(world: &World, hob: usize) {
+    world.note(&format!("{} trips", HOBS[hob]));
+    world.lock().sockets[hob].hob.trip();
+}
+
+fn put_clock(world: &World, rng: &mut ChaCha8Rng) {
+    let by_ms = match rng.random_bool(0.5) {
+        true => rng.random_range(-3_000..3_000),
+        false => rng.random_range(-90_000_000..90_000_000),
+    };
+    world.note(&format!("the clock is put on by {by_ms} ms"));
+    world.put_on(by_ms);
+}
+
+fn for_a_while(
+    world: &Arc<World>,
+    hob: usize,
+    lasts: Duration,
+    what: &'static str,
+    set: fn(&mut Socket, bool),
+) {
+    world.note(&format!("{} {what} for {lasts:?}", HOBS[hob]));
+    set(&mut world.lock().sockets[hob], true);
+    let world = Arc::clone(world);
+    tokio::spawn(async move {
+        sleep(lasts).await;
+        set(&mut world.lock().sockets[hob], false);
+    });
+}
+
+fn for_disk(world: &Arc<World>, lasts: Duration, state: DiskState) {
+    world.note(&format!("the disk: {state:?} for {lasts:?}"));
+    world.disk.set(state);
+    let world = Arc::clone(world);
+    tokio::spawn(async move {
+        sleep(lasts).await;
+        world.disk.set(DiskState::default());
+    });
+}
+
+/// Nothing fails any more.
+pub fn mend(world: &World) {
+    world.disk.set(DiskState::default());
+    for socket in &mut world.lock().sockets {
+        (socket.is_plugged, socket.is_mute) = (true, false);
+        (socket.lost, socket.doubled, socket.late) = (0.0, 0.0, 0.0);
+    }
+}

@@ -1,0 +1,352 @@
+//! A hob as a script: what the firmware does with frames and time, without the physics.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup, prior::prior};
+use ihd_shared::sampling::{I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::window::TrajectoryEntry;
+use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, check, ours};
+use ihd_shared::wire::messages::{
+    AnyMessage, ClearFault, FaultEvent, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot,
+    PushLookup, Raw, Reply, ResetLookup, SetPower, State, Status, Stream, Telemetry,
+    TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
+};
+use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+
+/// One half-cycle at 50 Hz.
+const HALF_CYCLE: Duration = Duration::from_millis(10);
+
+/// Half-cycles between two telemetries, however many are asked for: fewer frames, the same order of events.
+const TELEMETRY_EVERY: u32 = 10;
+
+/// Half-cycles between two windows.
+const WINDOW_EVERY: u32 = 70;
+
+/// The hob.
+pub struct Hob {
+    /// Differs from boot to boot.
+    pub boot_id: u32,
+    /// Power that a host asked for, in watt.
+    pub asked_w: u16,
+    /// The lookup in use.
+    pub lookup: RlLookup,
+    /// Windows made in this boot.
+    pub windows: u32,
+    hello: Hello,
+    half_cycle: u32,
+    /// World's time of half-cycle 0.
+    began: Duration,
+    unheard: u32,
+    is_paired: bool,
+    streams: bool,
+    telemetries: u32,
+    fault: Fault,
+    pending: Option<RlLookup>,
+    frame_seq: u16,
+    /// Frames for the host, each with the time at which it leaves.
+    sent: VecDeque<(Duration, Vec<u8>)>,
+}
+
+impl Hob {
+    /// Begins at the world's time `now`.
+    pub fn new(boot_id: u32, now: Duration) -> Self {
+        Self {
+            boot_id,
+            asked_w: 0,
+            lookup: prior(),
+            windows: 0,
+            hello: ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, "script 1.0", "script"),
+            half_cycle: 0,
+            began: now,
+            unheard: 0,
+            is_paired: false,
+            streams: false,
+            telemetries: 0,
+            fault: Fault::NONE,
+            pending: None,
+            frame_seq: 0,
+            sent: VecDeque::new(),
+        }
+    }
+
+    /// It loses power: all is forgotten but its lookup, which lies in flash.
+    pub fn reboot(&mut self, now: Duration) {
+        let lookup = self.lookup.clone();
+        *self = Self::new(self.boot_id + 1, now);
+        self.lookup = lookup;
+    }
+
+    /// A fault trips: the bridge is off, and nobody may ask for power before it is cleared.
+    pub fn trip(&mut self) {
+        self.asked_w = 0;
+        self.fault = Fault::from_number(1);
+        let (half_cycle, fault) = (self.half_cycle, self.fault);
+        self.say(&FaultEvent { half_cycle, fault });
+    }
+
+    /// Frames that have left by `now`, one after the other.
+    pub fn take_sent(&mut self, now: Duration) -> Option<Vec<u8>> {
+        match self.sent.front() {
+            Some((at, _)) if *at <= now => self.sent.pop_front().map(|(_, frame)| frame),
+            _ => None,
+        }
+    }
+
+    /// What is on its way to a host that is cut off.
+    pub fn forget_sent(&mut self) {
+        self.sent.clear();
+    }
+
+    fn now(&self) -> Duration {
+        self.began + HALF_CYCLE * self.half_cycle
+    }
+
+    fn say<M: Message>(&mut self, message: &M) {
+        let mut frame = [0; MAX_ENCODED];
+        let length = encode(message, self.frame_seq, &mut frame).expect("it fits a frame");
+        self.frame_seq = self.frame_seq.wrapping_add(1);
+        let at = self.now();
+        self.sent.push_back((at, frame[..length].to_vec()));
+    }
+
+    fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
+        self.say(&Reply {
+            to,
+            outcome,
+            detail,
+        });
+    }
+
+    /// Lives until `now`.
+    pub fn live_until(&mut self, now: Duration) {
+        while self.now() + HALF_CYCLE <= now {
+            self.half_cycle += 1;
+            self.unheard = self.unheard.saturating_add(1);
+            if self.unheard >= HOST_UNHEARD_HALF_CYCLES {
+                self.asked_w = 0;
+            }
+            if let Some(lookup) = self.pending.take() {
+                self.lookup = lookup;
+            }
+            if self.is_paired && self.streams {
+                if self.half_cycle.is_multiple_of(TELEMETRY_EVERY) {
+                    self.say_telemetry();
+                }
+                if self.half_cycle.is_multiple_of(WINDOW_EVERY) {
+                    self.say_window();
+                }
+            }
+        }
+    }
+
+    fn state(&self) -> State {
+        match (self.fault == Fault::NONE, self.asked_w) {
+            (false, _) => State::Pausing,
+            (true, 0) => State::Idle,
+            (true, _) => State::Heating,
+        }
+    }
+
+    fn say_telemetry(&mut self) {
+        self.telemetries += 1;
+        let telemetry = Telemetry {
+            seq: self.telemetries,
+            dropped: 0,
+            half_cycle: self.half_cycle,
+            state: self.state(),
+            fault: self.fault,
+            pot: Pot::Ferromagnetic,
+            f_sw_hz: if self.asked_w > 0 { 45_000 } else { 0 },
+            r: MicroOhm(4_000_000),
+            l: PicoHenry(50_000_000),
+            i_crest_ma: 30_000,
+            power_mw: 1_000 * u32::from(self.asked_w),
+            phase_mrad: 700,
+            lookup_version: self.lookup.version,
+            asked_w: self.asked_w,
+            limit: Limit::None,
+            bus_peak_dv: 3_250,
+            v_coil_peak_dv: 4_000,
+            i_turn_off_min_ma: 20_000,
+        };
+        self.say(&telemetry);
+    }
+
+    /// A window of one block.
+    fn say_window(&mut self) {
+        let seq = self.windows;
+        self.windows += 1;
+        let pair = |k: usize| {
+            let phase = k as f64 * std::f64::consts::TAU * 3.0 / 61.0;
+            let [v, i] = [1_000.0 * phase.sin(), 600.0 * (phase - 0.7).sin()]
+                .map(|x| (x as i16).to_le_bytes());
+            Pair::from_le_bytes([v[0], v[1], i[0], i[1]])
+        };
+        let pairs: Vec<u8> = (0..61).flat_map(|k| pair(k).to_le_bytes()).collect();
+        let entry = TrajectoryEntry {
+            r: MicroOhm(4_000_000),
+            l: PicoHenry(50_000_000),
+        };
+        let trajectory = entry.to_le_bytes();
+        self.say(&WindowStart {
+            seq,
+            dropped: 0,
+            half_cycle: self.half_cycle,
+            f_sw_hz: 45_000,
+            half_cycle_ns: 10_000_000,
+            first_pair_ns: 1_000,
+            first_trajectory_ns: 40_000,
+            pairs: 61,
+            trajectory: 1,
+            saturated: 0,
+            lookup_version: self.lookup.version,
+            v_full_scale_mv: V_FULL_SCALE_MV,
+            i_full_scale_ma: I_FULL_SCALE_MA,
+        });
+        let offset = 0;
+        self.say(&WindowChunk {
+            seq,
+            offset,
+            data: Raw(&pairs),
+        });
+        self.say(&TrajectoryChunk {
+            seq,
+            offset,
+            data: Raw(&trajectory),
+        });
+        let mut digest = CRC32.digest();
+        digest.update(&pairs);
+        digest.update(&trajectory);
+        let crc32 = digest.finalize();
+        self.say(&WindowEnd { seq, crc32 });
+    }
+
+    /// Hears a frame of the host.
+    pub fn hear(&mut self, message: &AnyMessage<'_>) {
+        if !matches!(message, AnyMessage::ResendWindow(_)) {
+            self.unheard = 0;
+        }
+        if let AnyMessage::Hello(theirs) = message {
+            return self.pair(theirs);
+        }
+        if !self.is_paired {
+            return;
+        }
+        match message {
+            AnyMessage::SetPower(m) => self.set_power(m.power_w),
+            AnyMessage::Stream(m) => {
+                self.streams = m.telemetry_every > 0;
+                self.reply(Stream::ID, Outcome::Ok, 0);
+            }
+            AnyMessage::GetStatus(_) => self.say_status(),
+            AnyMessage::GetFrontEnd(_) => self.say_front_end(),
+            AnyMessage::ReadLookup(_) => {
+                let blob = self.lookup.to_bytes();
+                self.say(&LookupBlob { blob: Raw(&blob) });
+            }
+            AnyMessage::PushLookup(m) => {
+                let (outcome, detail) = self.accept(m.blob.0);
+                self.reply(PushLookup::ID, outcome, detail);
+            }
+            AnyMessage::ResetLookup(_) => {
+                self.pending = Some(prior());
+                self.reply(ResetLookup::ID, Outcome::Ok, 0);
+            }
+            AnyMessage::ClearFault(_) => {
+                self.fault = Fault::NONE;
+                self.reply(ClearFault::ID, Outcome::Ok, 0);
+            }
+            // No piece of a window is kept.
+            AnyMessage::ResendWindow(m) => {
+                self.reply(
+                    ihd_shared::wire::messages::ResendWindow::ID,
+                    Outcome::OutOfRange,
+                    m.seq,
+                );
+            }
+            _ => {}
+        }
+    }
+
+    fn pair(&mut self, theirs: &Hello) {
+        self.is_paired = check(&self.hello, theirs).is_ok();
+        self.streams = false;
+        self.forget_sent();
+        let hello = self.hello.clone();
+        self.say(&hello);
+        self.say_front_end();
+    }
+
+    fn set_power(&mut self, power_w: u16) {
+        if power_w > RATED_POWER_W {
+            return self.reply(
+                SetPower::ID,
+                Outcome::PowerOutOfRange,
+                u32::from(RATED_POWER_W),
+            );
+        }
+        if power_w > 0 && self.fault != Fault::NONE {
+            let number = u32::from(self.fault.number());
+            return self.reply(SetPower::ID, Outcome::FaultActive, number);
+        }
+        self.asked_w = power_w;
+        self.reply(SetPower::ID, Outcome::Ok, 0);
+    }
+
+    fn accept(&mut self, blob: &[u8]) -> (Outcome, u32) {
+        let version = self.lookup.version;
+        let highest = version.saturating_add(LOOKUP_VERSION_STEP);
+        match RlLookup::from_bytes(blob) {
+            Err(why) => why.outcome(),
+            Ok(_) if self.pending.is_some() => (Outcome::Busy, 0),
+            Ok(lookup) if lookup.version <= version => (Outcome::LookupStale, version),
+            Ok(lookup) if lookup.version > highest => (Outcome::LookupStep, highest),
+            Ok(lookup) => {
+                self.pending = Some(lookup);
+                (Outcome::Ok, 0)
+            }
+        }
+    }
+
+    fn say_front_end(&mut self) {
+        self.say(&FrontEnd {
+            v_full_scale_mv: V_FULL_SCALE_MV,
+            i_full_scale_ma: I_FULL_SCALE_MA,
+            bus_full_scale_mv: 500_000,
+            mains_full_scale_mv: 500_000,
+            bits: 12,
+        });
+    }
+
+    fn say_status(&mut self) {
+        self.say(&Status {
+            state: self.state(),
+            fault: self.fault,
+            pot: Pot::Ferromagnetic,
+            asked_w: self.asked_w,
+            delivered_mw: 1_000 * u32::from(self.asked_w),
+            f_sw_hz: if self.asked_w > 0 { 45_000 } else { 0 },
+            lookup_version: self.lookup.version,
+            half_cycles: self.half_cycle,
+            windows_recorded: self.windows,
+            windows_dropped: 0,
+            telemetry_dropped: 0,
+            frames_bad: 0,
+            frames_lost: 0,
+            saturated_pairs: 0,
+            limit: Limit::None,
+            tries_left: 3,
+            heat_sink_c: 30,
+            glass_c: 60,
+            coil_c: 40,
+            fan: false,
+            panel_level: 255,
+            key_locked: false,
+        });
+    }
+}

@@ -1,0 +1,81 @@
+//! Deterministic simulation of the daemon: one seed gives devices, links, disk, clocks and users with all their faults, in simulated time.
+//!
+//! ```text
+//!  users ──► Daemon ──► link ──► hob        one runtime, one thread, a paused clock
+//!              │         faults.rs: cut, lost, doubled, late; reboots, trips; disk slow or full; clock put on and back; kills
+//!              └──► store (SQLite, in memory-backed files)
+//!  promises.rs looks at all of it at every frame that a hob hears, at every answer, and every 100 ms
+//! ```
+//!
+//! The daemon is the product's own; only what blocks runs otherwise ([`crate::machine`]). `IHD_SEED=4711 cargo nextest run -p ihd-daemon
+//! simulation` runs one seed again and prints its course; `IHD_SEEDS=100000` runs so many.
+
+mod disk;
+mod faults;
+mod hob;
+mod life;
+mod link;
+mod promises;
+mod users;
+mod world;
+
+pub use disk::Disk;
+
+/// Seeds of the short form.
+const SEEDS: u64 = 100;
+
+fn of_environment(name: &str) -> Option<u64> {
+    let value = std::env::var(name).ok()?;
+    Some(value.parse().expect("a number"))
+}
+
+/// Runs seed after seed on as many threads as there are cores, and collects the promises that were broken.
+#[test]
+fn promises_hold_whatever_fails() {
+    let one = of_environment("IHD_SEED");
+    let seeds = match one {
+        Some(seed) => seed..seed + 1,
+        None => 0..of_environment("IHD_SEEDS").unwrap_or(SEEDS),
+    };
+    let next = std::sync::atomic::AtomicU64::new(seeds.start);
+    let broken = std::sync::Mutex::new(Vec::new());
+    let run = || {
+        loop {
+            let seed = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            if !seeds.contains(&seed) || broken.lock().unwrap().len() >= 5 {
+                return;
+            }
+            let course = life::run(seed);
+            if one.is_some() {
+                println!("{}", course.text());
+            }
+            if let Some(why) = course.broken() {
+                broken.lock().unwrap().push(format!("seed {seed}: {why}"));
+            }
+        }
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|threads| {
+        for _ in 0..cores {
+            threads.spawn(run);
+        }
+    });
+    let broken = broken.into_inner().unwrap();
+    assert!(
+        broken.is_empty(),
+        "{}\nIHD_SEED=… cargo nextest run -p ihd-daemon simulation shows a course",
+        broken.join("\n")
+    );
+}
+
+#[test]
+fn one_seed_gives_one_course() {
+    for seed in [1, 2, 3] {
+        let (first, second) = (life::run(seed).text(), life::run(seed).text());
+        assert!(first.lines().count() > 20, "something happens");
+        let mut lines = first.lines().zip(second.lines());
+        let differ = lines.find(|(first, second)| first != second);
+        assert_eq!(differ, None, "seed {seed}");
+        assert_eq!(first, second);
+    }
+}

@@ -1,0 +1,176 @@
+//! What the daemon promises, looked at while it lives.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use ihd_shared::wire::messages::AnyMessage;
+use tokio::time::Instant;
+
+use super::world::{HOBS, World};
+use crate::model::{Notice, What};
+
+/// A hob that nobody holds heats for so long at most: the host's time-out of its firmware, and a second.
+const UNHELD_AT_MOST: Duration = Duration::from_secs(11);
+
+/// The same where nothing fails: a lease that ran out is seen at the next tick.
+const UNHELD_WHERE_CALM: Duration = Duration::from_millis(500);
+
+/// Orders that may wait for the store.
+const STORE_WAITING: usize = 128;
+
+/// What was seen so far.
+#[derive(Default)]
+pub struct Promises {
+    /// The first promise that was broken.
+    pub broken: Option<String>,
+    /// Windows of which the daemon said that they are stored: hob, boot, number.
+    pub stored: BTreeSet<(usize, u32, u32)>,
+    /// The same of results.
+    pub results: BTreeSet<(usize, u32, u32)>,
+    /// Numbers requests of users in the order in which they were made.
+    requests: u64,
+    places: [Place; HOBS.len()],
+}
+
+/// What was seen of one hob.
+#[derive(Default)]
+struct Place {
+    /// The last request that may heat.
+    last_heating: u64,
+    /// The last `off` that was acknowledged, by its number.
+    off: Option<u64>,
+    /// Since when it heats, or would, without a living lease.
+    unheld_since: Option<Duration>,
+}
+
+impl Promises {
+    fn break_(&mut self, why: String) {
+        self.broken.get_or_insert(why);
+    }
+}
+
+impl World {
+    /// A user makes a request that may heat; its number.
+    pub fn may_heat(&self, hob: usize) -> u64 {
+        let promises = &mut self.lock().promises;
+        promises.requests += 1;
+        promises.places[hob].last_heating = promises.requests;
+        promises.requests
+    }
+
+    /// A user asks for `off`; its number.
+    pub fn asks_off(&self) -> u64 {
+        let promises = &mut self.lock().promises;
+        promises.requests += 1;
+        promises.requests
+    }
+
+    /// `off` was acknowledged: the hob is off, and stays so until somebody asks again.
+    pub fn off_acknowledged(&self, hob: usize, number: u64) {
+        let state = &mut *self.lock();
+        let (place, asked_w) = (
+            &mut state.promises.places[hob],
+            state.sockets[hob].hob.asked_w,
+        );
+        place.off = place.off.max(Some(number));
+        if asked_w > 0 && place.last_heating < number {
+            let name = HOBS[hob];
+            state
+                .promises
+                .break_(format!("off was acknowledged and {name} has {asked_w} W"));
+        }
+    }
+
+    /// A hob hears a frame of the daemon.
+    pub fn hears(&self, hob: usize, message: &AnyMessage<'_>) {
+        if let AnyMessage::SetPower(m) = message {
+            self.note(&format!("{} hears {} W", HOBS[hob], m.power_w));
+            if m.power_w > 0 {
+                self.check_power(hob, m.power_w);
+            }
+        }
+        self.lock().sockets[hob].hob.hear(message);
+    }
+
+    fn check_power(&self, hob: usize, power_w: u16) {
+        let is_held = self.daemon().is_some_and(|daemon| {
+            let handle = daemon.handle_of(HOBS[hob]);
+            handle.is_some_and(|handle| {
+                let lease = &handle.face.lock().lease;
+                lease.heats(Instant::now()) && lease.asked_w() == power_w
+            })
+        });
+        let promises = &mut self.lock().promises;
+        let place = &promises.places[hob];
+        let name = HOBS[hob];
+        if place.off.is_some_and(|off| off > place.last_heating) {
+            promises.break_(format!(
+                "{name} is asked for {power_w} W after an off that was acknowledged"
+            ));
+        } else if !is_held {
+            promises.break_(format!(
+                "{name} is asked for {power_w} W that no living lease answers for"
+            ));
+        }
+    }
+
+    /// Looks at what has to hold at any time.
+    pub fn check_now(&self) {
+        let now = self.now();
+        let daemon = self.daemon();
+        if let Some(daemon) = &daemon {
+            let waiting = daemon.figures().store_waiting;
+            if waiting > STORE_WAITING {
+                let why = format!("{waiting} jobs wait for the store");
+                self.lock().promises.break_(why);
+            }
+        }
+        for (hob, name) in HOBS.iter().enumerate() {
+            let handle = daemon.as_ref().and_then(|daemon| daemon.handle_of(name));
+            let is_held =
+                handle.is_some_and(|handle| handle.face.lock().lease.heats(Instant::now()));
+            let state = &mut *self.lock();
+            let socket = &mut state.sockets[hob];
+            socket.hob.live_until(now);
+            let place = &mut state.promises.places[hob];
+            if socket.hob.asked_w == 0 || is_held {
+                place.unheld_since = None;
+                continue;
+            }
+            let since = *place.unheld_since.get_or_insert(now);
+            let bound = match self.is_calm {
+                true => UNHELD_WHERE_CALM,
+                false => UNHELD_AT_MOST,
+            };
+            if now - since > bound {
+                let asked_w = socket.hob.asked_w;
+                state.promises.break_(format!(
+                    "{name} heats with {asked_w} W since {:.3} s, and no lease lives",
+                    since.as_secs_f64()
+                ));
+            }
+        }
+    }
+
+    /// A notice of the daemon.
+    pub fn told(&self, notice: &Notice) {
+        let Some(hob) = HOBS.iter().position(|name| *name == notice.device) else {
+            return;
+        };
+        let promises = &mut self.lock().promises;
+        match notice.what {
+            What::WindowStored { boot, seq } => {
+                promises.stored.insert((hob, boot, seq));
+            }
+            What::ResultStored { boot, seq, .. } => {
+                promises.results.insert((hob, boot, seq));
+            }
+            _ => {}
+        }
+    }
+
+    /// Something promised was not kept.
+    pub fn broke(&self, why: String) {
+        self.lock().promises.break_(why);
+    }
+}

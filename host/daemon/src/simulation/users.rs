@@ -1,0 +1,155 @@
+//! Users of the daemon, who ask for everything in every order.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use ihd_shared::lookup::prior::prior;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::time::sleep;
+
+use super::world::{HOBS, World};
+use crate::daemon::Daemon;
+use crate::model::Command;
+
+/// Names that requests come under; one name may have two windows.
+const NAMES: [&str; 2] = ["ada", "bob"];
+
+/// Asks for something now and then, without waiting for the answer to what was asked before.
+pub async fn ask_at_random(world: Arc<World>, daemon: Daemon, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (mut hob, mut name) = (0, NAMES[0]);
+    loop {
+        // One request after the other of one name at one hob, as somebody does who has two windows open; or another later.
+        let rest_ms = match rng.random_bool(0.5) {
+            true => rng.random_range(0..20),
+            false => {
+                hob = rng.random_range(0..HOBS.len());
+                name = NAMES[rng.random_range(0..NAMES.len())];
+                rng.random_range(100..4_000)
+            }
+        };
+        sleep(Duration::from_millis(rest_ms)).await;
+        let user = User {
+            world: Arc::clone(&world),
+            daemon: daemon.clone(),
+            hob,
+            name,
+        };
+        let power_w = 100 * rng.random_range(1..20u16);
+        let force = rng.random_bool(0.3);
+        let renewals = rng.random_range(0..5);
+        let version = rng.random_bool(0.5).then(|| rng.random_range(0..4));
+        match rng.random_range(0..12) {
+            0..4 => tokio::spawn(user.heat(Command::Power { power_w }, renewals)),
+            4 => {
+                let powers_w = vec![power_w, 500, 1_000];
+                tokio::spawn(user.heat(Command::Sweep { powers_w }, renewals))
+            }
+            5 | 6 => tokio::spawn(user.switch_off()),
+            7 => tokio::spawn(user.command(Command::ClearFault)),
+            8 => tokio::spawn(user.command(Command::LookupRollback { version })),
+            9 => tokio::spawn(user.push_lookup()),
+            10 => tokio::spawn(user.take_lease(force, renewals)),
+            _ => tokio::spawn(user.release_lease()),
+        };
+    }
+}
+
+/// A user before a hob.
+pub struct User {
+    pub world: Arc<World>,
+    pub daemon: Daemon,
+    pub hob: usize,
+    pub name: &'static str,
+}
+
+impl User {
+    fn hob_name(&self) -> &'static str {
+        HOBS[self.hob]
+    }
+
+    /// Carries out a command; `true` where it was done.
+    pub async fn command(self, command: Command) {
+        self.carry_out(command).await;
+    }
+
+    async fn carry_out(&self, command: Command) -> bool {
+        let text = format!("{} {command:?} {}", self.name, self.hob_name());
+        // A lookup is some hundred bytes.
+        let text: String = text.chars().take(60).collect();
+        self.world.note(&text);
+        let outcome = self
+            .daemon
+            .command(self.hob_name(), self.name, command)
+            .await;
+        let said = match &outcome {
+            Ok(done) => done.text.clone(),
+            Err(error) => error.to_string(),
+        };
+        self.world.note(&format!("  {text}: {said}"));
+        outcome.is_ok()
+    }
+
+    async fn heat(self, command: Command, renewals: u32) {
+        self.world.may_heat(self.hob);
+        if self.carry_out(command).await {
+            self.renew(renewals).await;
+        }
+    }
+
+    /// Switches off; `true` where that was acknowledged.
+    pub async fn off(&self) -> bool {
+        let number = self.world.asks_off();
+        let is_off = self.carry_out(Command::Off).await;
+        if is_off {
+            self.world.off_acknowledged(self.hob, number);
+        }
+        is_off
+    }
+
+    async fn switch_off(self) {
+        self.off().await;
+    }
+
+    async fn push_lookup(self) {
+        let mut lookup = prior();
+        lookup.version = self.world.lock().sockets[self.hob].hob.lookup.version + 1;
+        let blob = lookup.to_bytes().to_vec();
+        self.carry_out(Command::LookupPush { blob }).await;
+    }
+
+    async fn take_lease(self, force: bool, renewals: u32) {
+        let taken = self
+            .daemon
+            .take_lease(self.hob_name(), self.name, force)
+            .await;
+        let text = format!(
+            "{} takes {} (force {force}): {taken:?}",
+            self.name,
+            self.hob_name()
+        );
+        self.world.note(&text);
+        if taken.is_ok() {
+            self.renew(renewals).await;
+        }
+    }
+
+    /// As the page does while it is open.
+    async fn renew(&self, times: u32) {
+        for _ in 0..times {
+            sleep(Duration::from_secs(3)).await;
+            // Somebody else may have it by now.
+            let _ = self
+                .daemon
+                .take_lease(self.hob_name(), self.name, false)
+                .await;
+        }
+    }
+
+    async fn release_lease(self) {
+        let released = self.daemon.release_lease(self.hob_name(), self.name).await;
+        let text = format!("{} releases {}: {released:?}", self.name, self.hob_name());
+        self.world.note(&text);
+    }
+}
