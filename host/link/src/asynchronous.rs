@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!  with(f) ──► orders (a few) ──► thread: order, event, order, event … ──► events (bounded)
-//!     ▲                             │ owns the Client
-//!     └── what f returned ◄─────────┘
+//!     ▲                             │ owns the Client    ▲
+//!     └── what f returned ◄─────────┘                    └── before each, and beside an answer that stays away: off()
 //! ```
 //!
 //! There is no second client: the thread runs the blocking [`Client`], and what is asked of it is a
@@ -26,12 +26,16 @@ const SLICE: Duration = Duration::from_millis(10);
 /// Orders that may wait; whoever gives one more waits for room.
 const ORDERS: usize = 8;
 
+/// Requests to switch off that may wait, on a lane of their own; whoever makes one more waits for room.
+const OFFS: usize = 8;
+
 type Order = Box<dyn FnOnce(&mut Client) + Send>;
 
 /// A client on a thread of its own. Dropping it ends the thread, which then closes the transport;
 /// [`AsyncClient::close`] waits for that.
 pub struct AsyncClient {
     orders: mpsc::Sender<Order>,
+    offs: mpsc::Sender<Order>,
     closed: oneshot::Receiver<()>,
     last_words: Arc<LastWords>,
     hello: Hello,
@@ -61,6 +65,8 @@ impl AsyncClient {
         events: mpsc::Sender<Event>,
     ) -> Result<Self, LinkError> {
         let (orders, waiting) = mpsc::channel(ORDERS);
+        let (offs, offs_waiting) = mpsc::channel(OFFS);
+        let lane = offs.downgrade();
         let (connected, outcome) = oneshot::channel();
         let (closing, closed) = oneshot::channel::<()>();
         let last_words = Arc::new(LastWords::default());
@@ -68,10 +74,11 @@ impl AsyncClient {
         let serve = move || {
             // Dropped last, when the transport is closed.
             let _closing = closing;
-            let client = match open().and_then(Client::connect) {
+            let mut client = match open().and_then(Client::connect) {
                 Ok(client) => client,
                 Err(error) => return drop(connected.send(Err(error))),
             };
+            client.give_way_to_off(move || lane.upgrade().is_some_and(|lane| is_used(&lane)));
             let told = (
                 client.hello().clone(),
                 client.front_end().clone(),
@@ -84,7 +91,7 @@ impl AsyncClient {
                     held: None,
                     last_words: heir,
                 };
-                let reason = served.serve(waiting);
+                let reason = served.serve(waiting, offs_waiting);
                 served.leave(reason);
             }
         };
@@ -101,6 +108,7 @@ impl AsyncClient {
         let (hello, front_end, description) = outcome.await.map_err(panicked)??;
         Ok(Self {
             orders,
+            offs,
             closed,
             last_words,
             hello,
@@ -132,6 +140,29 @@ impl AsyncClient {
         };
         self.orders.send(order).await.map_err(|_| closed())?;
         answered.await.map_err(|_| closed())
+    }
+
+    /// Switches the device off before all orders that wait, as [`Client::off`]; an order under way gives way where its answer stays
+    /// away. `then` runs on the client's thread once the device has confirmed, before the next order. It is done even where
+    /// the future is dropped.
+    ///
+    /// # Errors
+    /// As [`Client::off`] and [`AsyncClient::with`].
+    pub async fn off(&self, then: impl FnOnce() + Send + 'static) -> Result<(), LinkError> {
+        let (answer, answered) = oneshot::channel();
+        let order: Order = Box::new(move |client| {
+            let off = client.off();
+            if off.is_ok() {
+                then();
+            }
+            // Whoever left meanwhile does not want to know.
+            let _ = answer.send(off);
+        });
+        let closed = || LinkError::Closed {
+            device: self.description.clone(),
+        };
+        self.offs.send(order).await.map_err(|_| closed())?;
+        answered.await.map_err(|_| closed())?
     }
 
     /// Why the thread ended, once it has: the events' channel is closed then.
@@ -168,6 +199,10 @@ impl AsyncClient {
     }
 }
 
+fn is_used(lane: &mpsc::Sender<Order>) -> bool {
+    lane.capacity() < lane.max_capacity()
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -195,9 +230,16 @@ impl Served {
         *lock(&self.last_words.ended) = Some(Arc::new(reason));
     }
 
-    /// Orders and events in turn, until the link fails or nobody gives orders any more.
-    fn serve(&mut self, mut orders: mpsc::Receiver<Order>) -> LinkError {
+    /// Orders and events in turn, until the link fails or nobody gives orders any more; what switches off comes before each.
+    fn serve(
+        &mut self,
+        mut orders: mpsc::Receiver<Order>,
+        mut offs: mpsc::Receiver<Order>,
+    ) -> LinkError {
         loop {
+            while let Ok(off) = offs.try_recv() {
+                off(&mut self.client);
+            }
             match orders.try_recv() {
                 Ok(order) => order(&mut self.client),
                 Err(TryRecvError::Empty) => {}
@@ -207,7 +249,7 @@ impl Served {
                     };
                 }
             }
-            let slice = if orders.is_empty() {
+            let slice = if orders.is_empty() && offs.is_empty() {
                 SLICE
             } else {
                 Duration::ZERO

@@ -13,6 +13,7 @@ use super::hosts::AllowedHosts;
 use super::tokens::Tokens;
 use super::{Role, cookie};
 use crate::model::Problem;
+use crate::places::Place;
 use crate::routes::App;
 use crate::routes::problem::refusal;
 
@@ -127,6 +128,10 @@ pub(crate) fn cross_site() -> Response {
 
 /// Turns away who lacks the role.
 pub(crate) async fn role(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let place = request.extensions().get::<Place>();
+    if let Some(place) = place.filter(|_| app.access.role(request.headers()).is_some()) {
+        place.is_let_in();
+    }
     let Some(needed) = needed(request.method(), request.uri().path()) else {
         return next.run(request).await;
     };
