@@ -16,6 +16,7 @@ use tokio_rustls::TlsAcceptor;
 
 use crate::access::guard::Access;
 use crate::access::hosts::AllowedHosts;
+use crate::access::sessions::Sessions;
 use crate::access::tokens::{TokenError, Tokens};
 use crate::backend::Backend;
 use crate::connection;
@@ -149,6 +150,7 @@ impl Server {
             access: Access {
                 hosts: AllowedHosts::new(wanted.ip(), &settings.allowed_hosts),
                 tokens,
+                sessions: Sessions::default(),
             },
             backups: settings.backups.clone(),
             made_tokens,
