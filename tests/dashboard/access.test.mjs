@@ -34,7 +34,7 @@ test('with a token one gets in, stays in over a reload, and out again', async (t
   await page.reload();
   await page.getByTestId('power-input').waitFor();
   const [cookie] = await context.cookies();
-  assert.deepEqual([cookie.name, cookie.httpOnly, cookie.sameSite], ['ihd-token', true, 'Strict']);
+  assert.deepEqual([cookie.name, cookie.httpOnly, cookie.sameSite], ['ihd-session', true, 'Strict']);
   assert.equal(await page.evaluate(() => document.cookie), '', 'no script reads it');
   assert.ok(!page.url().includes(tokens.operate));
 

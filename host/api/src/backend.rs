@@ -38,6 +38,8 @@ pub struct Alive {
     pub store: bool,
     /// Devices are looked after.
     pub supervisor: bool,
+    /// All commands so far are in the audit, or on their way to it.
+    pub audit: bool,
 }
 
 /// One watcher's look at what devices do.

@@ -1,5 +1,7 @@
-//! One connection: TLS where there is, a head that must come, writes that must go.
+//! One connection: TLS where there is, a head that must come, a token that must be shown, writes that must go. Each stage has its time,
+//! and until the last one the connection gives way to others ([`crate::places`]).
 
+use std::convert::Infallible;
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
@@ -9,6 +11,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
+use axum::body::{Body, Bytes, HttpBody};
+use hyper::body::{Frame, SizeHint};
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -20,11 +24,16 @@ use tokio::sync::watch;
 use tokio::time::{Sleep, sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 
+use crate::places::{Place, Request};
+
 /// Longest until the head of a request is there: from the connection's beginning, or from the answer before.
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Longest TLS handshake.
-const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Longest until a request is let in: the page and the health are there for strangers, too.
+pub(crate) const STRANGER_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Longest that a reader may take nothing of what is written to him.
 const STALL_TIMEOUT: Duration = Duration::from_secs(30);
@@ -52,6 +61,7 @@ impl Stalled {
 /// Serves a connection until it ends, for whatever reason; none of them is worth a log line.
 pub(crate) async fn serve(
     stream: TcpStream,
+    place: Place,
     tls: Option<TlsAcceptor>,
     router: Router,
     stopping: watch::Receiver<bool>,
@@ -59,16 +69,43 @@ pub(crate) async fn serve(
     // Events are small and must not wait for the next.
     let _ = stream.set_nodelay(true);
     hold_little(&stream);
-    let watched = Watched::new(stream);
-    let stalled = watched.stalled.clone();
-    match tls {
-        None => speak(watched, stalled, router, stopping).await,
-        Some(tls) => {
-            if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(watched)).await {
-                speak(stream, stalled, router, stopping).await;
+    let watched = Watched::new(stream, Some(place.clone()));
+    let each = Each {
+        stalled: watched.stalled.clone(),
+        place: place.clone(),
+        router,
+    };
+    let serving = async {
+        match tls {
+            None => speak(watched, each, stopping).await,
+            Some(tls) => {
+                if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(watched)).await {
+                    speak(stream, each, stopping).await;
+                }
             }
         }
+    };
+    tokio::select! {
+        () = serving => {}
+        () = place.gives_way() => {}
+        () = remains_a_stranger(&place) => {}
     }
+}
+
+/// Ready where nothing was let in for too long.
+async fn remains_a_stranger(place: &Place) {
+    sleep(STRANGER_TIMEOUT).await;
+    if place.is_known() {
+        std::future::pending().await
+    }
+}
+
+/// What each request of a connection brings along.
+#[derive(Clone)]
+struct Each {
+    stalled: Stalled,
+    place: Place,
+    router: Router,
 }
 
 /// Without it a slow reader gets megabytes of the past first. Where the system does not take it, he does.
@@ -80,14 +117,24 @@ fn hold_little(stream: &TcpStream) {
     let _ = socket.set_send_buffer_size(4 * UNSENT);
 }
 
-async fn speak<S>(stream: S, stalled: Stalled, router: Router, mut stopping: watch::Receiver<bool>)
+async fn speak<S>(stream: S, each: Each, mut stopping: watch::Receiver<bool>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let routes = TowerToHyperService::new(router);
+    let routes = TowerToHyperService::new(each.router);
+    let (stalled, place) = (each.stalled, each.place);
     let service = service_fn(move |mut request| {
         request.extensions_mut().insert(stalled.clone());
-        routes.call(request)
+        request.extensions_mut().insert(place.clone());
+        let (under_way, answering) = (place.request(), routes.call(request));
+        async move {
+            let answer = answering.await?;
+            let held = |body| UnderWay {
+                body,
+                _request: under_way,
+            };
+            Ok::<_, Infallible>(answer.map(held))
+        }
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
@@ -103,19 +150,48 @@ where
     let _ = timeout(FAREWELL, connection).await;
 }
 
+/// The body of an answer, with which its request ends.
+struct UnderWay {
+    body: Body,
+    _request: Request,
+}
+
+impl HttpBody for UnderWay {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
 /// A stream that breaks when its reader takes nothing for [`STALL_TIMEOUT`].
 struct Watched<S> {
     stream: S,
     patience: Option<Pin<Box<Sleep>>>,
     stalled: Stalled,
+    /// Until the first byte has come.
+    silent: Option<Place>,
 }
 
 impl<S> Watched<S> {
-    fn new(stream: S) -> Self {
+    fn new(stream: S, silent: Option<Place>) -> Self {
         Self {
             stream,
             patience: None,
             stalled: Stalled::default(),
+            silent,
         }
     }
 
@@ -147,7 +223,14 @@ impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(cx, buffer)
+        let before = buffer.filled().len();
+        let read = Pin::new(&mut self.stream).poll_read(cx, buffer);
+        if buffer.filled().len() > before
+            && let Some(place) = self.silent.take()
+        {
+            place.speaks();
+        }
+        read
     }
 }
 
@@ -186,10 +269,11 @@ mod tests {
 
     impl Slow {
         fn new(rest: Duration) -> Watched<Self> {
-            Watched::new(Self {
+            let slow = Self {
                 rest,
                 next: Box::pin(sleep(rest)),
-            })
+            };
+            Watched::new(slow, None)
         }
     }
 

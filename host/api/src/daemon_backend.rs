@@ -253,6 +253,11 @@ impl Backend for DaemonBackend {
             "Seconds of telemetry that no history has, because the store could not keep up",
             f.telemetry_dropped as f64,
         ));
+        all.push(counter(
+            "audit_lost_total",
+            "Commands that were carried out and that the audit does not have",
+            f.audits_lost as f64,
+        ));
         all.extend(learner_figures(&f.learner));
         if let Some(fleet) = self.daemon.fleet() {
             all.extend(fleet_figures(&fleet));
@@ -274,8 +279,10 @@ impl Backend for DaemonBackend {
                 return Ok(alive);
             }
             let answers = store_answers(&self.daemon).await;
+            let figures = self.daemon.figures();
             let alive = Alive {
-                store: answers && self.daemon.figures().store_is_well,
+                store: answers && figures.store_is_well,
+                audit: figures.audit_is_well,
                 // Its tasks run on the threads that answer this.
                 supervisor: true,
             };

@@ -15,6 +15,7 @@ mod connection;
 pub mod daemon_backend;
 pub mod model;
 mod percent;
+mod places;
 mod prometheus;
 mod routes;
 pub mod server;

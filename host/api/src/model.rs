@@ -116,6 +116,8 @@ pub struct Health {
     pub store: bool,
     /// Whether devices are looked after.
     pub supervisor: bool,
+    /// All commands so far are in the audit, or on their way to it.
+    pub audit: bool,
 }
 
 /// What a watcher that reads too slowly has missed; the event `missed`.

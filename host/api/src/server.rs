@@ -9,35 +9,24 @@ use std::time::Duration;
 
 use axum::Router;
 use thiserror::Error;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinSet;
 use tokio_rustls::TlsAcceptor;
 
 use crate::access::guard::Access;
 use crate::access::hosts::AllowedHosts;
+use crate::access::sessions::Sessions;
 use crate::access::tokens::{TokenError, Tokens};
 use crate::backend::Backend;
 use crate::connection;
+pub use crate::places::MAX_CONNECTIONS;
+use crate::places::Places;
 use crate::routes::{self, App, Counts, MAX_WATCHERS};
 use crate::tls::{Certificate, ServerTls, TlsError};
 
-/// Connections at a time; what comes above is told so and closed.
-pub const MAX_CONNECTIONS: usize = 128;
-
 /// Rest after the system refused to accept (no more descriptors).
 const AFTER_REFUSAL: Duration = Duration::from_millis(200);
-
-/// What whoever comes too late is told.
-fn full() -> String {
-    let body =
-        r#"{"error":"connections","message":"all places are taken: try again in some seconds"}"#;
-    format!(
-        "HTTP/1.1 503 Service Unavailable\r\nretry-after: 1\r\nconnection: close\r\n\
-         content-type: application/json\r\ncontent-length: {}\r\n\r\n{body}",
-        body.len()
-    )
-}
 
 /// How the server is set up.
 #[derive(Clone, Debug)]
@@ -161,6 +150,7 @@ impl Server {
             access: Access {
                 hosts: AllowedHosts::new(wanted.ip(), &settings.allowed_hosts),
                 tokens,
+                sessions: Sessions::default(),
             },
             backups: settings.backups.clone(),
             made_tokens,
@@ -199,10 +189,10 @@ impl Server {
             stopping: stopping.clone(),
             watchers: Arc::new(Semaphore::new(MAX_WATCHERS)),
             counts: Counts::default(),
+            places: Places::default(),
         });
         let router = routes::router(app.clone());
         let tls = self.tls.map(|tls| TlsAcceptor::from(tls.config));
-        let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
         let mut connections = JoinSet::new();
         loop {
             let accepted = tokio::select! {
@@ -219,29 +209,16 @@ impl Server {
                 }
             };
             app.counts.connections.fetch_add(1, Ordering::Relaxed);
-            let Ok(place) = places.clone().try_acquire_owned() else {
-                app.counts.turned_away.fetch_add(1, Ordering::Relaxed);
-                if tls.is_none() {
-                    turn_away(&stream);
-                }
-                continue;
-            };
+            let place = app.places.take();
             let (router, tls, stopping): (Router, _, _) =
                 (router.clone(), tls.clone(), stopping.clone());
-            connections.spawn(async move {
-                connection::serve(stream, tls, router, stopping).await;
-                drop(place);
-            });
+            connections.spawn(connection::serve(stream, place, tls, router, stopping));
+            // It shows what it has brought before others push it out.
+            tokio::task::yield_now().await;
         }
         drop(self.listener);
         while connections.join_next().await.is_some() {}
     }
-}
-
-/// Tells whoever comes when all places are taken; does not wait for him.
-fn turn_away(stream: &TcpStream) {
-    // The first bytes of a connection fit the socket's buffer.
-    let _ = stream.try_write(full().as_bytes());
 }
 
 fn resolve(listen: &str) -> Result<SocketAddr, ServerError> {

@@ -36,10 +36,15 @@ impl Board {
     pub fn tell(&self, device: &str, what: What) {
         // Nobody needs to watch.
         let _ = self.notices.send(Arc::new(Notice {
-            at_ms: self.machine.now_ms(),
+            at_ms: self.now_ms(),
             device: device.to_owned(),
             what,
         }));
+    }
+
+    /// Milliseconds since 1970, UTC, on the machine's clock.
+    pub fn now_ms(&self) -> i64 {
+        self.machine.now_ms()
     }
 
     /// All notices from now on.

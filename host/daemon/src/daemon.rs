@@ -11,9 +11,10 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use crate::OpenDevice;
+use crate::auditor::Auditor;
 use crate::board::Board;
 use crate::config::Config;
-use crate::device::{Context, Order};
+use crate::device::{Context, Order, absent};
 use crate::face::Face;
 use crate::figures::{Figures, rss_bytes};
 use crate::fleet::Trust;
@@ -34,6 +35,7 @@ use crate::recording::{list, name_of};
 use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreTrouble};
 use crate::supervisor::{Devices, Handle, follow_usb};
+use crate::switching_off::switch_off;
 
 /// How long a command may take, whatever the device does.
 const COMMAND_WITHIN: Duration = Duration::from_secs(15);
@@ -91,6 +93,7 @@ pub(crate) struct Inner {
     machine: Machine,
     board: Board,
     store: StoreThread,
+    auditor: Auditor,
     recordings: PathBuf,
     /// Of the store, for those who read it.
     pub(crate) folder: PathBuf,
@@ -161,6 +164,7 @@ impl Daemon {
         let seconds = Arc::new(Seconds::default());
         let trust = Arc::new(Trust::new(config.fleet.is_some()));
         let recordings = config.store.join("recordings");
+        let auditor = Auditor::start(store.clone(), stopped.clone());
         let context = Context {
             machine: machine.clone(),
             store: store.clone(),
@@ -196,6 +200,7 @@ impl Daemon {
                 machine,
                 board,
                 store,
+                auditor,
                 recordings,
                 folder: config.store,
                 readers: Semaphore::new(READERS),
@@ -254,7 +259,8 @@ impl Daemon {
     }
 
     /// Carries out a command. All but [`Command::Off`] and recordings need the lease: one that is free is taken by the command,
-    /// for as long as it takes, and for [`crate::lease::LEASE_S`] where it heats.
+    /// for as long as it takes, and for [`crate::lease::LEASE_S`] where it heats. [`Command::Off`] waits for no other command, and
+    /// what was asked for before it heats no more. The audit is written behind the answer.
     ///
     /// # Errors
     /// [`CommandError`].
@@ -286,7 +292,8 @@ impl Daemon {
             text: text.clone(),
             ok,
         });
-        self.audit(&handle.face, holder, text, said).await;
+        let auditor = &self.inner.auditor;
+        auditor.take(&handle.face, holder, text, said);
         outcome
     }
 
@@ -298,10 +305,28 @@ impl Daemon {
     ) -> Result<Done, CommandError> {
         let face = &handle.face;
         let lease = match command {
+            Command::Off => return self.off(handle).await,
             // Who records looks, whoever commands.
-            Command::Off | Command::RecordStart(_) | Command::RecordStop => None,
+            Command::RecordStart(_) | Command::RecordStop => None,
             _ => Some(self.borrow_lease(face, holder)?),
         };
+        let outcome = match command {
+            Command::Power { power_w: 0 } => self.off(handle).await,
+            _ => self.order(handle, command, lease).await,
+        };
+        if lease.is_some_and(|id| face.lock().lease.end_command(id)) {
+            self.tell_lease(face, "", "");
+        }
+        outcome
+    }
+
+    /// Has the device's task carry out a command.
+    async fn order(
+        &self,
+        handle: &Handle,
+        command: Command,
+        lease: Option<LeaseId>,
+    ) -> Result<Done, CommandError> {
         let (answer, answered) = oneshot::channel();
         let order = Order::Command {
             command,
@@ -312,27 +337,40 @@ impl Daemon {
             handle.orders.send(order).await.ok()?;
             answered.await.ok()
         });
-        let outcome = match outcome.await {
+        match outcome.await {
             Ok(Some(outcome)) => outcome,
             // The device's task has panicked, or is ending.
             Ok(None) => Err(CommandError::Failed {
                 why: format!(
                     "{}: the command was not carried out: its task ended",
-                    face.name
+                    handle.face.name
                 ),
             }),
-            Err(_) => Err(CommandError::Failed {
-                why: format!(
-                    "{}: the command was not carried out within {} s",
-                    face.name,
-                    COMMAND_WITHIN.as_secs()
-                ),
-            }),
-        };
-        if lease.is_some_and(|id| face.lock().lease.end_command(id)) {
-            self.tell_lease(face, "", "");
+            Err(_) => Err(not_in_time(&handle.face)),
         }
-        outcome
+    }
+
+    /// Switches off at once, whatever the device's task and its link are at, and voids what was asked for before.
+    async fn off(&self, handle: &Handle) -> Result<Done, CommandError> {
+        let face = &handle.face;
+        let client = {
+            let mut inner = face.lock();
+            inner.lease.off();
+            inner.sweep_left_w.clear();
+            inner.client.clone()
+        };
+        let client = client.ok_or_else(|| absent(face))?;
+        let off = tokio::time::timeout(COMMAND_WITHIN, switch_off(face, &client));
+        let off = off.await.map_err(|_| not_in_time(face))?;
+        // Until the device confirms, its task goes on trying.
+        off.map_err(|error| CommandError::Refused {
+            name: face.name.clone(),
+            why: printable(&error.to_string()),
+        })?;
+        Ok(Done {
+            text: "off".to_owned(),
+            file: None,
+        })
     }
 
     /// Takes the lease or renews it. With `force` it is taken from whoever has it, who is told, and whose
@@ -355,13 +393,9 @@ impl Daemon {
         if let Taken::From(other) = taken {
             let why = format!("{holder} has taken the lease from {other}");
             tracing::warn!(device = face.name, "{why}");
-            self.audit(
-                face,
-                holder.clone(),
-                "take-lease --force".to_owned(),
-                why.clone(),
-            )
-            .await;
+            let command = "take-lease --force".to_owned();
+            let auditor = &self.inner.auditor;
+            auditor.take(face, holder.clone(), command, why.clone());
             self.end_heating(&handle, why).await;
         }
         let now = Instant::now();
@@ -418,26 +452,25 @@ impl Daemon {
         Ok(())
     }
 
+    /// Switches off what the lease that is over has left.
     async fn end_heating(&self, handle: &Handle, why: String) {
-        let (done, ended) = oneshot::channel();
-        let order = Order::LeaseOver { why, done };
-        let ending = async {
-            handle.orders.send(order).await.ok()?;
-            ended.await.ok()
+        let face = &handle.face;
+        let client = {
+            let inner = face.lock();
+            let must_end = inner.lease.must_end(Instant::now());
+            inner.client.clone().filter(|_| must_end)
         };
-        if tokio::time::timeout(COMMAND_WITHIN, ending).await.is_err() {
-            tracing::warn!(device = handle.face.name, "was not switched off in time");
-        }
-    }
-
-    async fn audit(&self, face: &Face, holder: String, command: String, outcome: String) {
+        let Some(client) = client else { return };
+        tracing::info!(device = face.name, why, "off");
         let (name, address) = (face.name.clone(), face.address.clone());
-        let audited = self.inner.store.run(move |store| {
+        // What the store has no room for is in the log.
+        self.inner.store.offer(move |store| {
             let device = store.device(&name, &address)?;
-            store.audit(Some(device), &holder, &command, &outcome)
+            store.event(Some(device), "off", &why)
         });
-        if let Err(error) = audited.await {
-            tracing::warn!(device = face.name, %error, "a command is missing in the audit");
+        let off = tokio::time::timeout(COMMAND_WITHIN, switch_off(face, &client));
+        if !matches!(off.await, Ok(Ok(()))) {
+            tracing::warn!(device = face.name, "was not switched off in time");
         }
     }
 
@@ -459,6 +492,8 @@ impl Daemon {
             devices: self.inner.devices.all().len(),
             up_s: self.inner.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
+            audit_is_well: self.inner.auditor.is_well(),
+            audits_lost: self.inner.auditor.lost(),
             telemetry_dropped: self.inner.seconds.dropped(),
             ..Figures::of_store(&self.inner.store)
         }
@@ -529,6 +564,7 @@ impl Daemon {
     pub async fn stop(self) {
         self.inner.stop.send_replace(true);
         self.inner.devices.ended().await;
+        self.inner.auditor.close().await;
         let now_ms = self.inner.machine.now_ms();
         history::write(&self.inner.seconds, &self.inner.store, now_ms, true).await;
         // Behind the windows under way, which hold the learner.
@@ -558,6 +594,16 @@ async fn keep_tidy(context: Context) {
             () = context.stopping() => return,
             () = tokio::time::sleep(GARBAGE_EVERY) => {}
         }
+    }
+}
+
+fn not_in_time(face: &Face) -> CommandError {
+    CommandError::Failed {
+        why: format!(
+            "{}: the command was not carried out within {} s",
+            face.name,
+            COMMAND_WITHIN.as_secs()
+        ),
     }
 }
 

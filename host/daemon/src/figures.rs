@@ -26,6 +26,10 @@ pub struct Figures {
     pub store_longest_s: f64,
     /// Learning.
     pub learner: LearnerFigures,
+    /// All commands so far are in the audit, or on their way to a store that writes.
+    pub audit_is_well: bool,
+    /// Commands that the audit does not have and will not get.
+    pub audits_lost: u64,
     /// Seconds of telemetry that were dropped because the store could not keep up.
     pub telemetry_dropped: u64,
     /// Memory in use, in bytes; none where the system does not say.

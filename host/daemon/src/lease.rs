@@ -8,8 +8,10 @@
 //!   free ─────────────────────────► held, no power ─────► held, with power
 //!    ▲                                  │                    │ released, expired, void, taken by force
 //!    │            switched_off          ▼                    ▼
-//!    └───────────────────────────────── ◄──────────────── power that has to end
+//!    └───────────────────────────────── ◄──────────────── power that has to end ◄── off, which leaves the lease
 //! ```
+//!
+//! An `off` needs no lease, and ends none: what was asked for before it may heat no more, whoever's it is ([`LeaseBook::off`]).
 //!
 //! Power is a part of the held lease, so that there is none without a holder. Where the lease ends first, what the device still heats
 //! with is a debt ([`LeaseBook::must_end`]): it is switched off before anything else is asked of it.
@@ -23,9 +25,13 @@ use crate::model::Lease;
 /// Duration of a lease that nobody renews, in seconds.
 pub const LEASE_S: u64 = 10;
 
-/// Identity of one grant.
+/// Identity of one grant, as it was between two `off`s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LeaseId(u64);
+pub struct LeaseId {
+    grant: u64,
+    /// `off`s that came before.
+    offs: u64,
+}
 
 /// The lease of one device, with its power.
 #[derive(Debug, Default)]
@@ -34,11 +40,12 @@ pub struct LeaseBook {
     /// Power in watt that the device may still heat with, of a lease that is over.
     ending_w: u16,
     grants: u64,
+    offs: u64,
 }
 
 #[derive(Debug)]
 struct Held {
-    id: LeaseId,
+    grant: u64,
     holder: String,
     until: Instant,
     /// Power that was asked for under it, in watt.
@@ -60,10 +67,16 @@ pub enum Taken {
     From(String),
 }
 
-/// The lease is over that something was to be done under.
+/// Reason for which something cannot be done under a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("its lease was over before it could be carried out")]
-pub struct LeaseOver;
+pub enum LeaseOver {
+    /// The lease is over.
+    #[error("its lease was over before it could be carried out")]
+    Ended,
+    /// An `off` was asked for later.
+    #[error("an `off` came before it could be carried out")]
+    Off,
+}
 
 impl LeaseBook {
     /// Takes the lease until it is released or runs out, or renews it; with `force` from somebody else, too.
@@ -84,7 +97,10 @@ impl LeaseBook {
     /// The lease of somebody else.
     pub fn begin_command(&mut self, holder: &str, now: Instant) -> Result<(LeaseId, Taken), Lease> {
         let taken = self.grant(holder, false, now)?;
-        let id = LeaseId(self.grants);
+        let id = LeaseId {
+            grant: self.grants,
+            offs: self.offs,
+        };
         if let Some(held) = &mut self.held {
             held.commands += 1;
         }
@@ -94,7 +110,7 @@ impl LeaseBook {
     /// Ends a command. Returns `true` if the lease ended with it: no other command uses it, nobody took it as such, and nothing heats
     /// under it.
     pub fn end_command(&mut self, id: LeaseId) -> bool {
-        let Some(held) = self.held.as_mut().filter(|held| held.id == id) else {
+        let Some(held) = self.held.as_mut().filter(|held| held.grant == id.grant) else {
             return false;
         };
         held.commands = held.commands.saturating_sub(1);
@@ -120,7 +136,7 @@ impl LeaseBook {
         self.end();
         self.grants += 1;
         self.held = Some(Held {
-            id: LeaseId(self.grants),
+            grant: self.grants,
             holder: holder.to_owned(),
             until,
             power_w: 0,
@@ -168,8 +184,18 @@ impl LeaseBook {
 
     fn living(&mut self, id: LeaseId, now: Instant) -> Result<&mut Held, LeaseOver> {
         let held = self.held.as_mut();
-        held.filter(|held| held.id == id && held.until > now)
-            .ok_or(LeaseOver)
+        held.filter(|held| held.grant == id.grant && held.until > now)
+            .ok_or(LeaseOver::Ended)
+    }
+
+    /// As [`LeaseBook::living`], for what is to heat.
+    fn heating(&mut self, id: LeaseId, now: Instant) -> Result<&mut Held, LeaseOver> {
+        let is_off = id.offs != self.offs;
+        let held = self.living(id, now)?;
+        match is_off {
+            true => Err(LeaseOver::Off),
+            false => Ok(held),
+        }
     }
 
     /// Checks that this grant still lives.
@@ -180,12 +206,20 @@ impl LeaseBook {
         self.living(id, now).map(drop)
     }
 
+    /// Checks that power may be asked for under this grant.
+    ///
+    /// # Errors
+    /// [`LeaseOver`].
+    pub fn may_heat(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+        self.heating(id, now).map(drop)
+    }
+
     /// Lets this grant outlive the command that began it, for what asks for power later.
     ///
     /// # Errors
     /// [`LeaseOver`].
     pub fn keep(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
-        self.living(id, now)?.is_kept = true;
+        self.heating(id, now)?.is_kept = true;
         Ok(())
     }
 
@@ -194,8 +228,16 @@ impl LeaseBook {
     /// # Errors
     /// [`LeaseOver`]: nothing may be asked for.
     pub fn ask(&mut self, id: LeaseId, power_w: u16, now: Instant) -> Result<u16, LeaseOver> {
-        let held = self.living(id, now)?;
+        let held = self.heating(id, now)?;
         Ok(std::mem::replace(&mut held.power_w, power_w))
+    }
+
+    /// `off` was asked for, by whomever: what was asked for before it may heat no more, and what the device heats with has to end.
+    pub fn off(&mut self) {
+        self.offs += 1;
+        if let Some(held) = &mut self.held {
+            self.ending_w = self.ending_w.max(std::mem::take(&mut held.power_w));
+        }
     }
 
     /// Power in watt that was asked for and not taken back, under a lease or of one that is over.
@@ -317,6 +359,35 @@ mod tests {
     }
 
     #[test]
+    fn what_was_asked_for_before_an_off_heats_no_more_and_what_is_asked_for_later_does() {
+        let now = Instant::now();
+        let mut book = LeaseBook::default();
+        let (heating, _) = book.begin_command("a", now).unwrap();
+        assert_eq!(book.ask(heating, 700, now), Ok(0));
+        let (waiting, _) = book.begin_command("a", now).unwrap();
+        book.off();
+        assert!(book.must_end(now) && !book.heats(now));
+        for id in [heating, waiting] {
+            assert_eq!(book.ask(id, 900, now), Err(LeaseOver::Off));
+            assert_eq!(book.keep(id, now), Err(LeaseOver::Off));
+            assert_eq!(
+                book.check(id, now),
+                Ok(()),
+                "what heats nothing may be done"
+            );
+        }
+        assert_eq!(book.asked_w(), 700);
+        book.switched_off();
+        assert_eq!((book.asked_w(), book.must_end(now)), (0, false));
+        let lease = book.current(now).unwrap();
+        assert_eq!(lease.holder, "a", "the lease is not what ended");
+        let (later, _) = book.begin_command("a", now).unwrap();
+        assert_eq!(book.ask(later, 900, now), Ok(0));
+        assert!(book.heats(now));
+        assert!(!book.end_command(waiting) && !book.end_command(later));
+    }
+
+    #[test]
     fn power_of_a_lease_that_is_over_has_to_end_and_none_can_be_asked_for_under_it() {
         let now = Instant::now();
         let late = now + Duration::from_secs(LEASE_S);
@@ -336,7 +407,7 @@ mod tests {
             };
             let now = now.expect("it has ended");
             assert!(book.must_end(now) && !book.heats(now), "{end}: {book:?}");
-            assert_eq!(book.ask(id, 900, now), Err(LeaseOver));
+            assert_eq!(book.ask(id, 900, now), Err(LeaseOver::Ended));
             assert_eq!(book.asked_w(), 700);
             book.switched_off();
             assert!(!book.must_end(now));

@@ -11,6 +11,7 @@
 //! It heats nothing by itself. Power that was asked for through it belongs to one lease ([`lease`]), and ends
 //! with it.
 
+mod auditor;
 pub mod board;
 mod clocks;
 pub mod config;
@@ -40,6 +41,7 @@ mod simulation;
 mod states;
 mod store_thread;
 mod supervisor;
+mod switching_off;
 mod tank;
 
 use std::sync::Arc;

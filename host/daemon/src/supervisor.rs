@@ -16,6 +16,7 @@ use crate::face::Face;
 use crate::model::{DeviceState, RecordingPhase, What};
 use crate::printable::printable;
 use crate::recording::{Recorder, Told, file_name, name_of};
+use crate::switching_off::switch_off;
 
 /// Orders that may wait for a device's task.
 const ORDERS: usize = 16;
@@ -139,7 +140,7 @@ where
 }
 
 /// The task of a device is gone: the hob is switched off where we had asked for power.
-async fn after_panic(face: &Face, why: &str) {
+async fn after_panic(face: &Arc<Face>, why: &str) {
     let why = printable(why);
     face.recorder.disconnected();
     tracing::error!(
@@ -155,10 +156,7 @@ async fn after_panic(face: &Face, why: &str) {
     if let Some(client) = client
         && asked_w > 0
     {
-        let off = client.with(|client| client.set_power(0));
-        if let Ok(Ok(Ok(()))) = tokio::time::timeout(OFF_WITHIN, off).await {
-            face.lock().lease.switched_off();
-        }
+        let _ = tokio::time::timeout(OFF_WITHIN, switch_off(face, &client)).await;
     }
     face.enter(
         DeviceState::Searching,

@@ -36,12 +36,16 @@ const SIMULATED_SLICE: Duration = Duration::from_millis(40);
 #[cfg(feature = "simulation")]
 const EVENTS_A_SLICE: usize = 8;
 
+/// Requests to switch off that may wait, on a lane of their own; whoever makes one more waits for room.
+const OFFS: usize = 8;
+
 type Order = Box<dyn FnOnce(&mut Client) + Send>;
 
 /// A client on a thread of its own. Dropping it ends the thread, which then closes the transport;
 /// [`AsyncClient::close`] waits for that.
 pub struct AsyncClient {
     orders: mpsc::Sender<Order>,
+    offs: mpsc::Sender<Order>,
     closed: oneshot::Receiver<()>,
     last_words: Arc<LastWords>,
     hello: Hello,
@@ -75,8 +79,8 @@ impl AsyncClient {
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         let serve = move || {
-            if let Some((mut served, orders, _closing)) = serving.serve_behind(open) {
-                let reason = served.serve(orders);
+            if let Some((mut served, lanes, _closing)) = serving.serve_behind(open) {
+                let reason = served.serve(lanes);
                 served.leave(reason);
             }
         };
@@ -99,8 +103,8 @@ impl AsyncClient {
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         tokio::spawn(async move {
-            if let Some((mut served, orders, _closing)) = serving.serve_behind(open) {
-                let reason = served.serve_simulated(orders).await;
+            if let Some((mut served, lanes, _closing)) = serving.serve_behind(open) {
+                let reason = served.serve_simulated(lanes).await;
                 served.leave(reason);
             }
         });
@@ -123,18 +127,44 @@ impl AsyncClient {
         let (answer, answered) = oneshot::channel();
         let order: Order = Box::new(move |client| {
             if !answer.is_closed() {
-                let began = client.clock();
-                let outcome = f(client);
-                let took = client.clock().saturating_sub(began);
+                let timed = timed(client, f);
                 // Whoever left meanwhile does not want to know.
-                let _ = answer.send((outcome, took));
+                let _ = answer.send(timed);
             }
         });
-        let closed = || LinkError::Closed {
+        self.orders.send(order).await.map_err(|_| self.closed())?;
+        self.answer(answered).await
+    }
+
+    /// Switches the device off before all orders that wait, as [`Client::off`]; an order under way gives way where its answer stays
+    /// away. `then` runs on the client's thread once the device has confirmed, before the next order. It is done even where
+    /// the future is dropped.
+    ///
+    /// # Errors
+    /// As [`Client::off`] and [`AsyncClient::with`].
+    pub async fn off(&self, then: impl FnOnce() + Send + 'static) -> Result<(), LinkError> {
+        let (answer, answered) = oneshot::channel();
+        let order: Order = Box::new(move |client| {
+            let timed = timed(client, Client::off);
+            if timed.0.is_ok() {
+                then();
+            }
+            // Whoever left meanwhile does not want to know.
+            let _ = answer.send(timed);
+        });
+        self.offs.send(order).await.map_err(|_| self.closed())?;
+        self.answer(answered).await?
+    }
+
+    fn closed(&self) -> LinkError {
+        LinkError::Closed {
             device: self.description.clone(),
-        };
-        self.orders.send(order).await.map_err(|_| closed())?;
-        let (outcome, _took) = answered.await.map_err(|_| closed())?;
+        }
+    }
+
+    /// What the thread answers, and the time that it took.
+    async fn answer<T>(&self, answered: oneshot::Receiver<(T, Duration)>) -> Result<T, LinkError> {
+        let (outcome, _took) = answered.await.map_err(|_| self.closed())?;
         #[cfg(feature = "simulation")]
         if self.takes_simulated_time {
             sleep(_took).await;
@@ -176,6 +206,17 @@ impl AsyncClient {
     }
 }
 
+/// Runs `f` with the client; what it returned, and how long it took on the transport's clock.
+fn timed<T>(client: &mut Client, f: impl FnOnce(&mut Client) -> T) -> (T, Duration) {
+    let began = client.clock();
+    let outcome = f(client);
+    (outcome, client.clock().saturating_sub(began))
+}
+
+fn is_used(lane: &mpsc::Sender<Order>) -> bool {
+    lane.capacity() < lane.max_capacity()
+}
+
 fn no_thread(source: io::Error) -> LinkError {
     LinkError::Connect {
         device: "the device".to_owned(),
@@ -187,10 +228,18 @@ fn no_thread(source: io::Error) -> LinkError {
 /// Hello, front end and description of a device that shook hands.
 type Greeting = (Hello, FrontEnd, String);
 
+/// What is asked of the client.
+struct Lanes {
+    orders: mpsc::Receiver<Order>,
+    offs: mpsc::Receiver<Order>,
+}
+
 /// What the thread needs before it has a client.
 struct ServingSide {
     events: mpsc::Sender<Event>,
-    orders: mpsc::Receiver<Order>,
+    lanes: Lanes,
+    /// The lane of what switches off, to look whether it is used.
+    off_lane: mpsc::WeakSender<Order>,
     connected: oneshot::Sender<Result<Greeting, LinkError>>,
     closing: oneshot::Sender<()>,
     last_words: Arc<LastWords>,
@@ -199,6 +248,7 @@ struct ServingSide {
 /// The caller's counterpart of a [`ServingSide`].
 struct CallingSide {
     orders: mpsc::Sender<Order>,
+    offs: mpsc::Sender<Order>,
     outcome: oneshot::Receiver<Result<Greeting, LinkError>>,
     closed: oneshot::Receiver<()>,
     last_words: Arc<LastWords>,
@@ -206,19 +256,22 @@ struct CallingSide {
 
 impl ServingSide {
     fn new(events: mpsc::Sender<Event>) -> (Self, CallingSide) {
-        let (to_thread, orders) = mpsc::channel(ORDERS);
+        let (to_orders, orders) = mpsc::channel(ORDERS);
+        let (to_offs, offs) = mpsc::channel(OFFS);
         let (connected, outcome) = oneshot::channel();
         let (closing, closed) = oneshot::channel::<()>();
         let last_words = Arc::new(LastWords::default());
         let serving = Self {
             events,
-            orders,
+            lanes: Lanes { orders, offs },
+            off_lane: to_offs.downgrade(),
             connected,
             closing,
             last_words: Arc::clone(&last_words),
         };
         let calling = CallingSide {
-            orders: to_thread,
+            orders: to_orders,
+            offs: to_offs,
             outcome,
             closed,
             last_words,
@@ -230,8 +283,8 @@ impl ServingSide {
     fn serve_behind(
         self,
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError>,
-    ) -> Option<(Served, mpsc::Receiver<Order>, oneshot::Sender<()>)> {
-        let client = match open().and_then(Client::connect) {
+    ) -> Option<(Served, Lanes, oneshot::Sender<()>)> {
+        let mut client = match open().and_then(Client::connect) {
             Ok(client) => client,
             Err(error) => {
                 // Whoever asked has left.
@@ -239,6 +292,8 @@ impl ServingSide {
                 return None;
             }
         };
+        let lane = self.off_lane;
+        client.give_way_to_off(move || lane.upgrade().is_some_and(|lane| is_used(&lane)));
         let greeting = (
             client.hello().clone(),
             client.front_end().clone(),
@@ -251,7 +306,7 @@ impl ServingSide {
             held: None,
             last_words: self.last_words,
         };
-        Some((served, self.orders, self.closing))
+        Some((served, self.lanes, self.closing))
     }
 }
 
@@ -261,6 +316,7 @@ impl CallingSide {
         let (hello, front_end, description) = self.outcome.await.map_err(panicked)??;
         Ok(AsyncClient {
             orders: self.orders,
+            offs: self.offs,
             closed: self.closed,
             last_words: self.last_words,
             hello,
@@ -299,10 +355,13 @@ impl Served {
         *lock(&self.last_words.ended) = Some(Arc::new(reason));
     }
 
-    /// Orders and events in turn, until the link fails or nobody gives orders any more.
-    fn serve(&mut self, mut orders: mpsc::Receiver<Order>) -> LinkError {
+    /// Orders and events in turn, until the link fails or nobody gives orders any more; what switches off comes before each.
+    fn serve(&mut self, mut lanes: Lanes) -> LinkError {
         loop {
-            match orders.try_recv() {
+            while let Ok(off) = lanes.offs.try_recv() {
+                off(&mut self.client);
+            }
+            match lanes.orders.try_recv() {
                 Ok(order) => order(&mut self.client),
                 Err(TryRecvError::Empty) => {}
                 Err(TryRecvError::Disconnected) => {
@@ -311,7 +370,7 @@ impl Served {
                     };
                 }
             }
-            let slice = if orders.is_empty() {
+            let slice = if lanes.orders.is_empty() && lanes.offs.is_empty() {
                 SLICE
             } else {
                 Duration::ZERO
@@ -324,13 +383,19 @@ impl Served {
 
     /// As [`Served::serve`], on the runtime's clock.
     #[cfg(feature = "simulation")]
-    async fn serve_simulated(&mut self, mut orders: mpsc::Receiver<Order>) -> LinkError {
+    async fn serve_simulated(&mut self, mut lanes: Lanes) -> LinkError {
         loop {
-            match timeout(SIMULATED_SLICE, orders.recv()).await {
+            let next = timeout(SIMULATED_SLICE, async {
+                tokio::select! {
+                    biased;
+                    off = lanes.offs.recv() => off,
+                    order = lanes.orders.recv() => order,
+                }
+            });
+            match next.await {
                 Ok(Some(order)) => {
-                    let began = self.client.clock();
-                    order(&mut self.client);
-                    sleep(self.client.clock().saturating_sub(began)).await;
+                    let ((), took) = timed(&mut self.client, order);
+                    sleep(took).await;
                 }
                 Ok(None) => {
                     return LinkError::Closed {

@@ -15,6 +15,7 @@ use ihd_shared::wire::messages::{
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use super::incoming::{Answer, Event, Incoming};
+use super::off::GivingWay;
 use super::resend::{Resend, Step};
 use super::tap::Tap;
 use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
@@ -57,6 +58,7 @@ pub struct Client {
     owed: bool,
     /// The last command was sent more than once.
     repeated: bool,
+    giving_way: GivingWay,
     tap: Tap,
     answers_stray: u32,
     events_dropped: u32,
@@ -91,6 +93,7 @@ impl Client {
             timeout: DEFAULT_TIMEOUT,
             owed: false,
             repeated: false,
+            giving_way: GivingWay::default(),
             tap: Tap::default(),
             answers_stray: 0,
             events_dropped: 0,
@@ -290,7 +293,7 @@ impl Client {
             return outcome;
         }
         let deadline = self.transport.clock() + ACTIVE_WITHIN;
-        while !is_done(self) {
+        while !is_done(self) && !self.giving_way.is_wanted() {
             let left = deadline.saturating_sub(self.transport.clock());
             if left.is_zero() {
                 return outcome;
@@ -415,6 +418,7 @@ impl Client {
     ) -> Result<T, LinkError> {
         self.forget_answers()?;
         self.repeated = false;
+        self.giving_way.is_told = false;
         // Faults of the link seen so far do not explain a missing answer to this command.
         let before = self.incoming.counters();
         let mut left = tries;
@@ -428,6 +432,9 @@ impl Client {
             // All that were sent may be answered in the end.
             self.owed |= self.repeated;
             match answer {
+                Err(LinkError::NoAnswer { .. }) if self.giving_way.is_told => {
+                    return Err(LinkError::GaveWay { command });
+                }
                 Err(LinkError::NoAnswer { .. }) if left > 0 => self.repeated = true,
                 answer => return answer,
             }
@@ -444,6 +451,7 @@ impl Client {
         wanted: impl Fn(Answer) -> Option<T>,
     ) -> Result<T, LinkError> {
         let start = self.transport.clock();
+        let mut timeout = timeout;
         loop {
             while let Some(answer) = self.incoming.answers.pop_front() {
                 if let Answer::Reply(reply) = &answer
@@ -464,12 +472,48 @@ impl Client {
                 }
             }
             let waited = self.transport.clock().saturating_sub(start);
+            if let Some(grace) = self.give_way(id)? {
+                timeout = timeout.min(waited + grace);
+            }
             let left = timeout.saturating_sub(waited);
-            if left.is_zero() || self.receive(left)? == 0 {
+            let slice = left.min(self.giving_way.look_every());
+            if left.is_zero() || (self.receive(slice)? == 0 && slice == left) {
                 self.owed = true;
                 return Err(self.no_answer(command, before));
             }
         }
+    }
+
+    /// Sees whether somebody waits to switch off, and tells the device at once. Returns how long the command of number `id` still
+    /// waits for its answer then.
+    fn give_way(&mut self, id: u8) -> Result<Option<Duration>, LinkError> {
+        if self.giving_way.is_told || !self.giving_way.is_wanted() {
+            return Ok(None);
+        }
+        self.giving_way.is_told = true;
+        self.tell_off()?;
+        // Two answers to one kind of command cannot be told apart, and this one's repetition would heat.
+        let grace = if id == SetPower::ID {
+            Duration::ZERO
+        } else {
+            LATE
+        };
+        Ok(Some(grace))
+    }
+
+    /// Tells the device to switch off, and does not wait for its answer.
+    pub(super) fn tell_off(&mut self) -> Result<(), LinkError> {
+        self.owed = true;
+        self.send_unanswered(&SetPower { power_w: 0 }, "SetPower")
+    }
+
+    /// Returns `true` if an answer stayed away and may still come.
+    pub(super) fn is_owed(&self) -> bool {
+        self.owed
+    }
+
+    pub(super) fn giving_way(&mut self) -> &mut GivingWay {
+        &mut self.giving_way
     }
 
     fn no_answer(&self, command: &'static str, before: &Counters) -> LinkError {

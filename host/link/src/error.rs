@@ -61,6 +61,12 @@ pub enum LinkError {
         /// What came instead.
         seen: String,
     },
+    /// Somebody switched off meanwhile.
+    #[error("{command} was given up: `off` came before its answer")]
+    GaveWay {
+        /// Name of the command.
+        command: &'static str,
+    },
     /// The device answered no.
     #[error("the device refused {command}: {}", outcome_text(*.outcome, *.detail))]
     Refused {

@@ -20,6 +20,7 @@ pub mod error;
 #[cfg(test)]
 mod fake;
 pub mod incoming;
+mod off;
 mod pieces;
 mod printable;
 pub mod protocol_1;

@@ -123,19 +123,20 @@ impl Store {
         stored.map_err(self.failed("storing an event"))
     }
 
-    /// Stores a command, and what became of it.
+    /// Stores a command, what became of it, and when that was, in milliseconds since 1970, UTC.
     ///
     /// # Errors
     /// What the database reports.
     pub fn audit(
         &mut self,
+        at_ms: i64,
         device: Option<DeviceId>,
         holder: &str,
         command: &str,
         outcome: &str,
     ) -> Result<(), StoreError> {
         let [holder, command, outcome] = [holder, command, outcome].map(printable);
-        let row = params![self.now(), device, holder, command, outcome];
+        let row = params![at_ms, device, holder, command, outcome];
         let sql = "INSERT INTO audit (at_ms, device, holder, command, outcome) VALUES (?1, ?2, ?3, ?4, ?5)";
         let stored = self.records().execute(sql, row).map(drop);
         stored.map_err(self.failed("storing a command"))

@@ -31,7 +31,7 @@ export class Tokens {
   role(request) {
     if (!this.needed) return 'operate';
     const bearer = /^bearer (.*)$/i.exec(request.headers.authorization ?? '')?.[1];
-    const cookie = /(?:^|; )ihd-token=([^;]*)/.exec(request.headers.cookie ?? '')?.[1];
+    const cookie = /(?:^|; )ihd-session=([^;]*)/.exec(request.headers.cookie ?? '')?.[1];
     const role = this.roles.get(bearer ?? cookie ?? '');
     if (!role) throw new Refusal(401, 'token', bearer || cookie ? 'this token is not known here' : 'a token is needed: send `Authorization: Bearer TOKEN`');
     return role;
@@ -44,10 +44,10 @@ export class Tokens {
   /** The headers of a session that begins. */
   begin(token) {
     if (!this.roles.has(token)) throw new Refusal(401, 'token', 'this token is not known here');
-    return { 'set-cookie': `ihd-token=${token}; HttpOnly; SameSite=Strict; Path=/` };
+    return { 'set-cookie': `ihd-session=${token}; HttpOnly; SameSite=Strict; Path=/` };
   }
 
   static end() {
-    return { 'set-cookie': 'ihd-token=; HttpOnly; SameSite=Strict; Path=/; Max-Age=0' };
+    return { 'set-cookie': 'ihd-session=; HttpOnly; SameSite=Strict; Path=/; Max-Age=0' };
   }
 }

@@ -12,6 +12,7 @@
 //     curl -d '{"for_s":5}' localhost:8799/fake/silence                      # connected, and says nothing
 //     curl -d '{"ms":800}' localhost:8799/fake/slow                          # every answer takes so long
 //     curl -d '{"ms":20}' localhost:8799/fake/events                         # an event this often, whatever was asked for
+//     curl -d '{}' localhost:8799/fake/watchers                             # streams that are open
 //     curl -d '{"device":"bench"}' localhost:8799/fake/truth
 //     curl -d '{"connected":false,"why":"no answer"}' localhost:8799/fake/fleet   # also devices: N, 0 is no edge of a fleet
 

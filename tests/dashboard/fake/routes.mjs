@@ -154,6 +154,8 @@ export function mend(daemon, options, what, body) {
     case 'events':
       options.eventMs = body.ms ?? 0;
       return { event_ms: options.eventMs };
+    case 'watchers':
+      return { watchers: daemon.listenerCount('notice') };
     case 'silence':
       options.silentUntilMs = Date.now() + 1000 * (body.for_s ?? 5);
       return { silent_until_ms: options.silentUntilMs };

@@ -10,9 +10,11 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::hosts::AllowedHosts;
+use super::sessions::Sessions;
 use super::tokens::Tokens;
 use super::{Role, cookie};
 use crate::model::Problem;
+use crate::places::Place;
 use crate::routes::App;
 use crate::routes::problem::refusal;
 
@@ -36,6 +38,8 @@ pub(crate) struct Access {
     pub(crate) hosts: AllowedHosts,
     /// None on loopback without a token file: there the machine is the fence.
     pub(crate) tokens: Option<Tokens>,
+    /// Of browsers that showed one.
+    pub(crate) sessions: Sessions,
 }
 
 impl Access {
@@ -47,7 +51,7 @@ impl Access {
         // Whoever shows a token in the header means that one.
         match headers.get(AUTHORIZATION) {
             Some(header) => tokens.role(bearer(header)?),
-            None => cookie::tokens(headers).find_map(|token| tokens.role(&token)),
+            None => cookie::keys(headers).find_map(|key| self.sessions.role(key)),
         }
     }
 
@@ -57,7 +61,7 @@ impl Access {
             None => {
                 let header = headers.get(AUTHORIZATION);
                 let given = header.is_some_and(|header| bearer(header).is_some())
-                    || cookie::tokens(headers).next().is_some();
+                    || cookie::keys(headers).next().is_some();
                 Err(token_missing(given))
             }
             Some(role) if role < needed => Err(role_missing(needed)),
@@ -74,7 +78,7 @@ fn bearer(header: &HeaderValue) -> Option<&str> {
 
 fn token_missing(given: bool) -> Box<Response> {
     let text = if given {
-        "this token is not known here"
+        "this token is not known here, or this session has ended"
     } else {
         "a token is needed: send `Authorization: Bearer TOKEN`, or show it to /api/v1/session once"
     };
@@ -127,6 +131,10 @@ pub(crate) fn cross_site() -> Response {
 
 /// Turns away who lacks the role.
 pub(crate) async fn role(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let place = request.extensions().get::<Place>();
+    if let Some(place) = place.filter(|_| app.access.role(request.headers()).is_some()) {
+        place.is_let_in();
+    }
     let Some(needed) = needed(request.method(), request.uri().path()) else {
         return next.run(request).await;
     };
@@ -192,6 +200,7 @@ mod tests {
         Access {
             hosts: AllowedHosts::new([127, 0, 0, 1].into(), &[]),
             tokens,
+            sessions: Sessions::default(),
         }
     }
 

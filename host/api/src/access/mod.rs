@@ -3,6 +3,7 @@
 pub(crate) mod cookie;
 pub(crate) mod guard;
 pub mod hosts;
+pub(crate) mod sessions;
 pub mod tokens;
 
 use serde::{Deserialize, Serialize};

@@ -176,7 +176,8 @@ impl Tokens {
     }
 }
 
-fn random_token() -> Result<String, TokenError> {
+/// Random bytes as a token is written.
+pub(crate) fn random_token() -> Result<String, TokenError> {
     let mut bytes = [0; TOKEN_BYTES];
     ring::default_provider()
         .secure_random

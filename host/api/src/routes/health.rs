@@ -22,6 +22,7 @@ pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<He
     let alive = app.backend.alive().await.unwrap_or(Alive {
         store: false,
         supervisor: false,
+        audit: false,
     });
     let status = if alive.store && alive.supervisor {
         StatusCode::OK
@@ -32,6 +33,7 @@ pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<He
         service: "ihd".into(),
         store: alive.store,
         supervisor: alive.supervisor,
+        audit: alive.audit,
     };
     (status, Json(health))
 }
@@ -62,21 +64,21 @@ fn own(text: &mut Exposition, app: &App) {
         (
             "http_connections_total",
             "Connections accepted",
-            &counts.connections,
+            counts.connections.load(Ordering::Relaxed),
         ),
         (
-            "http_turned_away_total",
-            "Connections turned away, all places being taken",
-            &counts.turned_away,
+            "http_given_way_total",
+            "Connections that gave way to others, all places being taken",
+            app.places.given_way(),
         ),
         (
             "events_missed_total",
             "Notices that slow watchers missed",
-            &counts.missed,
+            counts.missed.load(Ordering::Relaxed),
         ),
     ] {
         text.family(name, help, "counter");
-        text.sample(name, &[], count.load(Ordering::Relaxed) as f64);
+        text.sample(name, &[], count as f64);
     }
 }
 

@@ -31,6 +31,7 @@ use utoipa_axum::routes;
 
 use crate::access::guard::{self, Access};
 use crate::backend::Backend;
+use crate::places::Places;
 use problem::refusal;
 
 /// Largest body of a request, in bytes; a lookup as JSON takes 3 kB.
@@ -51,6 +52,7 @@ pub(crate) struct App {
     pub(crate) stopping: watch::Receiver<bool>,
     pub(crate) watchers: Arc<Semaphore>,
     pub(crate) counts: Counts,
+    pub(crate) places: Places,
 }
 
 /// What the server counts.
@@ -58,8 +60,6 @@ pub(crate) struct App {
 pub(crate) struct Counts {
     /// Connections that were accepted.
     pub(crate) connections: AtomicU64,
-    /// Connections that were turned away, all places being taken.
-    pub(crate) turned_away: AtomicU64,
     /// Notices that slow watchers missed.
     pub(crate) missed: AtomicU64,
 }

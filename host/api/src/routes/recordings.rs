@@ -1,19 +1,23 @@
 //! Recordings: which there are, and their download as they are or as tables.
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::fs::{File, Metadata};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::UNIX_EPOCH;
 
 use axum::Json;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS,
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
+    ETAG, IF_RANGE, RANGE, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
+use http_range_header::parse_range_header;
 use ihd_daemon::model::RecordingFile;
 use ihd_daemon::recording::{Table, TableError, is_plain_name, table};
 use serde::Deserialize;
@@ -71,12 +75,15 @@ pub(super) struct Wanted {
     format: Form,
 }
 
-/// A recording. Of one under way what is on disk.
+/// A recording. Of one under way what is on disk. The file itself comes in parts, too (`Range`, `If-Range`), so that a broken download
+/// goes on.
 ///
 /// Times of tables count from the trigger. CSV has the columns `time_s,v_V,i_A,window`.
 #[utoipa::path(get, path = "/recordings/{file}", operation_id = "recording", tag = "recordings",
     params(("file" = String, Path, description = "Name of the recording"), Wanted),
     responses((status = 200, description = "The file", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 206, description = "The part of it that was asked for", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 416, description = "It has no such part", body = Problem),
         (status = 400, body = Problem), (status = 404, body = Problem),
         (status = 409, description = "It holds nothing of that kind, or is damaged", body = Problem),
         (status = 413, description = "It would become too large", body = Problem),
@@ -85,6 +92,7 @@ pub(super) async fn one(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
     Asked(wanted): Asked<Wanted>,
+    asked: HeaderMap,
 ) -> Result<Response, Failed> {
     if !is_plain_name(&name) {
         return Err(unknown(&name));
@@ -105,23 +113,82 @@ pub(super) async fn one(
         ),
         Form::Npz => (BYTES, format!("{stem}.npz"), Some(Table::Arrays)),
     };
+    let is_itself = table.is_none();
     let file = match table {
         None => blocking(move || File::open(path))
             .await
             .map_err(|e| unread(&e))?,
         Some(which) => converted(path, which).await?,
     };
-    let length = file.metadata().map_err(|e| unread(&e))?.len();
+    let about = file.metadata().map_err(|e| unread(&e))?;
     let mut headers = HeaderMap::new();
+    let part = match is_itself {
+        true => {
+            let etag = etag(&about);
+            let part = part(&asked, &etag, about.len())?;
+            headers.insert(ETAG, etag);
+            headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+            part
+        }
+        // It is made anew each time.
+        false => None,
+    };
     let disposition = format!("attachment; filename=\"{name}\"");
     // A plain name is plain in a header.
     let disposition = HeaderValue::from_str(&disposition).map_err(|_| unknown(&name))?;
     headers.insert(CONTENT_DISPOSITION, disposition);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
-    headers.insert(CONTENT_LENGTH, length.into());
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    Ok((headers, streamed(file, length)).into_response())
+    let (status, from, length) = match part {
+        None => (StatusCode::OK, 0, about.len()),
+        Some(part) => {
+            let of = format!("bytes {}-{}/{}", part.start(), part.end(), about.len());
+            let of = HeaderValue::from_str(&of).map_err(|_| unknown(&name))?;
+            headers.insert(CONTENT_RANGE, of);
+            let length = part.end() - part.start() + 1;
+            (StatusCode::PARTIAL_CONTENT, *part.start(), length)
+        }
+    };
+    headers.insert(CONTENT_LENGTH, length.into());
+    Ok((status, headers, streamed(file, from, length)).into_response())
+}
+
+/// Differs where the file does: one under way grows.
+fn etag(about: &Metadata) -> HeaderValue {
+    let modified = about.modified().ok();
+    let since = modified.and_then(|at| at.duration_since(UNIX_EPOCH).ok());
+    let tag = format!(
+        "\"{:x}-{:x}\"",
+        since.unwrap_or_default().as_nanos(),
+        about.len()
+    );
+    // Quotes, digits and letters.
+    HeaderValue::from_str(&tag).unwrap_or(HeaderValue::from_static("\"\""))
+}
+
+/// The part of a file that is asked for; none where all of it is: several parts at once, or parts of another file, are not had.
+fn part(
+    asked: &HeaderMap,
+    etag: &HeaderValue,
+    length: u64,
+) -> Result<Option<RangeInclusive<u64>>, Failed> {
+    let range = asked.get(RANGE).and_then(|range| range.to_str().ok());
+    let is_of_another = asked.get(IF_RANGE).is_some_and(|of| of != etag);
+    let Some(range) = range.filter(|_| !is_of_another) else {
+        return Ok(None);
+    };
+    let Ok(ranges) = parse_range_header(range) else {
+        return Ok(None);
+    };
+    let ranges = ranges.validate(length).map_err(|_| {
+        let text = format!("the recording has {length} bytes: it has no part {range:?}");
+        Failed::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", text)
+    })?;
+    Ok(match &ranges[..] {
+        [one] => Some(one.clone()),
+        _ => None,
+    })
 }
 
 fn unknown(name: &str) -> Failed {
@@ -143,11 +210,18 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|panicked| Err(panicked.into()))
 }
 
-/// The first `length` bytes of a file, as the socket takes them: it may grow meanwhile.
-fn streamed(file: File, length: u64) -> Body {
+/// So many bytes of a file from one on, as the socket takes them: it may grow meanwhile.
+fn streamed(mut file: File, from: u64, length: u64) -> Body {
     let (chunks, coming) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     tokio::spawn(async move {
-        let mut rest = file.take(length);
+        let sought = blocking(move || {
+            file.seek(SeekFrom::Start(from))?;
+            Ok(file)
+        });
+        let mut rest = match sought.await {
+            Ok(file) => file.take(length),
+            Err(error) => return drop(chunks.send(Err(error)).await),
+        };
         loop {
             let read = blocking(move || {
                 let mut bytes = Vec::with_capacity(CHUNK);

@@ -32,27 +32,44 @@ pub(super) async fn session(
     }))
 }
 
-/// Shows a token, and gets a cookie that counts as it. Where no token is needed, there is no cookie.
+/// Shows a token, and gets the cookie of a session that has its role: until it is closed, nobody has used it for 12 h, or the daemon ends. Where no
+/// token is needed, there is no cookie.
 #[utoipa::path(post, path = "/session", tag = "session", request_body = SessionRequest,
     responses((status = 204), (status = 401, description = "The token is not known", body = Problem)))]
 pub(super) async fn open(
     State(app): State<Arc<App>>,
+    headers: HeaderMap,
     Body(request): Body<SessionRequest>,
 ) -> Result<Response, Failed> {
     let Some(tokens) = &app.access.tokens else {
         return Ok(StatusCode::NO_CONTENT.into_response());
     };
-    let token = request.token.trim();
-    if tokens.role(token).is_none() {
+    let Some(role) = tokens.role(request.token.trim()) else {
         let text = "this token is not known here; the daemon's token file has those that are";
         return Err(Failed::new(StatusCode::UNAUTHORIZED, "token", text));
-    }
-    Ok(with_cookie(&cookie::given(token, app.tls)))
+    };
+    let key = app.access.sessions.open(role).map_err(|error| {
+        Failed::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "session",
+            error.to_string(),
+        )
+    })?;
+    end(&app, &headers);
+    Ok(with_cookie(&cookie::given(&key, app.tls)))
 }
 
-/// Forgets the token: the cookie is gone. Whoever copied it still has it.
+/// Ends the sessions that a request brings along.
+fn end(app: &App, headers: &HeaderMap) {
+    for key in cookie::keys(headers) {
+        app.access.sessions.close(key);
+    }
+}
+
+/// Ends the session: its cookie is good for nothing any more, whoever has it.
 #[utoipa::path(delete, path = "/session", tag = "session", responses((status = 204)))]
-pub(super) async fn close(State(app): State<Arc<App>>) -> Response {
+pub(super) async fn close(State(app): State<Arc<App>>, headers: HeaderMap) -> Response {
+    end(&app, &headers);
     with_cookie(&cookie::taken_back(app.tls))
 }
 

@@ -385,6 +385,7 @@ impl Backend for Fake {
         answer(Ok(Alive {
             store: !self.asked.lock().unwrap().store_dead,
             supervisor: true,
+            audit: true,
         }))
     }
 }
@@ -458,8 +459,13 @@ impl Running {
 
     /// On loopback without tokens, on a clock that the test moves.
     pub fn with_clock() -> (Self, Clock) {
+        Self::with_clock_and(|_, _| {})
+    }
+
+    /// On a clock that the test moves, with settings of one's own.
+    pub fn with_clock_and(set: impl FnOnce(&mut Settings, &std::path::Path)) -> (Self, Clock) {
         let mut builder = tokio::runtime::Builder::new_current_thread();
-        let mut server = Self::on(builder.enable_all().build().unwrap(), |_, _| {});
+        let mut server = Self::on(builder.enable_all().build().unwrap(), set);
         let runtime = server.runtime.take().expect("it was just built");
         (server, Clock::stop(runtime))
     }

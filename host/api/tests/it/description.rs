@@ -36,7 +36,7 @@ GET /api/v1/journal -> 200 400
 GET /api/v1/live -> 200 400 503
 GET /api/v1/openapi.json -> 200
 GET /api/v1/recordings -> 200
-GET /api/v1/recordings/{file} -> 200 400 404 409 413 503
+GET /api/v1/recordings/{file} -> 200 206 400 404 409 413 416 503
 DELETE /api/v1/session -> 204
 GET /api/v1/session -> 200 401
 POST /api/v1/session -> 204 401

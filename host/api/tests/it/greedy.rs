@@ -1,14 +1,20 @@
 //! Those who send too much, too slowly, or too often: they lose, and the others are served.
 
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ihd_api::model::Problem;
+use ihd_api::ApiClient;
+use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::client::events::{Events, Watched};
 use ihd_api::server::MAX_CONNECTIONS;
+use ihd_api::tls::Certificate;
+use ihd_daemon::model::{Command, Notice, What};
 
-use crate::backend::Running;
-use crate::http::{PATIENCE, answer, ask, connect};
+use crate::backend::{NAME, Running};
+use crate::http::{PATIENCE, ask, connect};
 
 #[test]
 fn a_body_of_a_gigabyte_is_refused_at_once() {
@@ -85,43 +91,105 @@ fn a_head_of_a_megabyte_is_refused() {
     assert_eq!(ask(server.address, "GET /healthz", &many, "").0, 431);
 }
 
+/// Connections of those who are not let in, or idle: many times what there are places for. Ten thousand: host/ihd/tests/daemon/off_latency.rs.
+const HOSTILE: usize = 1_000;
+
+/// Of which so many are held open by the other end, too.
+const HELD: usize = 500;
+
+fn watch(client: &ApiClient) -> Events {
+    let mut events = client.events(None).unwrap();
+    assert_eq!(events.next().unwrap().unwrap(), Watched::Heartbeat);
+    events
+}
+
+/// Checks that a stream of events still has its place.
+fn hears(server: &Running, events: &mut Events) {
+    let notice = Notice {
+        at_ms: 1_700_000_000_000,
+        device: NAME.into(),
+        what: What::WindowStored { boot: 7, seq: 1 },
+    };
+    server.fake.notices.send(Arc::new(notice.clone())).unwrap();
+    let heard = events.next().unwrap().unwrap();
+    assert_eq!(heard, Watched::Notice(Box::new(notice)));
+}
+
+/// The clock stands still: no time-out frees a place. The hostile say nothing, or something that is no request, or ask for what is open
+/// to everybody.
 #[test]
-fn a_thousand_connections_leave_the_daemon_alive() {
-    // A clock that stands still leaves those that hold a place their ten seconds for a head.
+fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
+    for tls in [false, true] {
+        let (server, clock) = Running::with_clock_and(|settings, dir| {
+            settings.token_file = Some(dir.join("tokens"));
+            settings.tls = tls.then(|| Certificate::Made {
+                folder: dir.join("tls"),
+            });
+        });
+        let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+        let token = tokens.at_least(Role::Operate).map(str::to_owned);
+        let ca = server.certificate.as_deref();
+        let client = |name| ApiClient::new(&server.url, name, token.clone(), ca).unwrap();
+        // Keeps its connection from before.
+        let known = client("Ada");
+        known.command(NAME, &Command::Off).unwrap();
+        let mut watched = watch(&known);
+        let mut held = VecDeque::new();
+        for k in 0..HOSTILE {
+            let mut stream = connect(server.address);
+            let said: &[u8] = match k % 4 {
+                0 => b"G",
+                1 => b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
+                _ => b"",
+            };
+            // It may have lost its place already.
+            let _ = stream.write_all(said);
+            held.push_back(stream);
+            if held.len() > HELD {
+                held.pop_front();
+            }
+        }
+        client("Bob").command(NAME, &Command::Off).unwrap();
+        known.command(NAME, &Command::Off).unwrap();
+        let asked = server.fake.asked.lock().unwrap().commands.len();
+        assert_eq!(asked, 3, "TLS: {tls}");
+        hears(&server, &mut watched);
+        // Those that are left lose their places with time.
+        clock.pass(Duration::from_secs(61));
+        for stream in &mut held {
+            let _ = stream.read_to_end(&mut Vec::new());
+        }
+    }
+}
+
+/// Without tokens a request is what shows that somebody means it; one that asks and then idles gives way, too.
+#[test]
+fn on_plain_loopback_a_thousand_that_idle_keep_nobody_out() {
     let (server, _clock) = Running::with_clock();
-    let mut held: Vec<TcpStream> = Vec::new();
-    for _ in 0..1_000 {
-        match TcpStream::connect_timeout(&server.address, PATIENCE) {
-            Ok(stream) => held.push(stream),
-            Err(e) => panic!("{e} after {} connections", held.len()),
+    let ada = ApiClient::new(&server.url, "Ada", None, None).unwrap();
+    let mut watched = watch(&ada);
+    let mut held = VecDeque::new();
+    for k in 0..HOSTILE {
+        let mut stream = connect(server.address);
+        if k % 2 == 0 {
+            let _ = stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n");
+        }
+        held.push_back(stream);
+        if held.len() > HELD {
+            held.pop_front();
         }
     }
-    // Those above the limit are told, the others wait for their heads.
-    let mut told = 0;
-    for stream in &mut held[MAX_CONNECTIONS..] {
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        let (status, body) = answer(stream);
-        assert_eq!(status, 503, "{body}");
-        let problem: Problem = serde_json::from_str(&body).unwrap();
-        assert_eq!(problem.error, "connections");
-        told += 1;
-    }
-    assert_eq!(told, 1_000 - MAX_CONNECTIONS);
-    drop(held);
-    let deadline = Instant::now() + PATIENCE;
-    loop {
-        let (status, metrics) = ask(server.address, "GET /metrics", &[], "");
-        if status == 200 {
-            let line = metrics
-                .lines()
-                .find_map(|l| l.strip_prefix("ihd_http_turned_away_total "));
-            // Those of this loop that came too early are among them.
-            assert!(line.unwrap().parse::<usize>().unwrap() >= told, "{metrics}");
-            break;
-        }
-        assert!(Instant::now() < deadline, "still {status}");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    let body = r#"{"command":"off"}"#;
+    let headers = ["Content-Type: application/json", "ihd-holder: Bob"];
+    let line = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
+    assert_eq!(ask(server.address, line, &headers, body).0, 200);
+    hears(&server, &mut watched);
+    let (_, metrics) = ask(server.address, "GET /metrics", &[], "");
+    let line = metrics
+        .lines()
+        .find_map(|l| l.strip_prefix("ihd_http_given_way_total "));
+    let given_way: usize = line.unwrap().parse().unwrap();
+    assert!(given_way > MAX_CONNECTIONS, "{given_way}");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
 use crate::backend::Running;
-use crate::http::{ask, connect};
+use crate::http::{ask, connect, header, whole};
 
 const NAME: &str = "bench-2026-11-22T08-30-00.123.mcap";
 
@@ -86,6 +86,46 @@ fn a_recording_is_listed_and_downloaded_as_it_is() {
         } => assert_eq!(problem.error, "no-recording"),
         other => panic!("{other}"),
     }
+}
+
+#[test]
+fn a_broken_download_goes_on_where_it_was_unless_the_file_is_another() {
+    let server = Running::start();
+    let path = server.fake.recordings.path().join(NAME);
+    let bytes: Vec<u8> = (0..1_000_000u32).map(|k| ((k * 7) >> 3) as u8).collect();
+    fs::write(&path, &bytes).unwrap();
+    let get = |headers: &[&str]| {
+        let line = format!("GET /api/v1/recordings/{NAME}");
+        whole(server.address, &line, headers, "")
+    };
+    let (status, head, body) = get(&[]);
+    assert!(status == 200 && body == bytes, "{head}");
+    assert_eq!(header(&head, "accept-ranges"), Some("bytes"));
+    let etag = header(&head, "etag").unwrap().to_owned();
+    let same = format!("If-Range: {etag}");
+    for (range, from, to) in [
+        ("bytes=400000-", 400_000, 1_000_000),
+        ("bytes=0-0", 0, 1),
+        ("bytes=10-19", 10, 20),
+        ("bytes=-5", 999_995, 1_000_000),
+        ("bytes=999990-2000000", 999_990, 1_000_000),
+    ] {
+        let (status, head, body) = get(&[&format!("Range: {range}"), &same]);
+        assert_eq!(status, 206, "{range}: {head}");
+        assert!(body == bytes[from..to], "{range}");
+        let of = format!("bytes {from}-{}/1000000", to - 1);
+        assert_eq!(header(&head, "content-range"), Some(&of[..]));
+    }
+    assert_eq!(get(&["Range: bytes=1000000-"]).0, 416);
+    for whole in ["bytes=0-1,5-6", "lines=1-2", "bytes=x", "bytes"] {
+        let (status, head, body) = get(&[&format!("Range: {whole}")]);
+        assert!(status == 200 && body == bytes, "{whole}: {head}");
+    }
+    // It has grown: its first part may be another.
+    fs::write(&path, &bytes[..999_999]).unwrap();
+    let (status, head, body) = get(&["Range: bytes=400000-", &same]);
+    assert!(status == 200 && body == bytes[..999_999], "{head}");
+    assert_ne!(header(&head, "etag"), Some(&etag[..]));
 }
 
 #[test]

@@ -69,7 +69,13 @@ fn a_wrong_token_gets_no_cookie_and_is_not_told_again() {
         assert!(answer.contains("\"error\":\"token\""), "{answer}");
         assert!(wrong.len() < 2 || !answer.contains(wrong), "{answer}");
     }
-    let wrong = format!("Cookie: ihd-token={}", "0".repeat(64));
+    // The token itself is no session.
+    let as_key = format!("Cookie: ihd-session={right}");
+    assert_eq!(
+        ask(server.address, "GET /api/v1/devices", &[&as_key], "").0,
+        401
+    );
+    let wrong = format!("Cookie: ihd-session={}", "0".repeat(64));
     assert_eq!(
         ask(server.address, "GET /api/v1/devices", &[&wrong], "").0,
         401
@@ -100,13 +106,28 @@ fn a_header_outranks_the_cookie() {
 }
 
 #[test]
-fn forgetting_deletes_the_cookie() {
-    let (server, _) = with_tokens();
+fn forgetting_ends_the_session_and_deletes_the_cookie() {
+    let (server, tokens) = with_tokens();
+    let token = tokens.at_least(Role::Read).unwrap();
+    let (gone, other) = (cookie(&server, token), cookie(&server, token));
+    assert!(
+        gone != other && !gone.contains(token),
+        "a session is no token"
+    );
+    let looks = |cookie: &str| ask(server.address, "GET /api/v1/devices", &[cookie], "").0;
+    assert_eq!((looks(&gone), looks(&other)), (200, 200));
     let line = format!("DELETE {SESSION}");
-    let (status, head, _) = whole(server.address, &line, &[], "");
+    let (status, head, _) = whole(server.address, &line, &[&gone], "");
     assert_eq!(status, 204);
     let set = header(&head, "set-cookie").unwrap();
-    assert!(set.starts_with("ihd-token=; max-age=0"), "{set}");
+    assert!(set.starts_with("ihd-session=; max-age=0"), "{set}");
+    // Whoever has copied the cookie has nothing.
+    assert_eq!((looks(&gone), looks(&other)), (401, 200));
+    // Whoever shows his token once more leaves no session behind.
+    let body = format!("{{\"token\":\"{token}\"}}");
+    let line = format!("POST {SESSION}");
+    assert_eq!(ask(server.address, &line, &[JSON, &other], &body).0, 204);
+    assert_eq!(looks(&other), 401);
 }
 
 #[test]

@@ -24,11 +24,6 @@ impl Session<'_> {
     /// Carries out an order; an error is the session's end.
     pub(super) async fn on_order(&mut self, order: Order) -> Result<(), Ended> {
         match order {
-            Order::LeaseOver { why, done } => {
-                let off = self.off_for(&why).await;
-                let _ = done.send(());
-                off
-            }
             Order::News(lookup) => {
                 self.on_news(lookup).await;
                 Ok(())
@@ -144,14 +139,18 @@ impl Session<'_> {
     }
 
     async fn power(&mut self, lease: Option<LeaseId>, power_w: u16) -> Result<String, String> {
-        let lease = lease.ok_or_else(|| LeaseOver.to_string())?;
+        let lease = lease.ok_or_else(|| LeaseOver::Ended.to_string())?;
         self.sweep = None;
         self.face.lock().sweep_left_w.clear();
         match self.heat(lease, power_w).await {
             Ok(()) => Ok(format!("{power_w} W asked for")),
             Err(error) => {
-                if !matches!(error, HeatError::Link(LinkError::Refused { .. })) {
-                    // Whether it heats is not known: it must not.
+                let is_unknown = match &error {
+                    HeatError::Lease(_) | HeatError::Link(LinkError::Refused { .. }) => false,
+                    HeatError::Link(_) => true,
+                };
+                if is_unknown {
+                    // It may heat, and must not.
                     let _ = self.off().await;
                 }
                 Err(error.to_string())
@@ -160,7 +159,7 @@ impl Session<'_> {
     }
 
     fn start_sweep(&mut self, lease: Option<LeaseId>, powers_w: &[u16]) -> Result<String, String> {
-        let lease = lease.ok_or_else(|| LeaseOver.to_string())?;
+        let lease = lease.ok_or_else(|| LeaseOver::Ended.to_string())?;
         if powers_w.is_empty() || powers_w.len() > LONGEST_SWEEP {
             return Err(format!("a sweep has 1 to {LONGEST_SWEEP} powers"));
         }

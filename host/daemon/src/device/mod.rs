@@ -65,13 +65,6 @@ pub enum Order {
     },
     /// Push a lookup that was learned.
     News(Box<Lookup>),
-    /// The lease is over: what was asked for under it is to end.
-    LeaseOver {
-        /// Why.
-        why: String,
-        /// Told when it has ended, or cannot be ended from here.
-        done: oneshot::Sender<()>,
-    },
 }
 
 /// Where the outcome of a command goes.
@@ -224,13 +217,10 @@ impl DeviceTask {
                         recording::stop(&self.face, answer);
                     }
                     Some(Order::Command { answer, .. }) => {
-                        let _ = answer.send(Err(self.absent()));
+                        let _ = answer.send(Err(absent(&self.face)));
                     }
                     // It is offered again when the device is there.
                     Some(Order::News(news)) => self.learner_refused(news.lookup.version),
-                    Some(Order::LeaseOver { done, .. }) => {
-                        let _ = done.send(());
-                    }
                 },
                 _ = tick.tick() => {
                     self.face.recorder.tick();
@@ -244,18 +234,6 @@ impl DeviceTask {
 
     fn learner_refused(&self, version: u32) {
         self.context.learner.refused(&self.face.name, version);
-    }
-
-    fn absent(&self) -> CommandError {
-        let asked_w = self.face.lock().lease.asked_w();
-        let mut detail = self.face.detail();
-        if asked_w > 0 {
-            detail += "; what was asked of it ends by itself within 10 s";
-        }
-        CommandError::NotConnected {
-            name: self.face.name.clone(),
-            detail,
-        }
     }
 
     async fn keep_session(
@@ -298,6 +276,19 @@ struct Connection {
     events: mpsc::Receiver<ihd_link::Event>,
     /// What R and L truly are, where it is simulated here.
     truth: Option<Arc<TruthOf>>,
+}
+
+/// The answer for a device that is not connected.
+pub fn absent(face: &Face) -> CommandError {
+    let asked_w = face.lock().lease.asked_w();
+    let mut detail = face.detail();
+    if asked_w > 0 {
+        detail += "; what was asked of it ends by itself within 10 s";
+    }
+    CommandError::NotConnected {
+        name: face.name.clone(),
+        detail,
+    }
 }
 
 /// Tells that a lease has run out.

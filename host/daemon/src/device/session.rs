@@ -12,6 +12,7 @@ use ihd_signal::truth::Truth;
 use ihd_store::{CurveOf, DeviceId, SessionId};
 use ihd_thermal::PotEvent;
 use ihd_train::WINDOWS_EVERY;
+use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -29,6 +30,7 @@ use crate::model::{DeviceState, What};
 use crate::pot_watch::words;
 use crate::printable::printable;
 use crate::states::{live, of_telemetry, pot_change};
+use crate::switching_off::switch_off;
 
 /// How often the session looks at the clock, and shows what the device does.
 const TICK: Duration = Duration::from_millis(100);
@@ -373,7 +375,7 @@ impl<'a> Session<'a> {
             ));
         }
         self.is_pushed(t.lookup_version).await;
-        if let Some((_, sweep)) = &mut self.sweep {
+        if let Some(sweep) = self.living_sweep() {
             let step = sweep.telemetry(&t, Instant::now());
             self.sweep_step(step).await?;
         }
@@ -444,7 +446,7 @@ impl<'a> Session<'a> {
         if let Some(mut watch) = self.face.try_pot_watch() {
             watch.half_cycle_lasts(1e-9 * f64::from(window.half_cycle_ns));
         }
-        if let Some((_, sweep)) = &mut self.sweep {
+        if let Some(sweep) = self.living_sweep() {
             sweep.window(window.half_cycle);
         }
         let seq = window.seq;
@@ -525,7 +527,7 @@ impl<'a> Session<'a> {
         self.follow_pot();
         self.is_overdue().await;
         self.push_news().await;
-        if let Some((_, sweep)) = &mut self.sweep {
+        if let Some(sweep) = self.living_sweep() {
             let step = sweep.tick(Instant::now());
             self.sweep_step(step).await?;
         }
@@ -558,7 +560,8 @@ impl<'a> Session<'a> {
                 let again = self.ask(|client| client.stream(1, WINDOWS_EVERY)).await;
                 again.map_err(|error| Ended::Link(error.to_string()))?;
             }
-            Ok(_) => self.unanswered = 0,
+            // Whoever switched off has its answer.
+            Ok(_) | Err(LinkError::GaveWay { .. }) => self.unanswered = 0,
             Err(error @ LinkError::NoAnswer { .. }) if self.unanswered < UNANSWERED => {
                 self.unanswered += 1;
                 tracing::debug!(device = self.face.name, %error, "no answer");
@@ -652,6 +655,18 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// The sweep, where its lease lives and no `off` came since.
+    fn living_sweep(&mut self) -> Option<&mut Sweep> {
+        let (lease, _) = self.sweep.as_ref()?;
+        let mut inner = self.face.lock();
+        if inner.lease.may_heat(*lease, Instant::now()).is_err() {
+            inner.sweep_left_w.clear();
+            self.sweep = None;
+        }
+        drop(inner);
+        self.sweep.as_mut().map(|(_, sweep)| sweep)
+    }
+
     /// Does what a sweep wants.
     pub(super) async fn sweep_step(&mut self, step: Step) -> Result<(), Ended> {
         match step {
@@ -683,27 +698,29 @@ impl<'a> Session<'a> {
             // What another lease left: this one begins with a hob that is off.
             self.off().await?;
         }
-        let before = (self.face.lock().lease).ask(lease, power_w, Instant::now())?;
-        let asked = self.ask(move |client| client.set_power(power_w)).await;
-        if let Err(LinkError::Refused { .. }) = &asked {
-            // It goes on with what it had; a lease that ended meanwhile has left that to be switched off.
-            let _ = (self.face.lock().lease).ask(lease, before, Instant::now());
-        }
-        Ok(asked?)
+        self.told = Instant::now();
+        let (face, runtime) = (Arc::clone(self.face), Handle::current());
+        let asking = move |client: &mut Client| -> Result<(), HeatError> {
+            // For the clock: this is the link's thread, where it is written down so that an `off` comes before it or after it.
+            let _in_runtime = runtime.enter();
+            let ask = |power_w| face.lock().lease.ask(lease, power_w, Instant::now());
+            let before = ask(power_w)?;
+            let asked = client.set_power(power_w);
+            if let Err(LinkError::Refused { .. }) = &asked {
+                // It goes on with what it had; a lease that ended meanwhile has left that to be switched off.
+                let _ = ask(before);
+            }
+            Ok(asked?)
+        };
+        self.client.with(asking).await?
     }
 
     /// Switches off, and ends a sweep.
     pub(super) async fn off(&mut self) -> Result<(), LinkError> {
         self.sweep = None;
         self.face.lock().sweep_left_w.clear();
-        let mut off = self.ask(|client| client.set_power(0)).await;
-        if let Err(LinkError::NoAnswer { .. }) = off {
-            off = self.ask(|client| client.set_power(0)).await;
-        }
-        if off.is_ok() {
-            self.face.lock().lease.switched_off();
-        }
-        off
+        self.told = Instant::now();
+        switch_off(self.face, &self.client).await
     }
 
     /// Switches off what was asked for through the daemon, for a reason; nothing where nothing was.

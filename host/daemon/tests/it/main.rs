@@ -7,6 +7,7 @@ mod live;
 
 mod looks;
 mod lookups;
+mod off;
 mod recordings;
 mod rig;
 mod sessions;

@@ -104,8 +104,12 @@ async fn a_silent_device_is_suspended_and_comes_back() {
     clock.pass(Duration::from_secs(1)).await;
     let report = until_state(&daemon, DeviceState::Suspended).await;
     assert!(report.detail.contains("nothing came"), "{}", report.detail);
-    // It is asked three times, two seconds after the answer before.
-    clock.pass(Duration::from_secs(5)).await;
+    // It is asked three times, two seconds after the answer before, and each answer is waited for on the link's own clock.
+    let deadline = Instant::now() + PATIENCE;
+    while daemon.device("bench").unwrap().state == DeviceState::Suspended {
+        assert!(Instant::now() < deadline, "it is never given up");
+        clock.pass(Duration::from_millis(500)).await;
+    }
     until_state(&daemon, DeviceState::Searching).await;
     rig.bench().mute.store(false, Ordering::Relaxed);
     clock.go_on();

@@ -217,3 +217,121 @@ async fn an_order_that_was_given_up_is_not_done_later() {
     client.with(|_| ()).await.unwrap();
     assert!(!DONE.load(Ordering::SeqCst));
 }
+
+/// What a device was told, by name and power.
+type Told = Arc<Mutex<Vec<(&'static str, u16)>>>;
+
+/// A device that notes what it is told and answers hellos and offs alone. Its clock stands still until it is switched off: whoever waits
+/// for another answer waits for ever.
+struct Stubborn {
+    device: Fake,
+    told: Told,
+    is_off: Arc<AtomicBool>,
+}
+
+impl Stubborn {
+    fn new() -> Self {
+        let (told, is_off) = (Told::default(), Arc::new(AtomicBool::new(false)));
+        let (noted, off) = (Arc::clone(&told), Arc::clone(&is_off));
+        let on_message = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+            AnyMessage::SetPower(SetPower { power_w }) => {
+                use ihd_shared::wire::messages::Message;
+                lock(&noted).push(("SetPower", *power_w));
+                if *power_w == 0 {
+                    off.store(true, Ordering::Relaxed);
+                    sent.done(SetPower::ID);
+                }
+            }
+            AnyMessage::GetStatus(_) => lock(&noted).push(("GetStatus", 0)),
+            other => obedient(other, sent),
+        };
+        Self {
+            device: Fake::new(on_message, |_| {}),
+            told,
+            is_off,
+        }
+    }
+}
+
+impl Transport for Stubborn {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.device.send(bytes)
+    }
+
+    fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
+        self.device.receive(buf, timeout)
+    }
+
+    fn describe(&self) -> String {
+        self.device.describe()
+    }
+
+    fn clock(&self) -> Duration {
+        match self.is_off.load(Ordering::Relaxed) {
+            true => self.device.clock(),
+            false => Duration::ZERO,
+        }
+    }
+}
+
+/// Waits until the device was told something; the limit only ends a hang.
+async fn until_told(told: &Told, what: (&'static str, u16)) {
+    for _ in 0..60_000 {
+        if lock(told).contains(&what) {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    panic!("not told {what:?}: {:?}", lock(told));
+}
+
+#[tokio::test]
+async fn off_overtakes_the_orders_that_wait_and_the_one_whose_answer_stays_away() {
+    let device = Stubborn::new();
+    let told = Arc::clone(&device.told);
+    let (sender, _events) = mpsc::channel(4);
+    let open = move || Ok(Box::new(device) as Box<dyn Transport>);
+    let client = Arc::new(AsyncClient::connect(open, sender).await.unwrap());
+    let short = |client: &mut Client| client.set_timeout(Duration::from_millis(60));
+    client.with(short).await.unwrap();
+    // More than there is room for.
+    let asked: Vec<_> = (0..2 * ORDERS)
+        .map(|_| {
+            let client = Arc::clone(&client);
+            tokio::spawn(async move { client.with(|c| c.status().map(drop)).await.unwrap() })
+        })
+        .collect();
+    until_told(&told, ("GetStatus", 0)).await;
+    let noted = Arc::clone(&told);
+    let confirmed = move || lock(&noted).push(("confirmed", 0));
+    client.off(confirmed).await.unwrap();
+    let so_far = lock(&told).clone();
+    let off = ("SetPower", 0);
+    assert_eq!(so_far[..4], [("GetStatus", 0), off, off, ("confirmed", 0)]);
+    let mut gave_way = 0;
+    for status in asked {
+        let error = status.await.unwrap().unwrap_err();
+        gave_way += u32::from(matches!(error, LinkError::GaveWay { .. }));
+    }
+    assert_eq!(gave_way, 1, "the others had their turn afterwards");
+}
+
+#[tokio::test]
+async fn power_that_an_off_overtakes_is_not_asked_for_again() {
+    let device = Stubborn::new();
+    let told = Arc::clone(&device.told);
+    let (sender, _events) = mpsc::channel(4);
+    let open = move || Ok(Box::new(device) as Box<dyn Transport>);
+    let client = Arc::new(AsyncClient::connect(open, sender).await.unwrap());
+    let asking = Arc::clone(&client);
+    let power = tokio::spawn(async move { asking.with(|c| c.set_power(900)).await.unwrap() });
+    until_told(&told, ("SetPower", 900)).await;
+    // Whoever asked has left: it is switched off all the same.
+    let off = client.off(|| ());
+    assert!(tokio::time::timeout(Duration::ZERO, off).await.is_err());
+    let error = power.await.unwrap().unwrap_err();
+    assert!(matches!(error, LinkError::GaveWay { .. }), "{error}");
+    client.with(|_| ()).await.unwrap();
+    let off = ("SetPower", 0);
+    assert_eq!(*lock(&told), [("SetPower", 900), off, off]);
+}

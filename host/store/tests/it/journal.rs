@@ -22,7 +22,13 @@ fn events_and_commands_are_one_journal_newest_first() {
         store.event(Some(bench), "fault", &format!("{k}")).unwrap();
         clock.forward(1_000);
         store
-            .audit(Some(other), "me", "off", &format!("off {k}"))
+            .audit(
+                NOON_MS + 2_000 * (k + 1),
+                Some(other),
+                "me",
+                "off",
+                &format!("off {k}"),
+            )
             .unwrap();
     }
     let event = |at_ms, device: &str, kind, text: &str| NewEvent {

@@ -10,6 +10,7 @@ import { Leases } from "./leases.js";
 import { login, logout, session as readSession } from "./login.js";
 import { Off } from "./off.js";
 import { hashOf, placeOf, VIEWS } from "./router.js";
+import { isShared } from "./shared-stream.js";
 import { Stream } from "./stream.js";
 import { MOST_STREAMS, Tabs } from "./tabs.js";
 import { Theme } from "./theme.js";
@@ -181,10 +182,10 @@ stream.on("notice", (notice) => {
   if (notice.event === "store" && !notice.ok) complain(`The daemon's store: ${notice.text}`);
 });
 
-// A hidden page that heats nothing gives its connection to others where there are many.
+// Without a stream for all, a hidden page that heats nothing gives its connection to others where there are many.
 const tabs = new Tabs(settle);
 function settle() {
-  if (document.hidden && leases.heated().length === 0 && tabs.count() > MOST_STREAMS) stream.rest();
+  if (!isShared() && document.hidden && leases.heated().length === 0 && tabs.count() > MOST_STREAMS) stream.rest();
   else stream.wake();
 }
 document.addEventListener("visibilitychange", settle);

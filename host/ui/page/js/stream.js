@@ -1,18 +1,19 @@
 // @ts-check
 /**
- * The one EventSource of the tab.
+ * The event stream as a page hears it.
  *
  * `on` hears every event at once, for what keeps state; `frame` hears at most once an animation frame, for what
  * draws: never while the tab is hidden or drawing is paused, with what came meanwhile merged into one.
  */
 
+import { EVENTS, openStream } from "./shared-stream.js";
 import { mergeTelemetry } from "./telemetry.js";
 
 /** Silence after which what is shown is stale. The daemon sends something at least once a second. */
 export const STALE_MS = 3000;
 
 /** Silence after which the connection is given up and made anew. */
-const DEAD_MS = 8000;
+export const DEAD_MS = 8000;
 
 const BACKOFF_FIRST_MS = 400;
 const BACKOFF_MOST_MS = 8000;
@@ -28,19 +29,19 @@ const MOST_NOTICES = 1000;
 export class Stream {
   /**
    * @param {string} url
-   * @param {{open?: (url: string) => EventSource, now?: () => number, clock?: () => number}} [world] `clock`: the daemon's,
+   * @param {{open?: (url: string) => import("./shared-stream.js").Source, now?: () => number, clock?: () => number}} [world] `clock`: the daemon's,
    *   until its first telemetry; the others are of tests
    */
   constructor(url, world = {}) {
     this.url = url;
-    this.open = world.open ?? ((address) => new EventSource(address));
+    this.open = world.open ?? openStream;
     this.now = world.now ?? (() => performance.now());
     this.clock = world.clock ?? (() => Date.now());
     /** @type {Map<string, Set<Function>>} */
     this.listeners = new Map();
     /** @type {Map<string, Set<Function>>} */
     this.drawers = new Map();
-    /** @type {EventSource | null} */
+    /** @type {import("./shared-stream.js").Source | null} */
     this.source = null;
     this.lastHeard = this.now();
     this.opened = this.now();
@@ -139,7 +140,7 @@ export class Stream {
     this.opened = this.now();
     const source = this.open(this.url);
     this.source = source;
-    for (const name of ["telemetry", "devices", "notice", "missed"]) {
+    for (const name of EVENTS) {
       source.addEventListener(name, (event) => {
         if (source === this.source) this.#heard(name, /** @type {MessageEvent} */ (event).data);
       });

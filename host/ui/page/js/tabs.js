@@ -1,9 +1,9 @@
 // @ts-check
 /**
- * How many pages of this daemon the browser has open.
+ * How many pages of this daemon the browser has open, for one without shared workers.
  *
- * A browser opens six connections to a host over HTTP/1.1, and an event stream takes one for as long as it lasts: with
- * six pages open, none could say Off. So hidden pages that heat nothing let theirs go where there are several.
+ * There each page has an event stream of its own, and a browser opens six connections to a host over HTTP/1.1: with six pages open,
+ * none could say Off. So hidden pages that heat nothing let theirs go where there are several.
  */
 
 /** A page says that it is there so often, in milliseconds; timers of hidden ones may be throttled to one a minute. */

@@ -1,0 +1,112 @@
+//! `off`: first, whatever else the daemon is at, and nothing that was asked for before it heats later.
+
+use std::time::Duration;
+
+use ihd_daemon::model::{Command, DeviceState};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_store::Reader;
+
+use super::rig::{Clock, Rig, lives, nap, power, until, until_state};
+
+/// Commands that wait for the device's task; more than there is room for.
+const WAITING: usize = 20;
+
+impl Rig {
+    fn database(&self) -> std::path::PathBuf {
+        self.folder.path().join("store/ihd.db")
+    }
+
+    /// Keeps the daemon from writing into its database until the transaction is dropped, as a stuck disk does.
+    fn lock_database(&self) -> rusqlite::Connection {
+        let connection = rusqlite::Connection::open(self.database()).unwrap();
+        connection.busy_timeout(Duration::from_secs(300)).unwrap();
+        connection.execute_batch("BEGIN IMMEDIATE").unwrap();
+        connection
+    }
+
+    /// Commands in the audit, oldest first.
+    fn audited(&self) -> Vec<String> {
+        let reader = Reader::open(&self.folder.path().join("store")).unwrap();
+        let rows = reader.audit(100).unwrap().into_iter().rev();
+        rows.map(|row| row.command).collect()
+    }
+}
+
+#[tokio::test]
+async fn off_waits_neither_for_the_disk_nor_behind_other_commands() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    power(&daemon, "a", 1_000).await.unwrap();
+    while rig.audited().is_empty() {
+        nap().await;
+    }
+    let lock = rig.lock_database();
+    let clock = Clock::stop();
+    // The device's task waits for the store, and all others for the task.
+    let lookup = RlLookup {
+        version: 1,
+        ..prior()
+    };
+    let blob = lookup.to_bytes().to_vec();
+    let asking = daemon.clone();
+    let push = tokio::spawn(async move {
+        let push = asking.command("bench", "a", Command::LookupPush { blob });
+        push.await
+    });
+    nap().await;
+    let powers: Vec<_> = (0..WAITING)
+        .map(|_| {
+            let asking = daemon.clone();
+            tokio::spawn(async move { power(&asking, "a", 1_500).await })
+        })
+        .collect();
+    nap().await;
+    daemon.command("bench", "b", Command::Off).await.unwrap();
+    assert_eq!(rig.bench().asked_w(), 0);
+    assert_eq!(daemon.device("bench").unwrap().asked_by_daemon_w, 0);
+    assert!(powers.iter().all(|power| !power.is_finished()));
+    assert_eq!(rig.audited(), ["power 1000 W"]);
+    drop(lock);
+    for power in powers {
+        let refused = power.await.unwrap().unwrap_err().to_string();
+        assert!(refused.contains("`off` came before"), "{refused}");
+    }
+    // It heats nothing: it may be done after all.
+    let _ = push.await.unwrap();
+    assert_eq!(rig.bench().asked_w(), 0);
+    power(&daemon, "a", 700).await.unwrap();
+    assert_eq!(rig.bench().asked_w(), 700);
+    clock.go_on();
+    daemon.stop().await;
+    let audited = rig.audited();
+    assert_eq!(audited.len(), WAITING + 4);
+    assert_eq!(audited[..2], ["power 1000 W", "off"]);
+    assert_eq!(audited.last().unwrap(), "power 700 W");
+}
+
+#[tokio::test]
+async fn off_ends_a_sweep_for_good() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let clock = Clock::stop();
+    let powers_w = vec![800, 1_200];
+    let sweep = Command::Sweep { powers_w };
+    daemon.command("bench", "a", sweep).await.unwrap();
+    while rig.bench().asked_w() != 800 {
+        clock.pass(Duration::from_millis(3)).await;
+    }
+    daemon.command("bench", "b", Command::Off).await.unwrap();
+    let report = daemon.device("bench").unwrap();
+    assert_eq!(report.sweep_left_w, [0; 0]);
+    // Long enough for the next power, had it gone on.
+    for _ in 0..9 {
+        clock.pass(Duration::from_millis(900)).await;
+        lives(rig.bench(), 0.5).await;
+        assert_eq!(rig.bench().asked_w(), 0);
+    }
+    until(&daemon, |r| r.sweep_left_w.is_empty()).await;
+    daemon.stop().await;
+}
