@@ -25,13 +25,14 @@ use crate::lease::{LeaseId, Taken};
 use crate::live::LiveTap;
 use crate::looks::{Ages, READERS};
 use crate::model::{
-    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, RecordingFile, Trigger,
-    What,
+    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, Record, RecordingFile,
+    Trigger, What,
 };
 use crate::printable::printable;
 use crate::recording::{list, name_of};
 use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreTrouble};
+use crate::store_watch;
 use crate::supervisor::{Devices, Handle, follow_usb};
 
 /// How long a command may take, whatever the device does.
@@ -165,6 +166,7 @@ impl Daemon {
             let following = follow_usb(Arc::clone(&devices), context.clone(), board.clone());
             devices.beside(following);
         }
+        devices.beside(store_watch::watch(context.clone()));
         devices.beside(keep_tidy(context));
         let routing = tokio::spawn(route(
             learned,
@@ -412,7 +414,8 @@ impl Daemon {
 
     async fn audit(&self, face: &Face, holder: String, command: String, outcome: String) {
         let (name, address) = (face.name.clone(), face.address.clone());
-        let audited = self.inner.store.run(move |store| {
+        let store = self.inner.store.writing_once(Record::Audits);
+        let audited = store.run(move |store| {
             let device = store.device(&name, &address)?;
             store.audit(Some(device), &holder, &command, &outcome)
         });
@@ -439,7 +442,6 @@ impl Daemon {
             devices: self.inner.devices.all().len(),
             up_s: self.inner.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
-            telemetry_dropped: self.inner.seconds.dropped(),
             ..Figures::of_store(&self.inner.store)
         }
     }
@@ -501,8 +503,10 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn backup(&self, to: PathBuf) -> Result<(), DaemonError> {
-        let backup = self.inner.store.run(move |store| store.backup(&to));
-        Ok(backup.await?)
+        // Beside the store's thread, which windows wait for.
+        let from = self.inner.folder.clone();
+        let backup = tokio::task::spawn_blocking(move || ihd_store::backup(&from, &to)).await;
+        Ok(backup.map_err(|_| StoreTrouble::Gone("the backup panicked"))??)
     }
 
     /// Switches off what was asked for through the daemon, stores what is under way, closes the store.
@@ -510,8 +514,8 @@ impl Daemon {
         self.inner.stop.send_replace(true);
         self.inner.devices.ended().await;
         history::write(&self.inner.seconds, &self.inner.store, true).await;
-        // Behind the windows under way, which hold the learner.
-        let _ = self.inner.store.run(|_| Ok(())).await;
+        // Windows under way hold the learner.
+        self.inner.store.idle().await;
         drop(lock(&self.inner.learner).take());
         let routing = lock(&self.inner.routing).take();
         if let Some(routing) = routing {
@@ -531,7 +535,8 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 async fn keep_tidy(context: Context) {
     loop {
         // The store's trouble is told by its thread.
-        let _ = context.store.run(Store::collect_garbage).await;
+        let store = context.store.writing(Record::State);
+        let _ = store.run(Store::collect_garbage).await;
         tokio::select! {
             () = context.stopping() => return,
             () = tokio::time::sleep(GARBAGE_EVERY) => {}

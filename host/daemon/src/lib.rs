@@ -35,7 +35,10 @@ mod printable;
 pub mod recording;
 mod routing;
 mod states;
+mod store_health;
+mod store_queue;
 mod store_thread;
+mod store_watch;
 mod supervisor;
 mod tank;
 

@@ -32,6 +32,7 @@ mod start;
 mod store;
 mod telemetry;
 mod text;
+mod trial;
 mod windows;
 
 pub use backup::backup;

@@ -112,6 +112,10 @@ impl Store {
         &self.records
     }
 
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     pub(crate) fn now(&self) -> i64 {
         (self.clock)()
     }
@@ -371,25 +375,18 @@ impl Store {
         days.pop().map(Day::open).transpose()
     }
 
-    /// A day's file broke while it was written: the store goes on with a new one.
+    /// A day's file broke while it was opened or written: the store goes on with a new one.
     pub(crate) fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
-        for day in [self.days.today.take(), self.days.before.take()] {
-            let Some(day) = day else { continue };
-            let path = day.path().to_owned();
-            drop(day);
-            let broken = match error {
-                StoreError::Damaged { file, .. } | StoreError::Database { file, .. } => {
-                    *file == path
-                }
-                _ => false,
-            };
-            if broken {
-                let damage = folder::set_aside(&path, error.to_string(), self.now())?;
-                tracing::error!("{}", start::in_words(&damage));
-                self.event(None, "damage", &start::in_words(&damage))?;
-            }
+        let (StoreError::Damaged { file, .. } | StoreError::Database { file, .. }) = error else {
+            return Ok(());
+        };
+        self.days = OpenDays::default();
+        if *file == self.path {
+            return Ok(());
         }
-        Ok(())
+        let damage = folder::set_aside(file, error.to_string(), self.now())?;
+        tracing::error!("{}", start::in_words(&damage));
+        self.event(None, "damage", &start::in_words(&damage))
     }
 
     /// Drops a window's samples where they are. That it fails is told, and does no harm: a collection does

@@ -12,7 +12,7 @@ use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
     Command, CommandError, DeviceReport, DeviceState, Done, Fit, FleetReport, History, Hob,
     JournalEntry, Lease, Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve,
-    PotPoint, RecordingFile, Scope, WindowCounts, WindowSummary, WindowWanted,
+    PotPoint, RecordingFile, Scope, StoreFailure, WindowCounts, WindowSummary, WindowWanted,
 };
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc, watch};
@@ -36,7 +36,7 @@ pub struct Asked {
     pub trainings: Vec<usize>,
     pub maps: Vec<Option<u32>>,
     pub journals: Vec<JournalFilter>,
-    pub store_dead: bool,
+    pub store_failure: Option<StoreFailure>,
     /// What it knows of a fleet; none at first.
     pub fleet: Option<Arc<FleetReport>>,
 }
@@ -376,6 +376,7 @@ impl Backend for Fake {
         vec![Figure {
             name: "store_queue",
             help: "Jobs that wait for the store",
+            label: None,
             counter: false,
             value: 2.0,
         }]
@@ -383,7 +384,7 @@ impl Backend for Fake {
 
     fn alive(&self) -> Answer<'_, Alive> {
         answer(Ok(Alive {
-            store: !self.asked.lock().unwrap().store_dead,
+            store_failure: self.asked.lock().unwrap().store_failure.clone(),
             supervisor: true,
         }))
     }

@@ -31,7 +31,7 @@ use crate::fleet::Trust;
 use crate::history::Seconds;
 use crate::learning::{Learner, Lookup};
 use crate::lease::LeaseId;
-use crate::model::{Command, CommandError, DeviceState, Done, What};
+use crate::model::{Command, CommandError, DeviceState, Done, Record, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::{OpenDevice, TruthOf};
@@ -102,7 +102,8 @@ impl Context {
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
     ) -> Option<T> {
-        let done = tokio::time::timeout(STORE_WITHIN, self.store.run(f)).await;
+        let store = self.store.writing(Record::State);
+        let done = tokio::time::timeout(STORE_WITHIN, store.run(f)).await;
         done.ok()?.ok()
     }
 
