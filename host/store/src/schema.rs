@@ -9,6 +9,8 @@ pub struct Schema {
     pub steps: &'static [&'static str],
     /// Tables that each step makes: they must be there from its version on.
     pub tables: &'static [&'static [&'static str]],
+    /// Whether freed pages go back to the disk on demand: SQLite's `auto_vacuum = INCREMENTAL`.
+    pub shrinks: bool,
     /// SQLite's `synchronous`: FULL lasts when the power fails, NORMAL when the process does.
     pub synchronous: &'static str,
 }
@@ -28,6 +30,7 @@ pub static RECORDS: Schema = Schema {
         &[],
         &["fleet"],
     ],
+    shrinks: false,
     synchronous: "FULL",
 };
 
@@ -36,6 +39,7 @@ pub static WINDOWS: Schema = Schema {
     application_id: WINDOWS_ID,
     steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3],
     tables: &[&["windows"], &["telemetry", "trajectories"], &[]],
+    shrinks: true,
     synchronous: "NORMAL",
 };
 
