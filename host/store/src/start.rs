@@ -59,6 +59,7 @@ impl Store {
         check_days(folder, at_ms, &mut damage)?;
         let mut store = Store::new(folder, settings, clock, records, lock)?;
         store.end_sessions_that_were_cut_off()?;
+        store.resume_recent()?;
         for found in &damage {
             store.event(None, "damage", &in_words(found))?;
         }

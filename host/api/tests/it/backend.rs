@@ -373,13 +373,21 @@ impl Backend for Fake {
     }
 
     fn figures(&self) -> Vec<Figure> {
-        vec![Figure {
+        let queue = Figure {
             name: "store_queue",
             help: "Jobs that wait for the store",
             label: None,
             counter: false,
             value: 2.0,
-        }]
+        };
+        let dropped = |kind, value| Figure {
+            name: "store_dropped_total",
+            help: "Records that are in no store",
+            label: Some(("record", kind)),
+            counter: true,
+            value,
+        };
+        vec![queue, dropped("windows", 7.0), dropped("audits", 0.0)]
     }
 
     fn alive(&self) -> Answer<'_, Alive> {
