@@ -124,3 +124,24 @@ test('slow answers hold nothing up: the live numbers go on', async (t) => {
   assert.equal(await stale(page), false);
   noProblems(problems);
 });
+
+test('a store that fails stands as a banner, also on a page that is opened later, until it is well again', async (t) => {
+  const fake = await Fake.start(t);
+  const chromium = await browser(t);
+  const early = await open(chromium, fake.url);
+  const banner = (of) => of.page.getByTestId('store-failure');
+  await until('the page', () => early.page.locator('main .view').first().isVisible());
+  assert.equal(await banner(early).isVisible(), false);
+  const dropped = { windows: 3, results: 0, telemetry_s: 0, events: 0, audits: 0 };
+  await fake.do('store', { failure: { cause: 'disk-full', text: "the store's disk is full", advice: 'Free space.', since_ms: Date.now(), dropped } });
+  const late = await open(chromium, fake.url);
+  for (const seen of [early, late]) {
+    await until('the banner', () => banner(seen).isVisible());
+    assert.match(await banner(seen).textContent(), /disk is full.*3 windows.*Free space/s);
+  }
+  await fake.do('store', { failure: null });
+  for (const seen of [early, late]) {
+    await until('no banner', async () => !(await banner(seen).isVisible()));
+    noProblems(seen.problems, /503/);
+  }
+});

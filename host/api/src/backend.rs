@@ -9,7 +9,8 @@ use std::time::Duration;
 use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
     Command, CommandError, DeviceReport, Done, Fit, FleetReport, History, Hob, JournalEntry, Lease,
-    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, WindowSummary, WindowWanted,
+    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, StoreFailure, WindowSummary,
+    WindowWanted,
 };
 use tokio::sync::broadcast;
 
@@ -25,6 +26,8 @@ pub struct Figure {
     pub name: &'static str,
     /// What it is, with the unit.
     pub help: &'static str,
+    /// Name and value of its label, where a family has several samples: these follow one another.
+    pub label: Option<(&'static str, &'static str)>,
     /// Whether it only grows.
     pub counter: bool,
     /// Its value.
@@ -32,10 +35,10 @@ pub struct Figure {
 }
 
 /// Whether a daemon works.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Alive {
-    /// The store takes what it is given.
-    pub store: bool,
+    /// Why the store does not take what it is given; `None` while it does.
+    pub store_failure: Option<StoreFailure>,
     /// Devices are looked after.
     pub supervisor: bool,
     /// All commands so far are in the audit, or on their way to it.

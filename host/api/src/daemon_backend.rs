@@ -4,10 +4,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_daemon::board::now_ms;
 use ihd_daemon::learning::LearnerFigures;
 use ihd_daemon::model::{
     Command, CommandError, DeviceReport, Done, Fit, FleetReport, History, Hob, JournalEntry, Lease,
-    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, WindowSummary, WindowWanted,
+    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, StoreFailure, WindowSummary,
+    WindowWanted,
 };
 use ihd_daemon::{Daemon, DaemonError, JournalFilter, LiveTap};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
@@ -223,8 +225,14 @@ impl Backend for DaemonBackend {
             gauge("devices", "Devices", f.devices as f64),
             gauge(
                 "store_well",
-                "1 where the store's last job went well",
-                f64::from(u8::from(f.store_is_well)),
+                "1 while the store takes all records",
+                f64::from(u8::from(f.store_failure.is_none())),
+            ),
+            gauge(
+                "store_failing_since_seconds",
+                "When the store's present failure began, in seconds since 1970; 0 while it takes all records",
+                f.store_failure
+                    .map_or(0.0, |failure| failure.since_ms as f64 * 1e-3),
             ),
             gauge(
                 "store_queue",
@@ -249,15 +257,18 @@ impl Backend for DaemonBackend {
             ),
         ];
         all.push(counter(
-            "telemetry_dropped_seconds_total",
-            "Seconds of telemetry that no history has, because the store could not keep up",
-            f.telemetry_dropped as f64,
-        ));
-        all.push(counter(
             "audit_lost_total",
             "Commands that were carried out and that the audit does not have",
             f.audits_lost as f64,
         ));
+        all.extend(f.store_dropped.by_kind().map(|(kind, n)| Figure {
+            label: Some(("record", kind)),
+            ..counter(
+                "store_dropped_total",
+                "Records that are in no store because it did not take them, by kind; telemetry in seconds of a device",
+                n as f64,
+            )
+        }));
         all.extend(learner_figures(&f.learner));
         if let Some(fleet) = self.daemon.fleet() {
             all.extend(fleet_figures(&fleet));
@@ -273,20 +284,22 @@ impl Backend for DaemonBackend {
         Box::pin(async move {
             // Held while the store is asked: who asks meanwhile waits for the same answer.
             let mut health = self.health.lock().await;
-            if let Some((at, alive)) = *health
+            if let Some((at, alive)) = &*health
                 && at.elapsed() < HEALTH_HOLDS
             {
-                return Ok(alive);
+                return Ok(alive.clone());
             }
             let answers = store_answers(&self.daemon).await;
             let figures = self.daemon.figures();
+            let failure = figures.store_failure;
             let alive = Alive {
-                store: answers && figures.store_is_well,
+                store_failure: failure
+                    .or_else(|| (!answers).then(|| StoreFailure::silent(now_ms()))),
                 audit: figures.audit_is_well,
                 // Its tasks run on the threads that answer this.
                 supervisor: true,
             };
-            *health = Some((Instant::now(), alive));
+            *health = Some((Instant::now(), alive.clone()));
             Ok(alive)
         })
     }
@@ -296,6 +309,7 @@ fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
     Figure {
         name,
         help,
+        label: None,
         counter: false,
         value,
     }

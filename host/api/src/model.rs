@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use ihd_daemon::model::CommandError;
+use ihd_daemon::model::{CommandError, StoreFailure};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -114,6 +114,9 @@ pub struct Health {
     pub service: String,
     /// Whether the store takes what it is given.
     pub store: bool,
+    /// Why it does not, since when, what was dropped since then, and what to do; `null` while it does.
+    #[serde(default)]
+    pub store_failure: Option<StoreFailure>,
     /// Whether devices are looked after.
     pub supervisor: bool,
     /// All commands so far are in the audit, or on their way to it.

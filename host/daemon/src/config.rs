@@ -81,9 +81,9 @@ pub struct Keep {
     /// Which windows are kept with their samples: `all`, `one-in-N`, or `telling` (those that were refused or
     /// changed the lookup).
     pub windows: ihd_store::Keep,
-    /// Days after which they are deleted; never without.
+    /// Days in use after which they are deleted; never without.
     pub max_age_days: Option<u32>,
-    /// Bytes of all windows, beyond which the oldest are deleted.
+    /// Bytes of all windows, beyond which older ones are thinned.
     pub max_bytes: u64,
 }
 

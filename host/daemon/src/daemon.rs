@@ -27,13 +27,14 @@ use crate::live::LiveTap;
 use crate::looks::{Ages, READERS};
 use crate::machine::Machine;
 use crate::model::{
-    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, RecordingFile, Trigger,
-    What,
+    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, Record, RecordingFile,
+    Trigger, What,
 };
 use crate::printable::printable;
 use crate::recording::{list, name_of};
 use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreTrouble};
+use crate::store_watch;
 use crate::supervisor::{Devices, Handle, follow_usb};
 use crate::switching_off::switch_off;
 
@@ -187,6 +188,7 @@ impl Daemon {
             let following = follow_usb(Arc::clone(&devices), context.clone(), board.clone());
             devices.beside(following);
         }
+        devices.beside(store_watch::watch(context.clone()));
         devices.beside(keep_tidy(context));
         let routing = tokio::spawn(route(
             learned,
@@ -464,7 +466,8 @@ impl Daemon {
         tracing::info!(device = face.name, why, "off");
         let (name, address) = (face.name.clone(), face.address.clone());
         // What the store has no room for is in the log.
-        self.inner.store.offer(move |store| {
+        let store = self.inner.store.writing_once(Record::Events);
+        store.offer(move |store| {
             let device = store.device(&name, &address)?;
             store.event(Some(device), "off", &why)
         });
@@ -494,7 +497,6 @@ impl Daemon {
             rss_bytes: rss_bytes(),
             audit_is_well: self.inner.auditor.is_well(),
             audits_lost: self.inner.auditor.lost(),
-            telemetry_dropped: self.inner.seconds.dropped(),
             ..Figures::of_store(&self.inner.store)
         }
     }
@@ -556,8 +558,10 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn backup(&self, to: PathBuf) -> Result<(), DaemonError> {
-        let backup = self.inner.store.run(move |store| store.backup(&to));
-        Ok(backup.await?)
+        // Beside the store's thread, which windows wait for.
+        let from = self.inner.folder.clone();
+        let backup = tokio::task::spawn_blocking(move || ihd_store::backup(&from, &to)).await;
+        Ok(backup.map_err(|_| StoreTrouble::Gone("the backup panicked"))??)
     }
 
     /// Switches off what was asked for through the daemon, stores what is under way, closes the store.
@@ -567,8 +571,8 @@ impl Daemon {
         self.inner.auditor.close().await;
         let now_ms = self.inner.machine.now_ms();
         history::write(&self.inner.seconds, &self.inner.store, now_ms, true).await;
-        // Behind the windows under way, which hold the learner.
-        let _ = self.inner.store.run(|_| Ok(())).await;
+        // Windows under way hold the learner.
+        self.inner.store.idle().await;
         drop(lock(&self.inner.learner).take());
         let routing = lock(&self.inner.routing).take();
         if let Some(routing) = routing {
@@ -588,7 +592,8 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 async fn keep_tidy(context: Context) {
     loop {
         // The store's trouble is told by its thread.
-        let _ = context.store.run(Store::collect_garbage).await;
+        let store = context.store.writing(Record::State);
+        let _ = store.run(Store::collect_garbage).await;
         tokio::select! {
             biased;
             () = context.stopping() => return,

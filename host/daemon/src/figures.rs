@@ -3,6 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use crate::learning::LearnerFigures;
+use crate::model::{Dropped, StoreFailure};
 use crate::store_thread::StoreThread;
 
 /// How the daemon does, since it began.
@@ -12,8 +13,10 @@ pub struct Figures {
     pub devices: usize,
     /// Seconds since the daemon began.
     pub up_s: f64,
-    /// Whether the store's last job went well.
-    pub store_is_well: bool,
+    /// The store's failure; `None` while it takes all records.
+    pub store_failure: Option<StoreFailure>,
+    /// Records dropped since the daemon began.
+    pub store_dropped: Dropped,
     /// Jobs that wait for the store.
     pub store_waiting: usize,
     /// Jobs that the store has done, failures included.
@@ -30,8 +33,6 @@ pub struct Figures {
     pub audit_is_well: bool,
     /// Commands that the audit does not have and will not get.
     pub audits_lost: u64,
-    /// Seconds of telemetry that were dropped because the store could not keep up.
-    pub telemetry_dropped: u64,
     /// Memory in use, in bytes; none where the system does not say.
     pub rss_bytes: Option<u64>,
 }
@@ -42,7 +43,8 @@ impl Figures {
         let gauge = store.gauge();
         let seconds = |us: u64| us as f64 * 1e-6;
         Self {
-            store_is_well: gauge.is_well(),
+            store_failure: store.failure(),
+            store_dropped: store.all_dropped(),
             store_waiting: store.waiting(),
             store_jobs: gauge.jobs.load(Ordering::Relaxed),
             store_failures: gauge.failures.load(Ordering::Relaxed),

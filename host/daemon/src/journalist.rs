@@ -12,7 +12,7 @@ use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::TryRecvError;
 
 use crate::device::Context;
-use crate::model::{Notice, What};
+use crate::model::{Notice, Record, What};
 use crate::store_thread::StoreThread;
 
 /// Between two looks at what happened.
@@ -34,8 +34,8 @@ pub async fn take_down(context: Context, mut notices: broadcast::Receiver<Arc<No
             () = context.stopping() => true,
             () = tokio::time::sleep(LOOK_EVERY) => false,
         };
-        let now_ms = context.machine.now_ms();
-        collect(&mut notices, &mut waiting, now_ms);
+        let no_room = collect(&mut notices, &mut waiting, context.machine.now_ms());
+        context.store.dropped(Record::Events, no_room);
         if stopping {
             waiting.push_back(of_daemon("stopped"));
         }
@@ -56,12 +56,13 @@ fn of_daemon(text: &str, at_ms: i64) -> NewEvent {
     }
 }
 
+/// Appends what happened; returns how many events found no room because the store takes none.
 fn collect(
     notices: &mut broadcast::Receiver<Arc<Notice>>,
     waiting: &mut VecDeque<NewEvent>,
     at_ms: i64,
-) {
-    let (mut taken, mut beyond) = (0, 0);
+) -> u64 {
+    let (mut taken, mut beyond, mut no_room) = (0, 0, 0);
     loop {
         let event = match notices.try_recv() {
             Ok(notice) => event(&notice),
@@ -72,7 +73,10 @@ fn collect(
             Err(TryRecvError::Empty | TryRecvError::Closed) => break,
         };
         let Some(event) = event else { continue };
-        if taken == A_LOOK || waiting.len() >= WAITING {
+        if waiting.len() >= WAITING {
+            beyond += 1;
+            no_room += 1;
+        } else if taken == A_LOOK {
             beyond += 1;
         } else {
             taken += 1;
@@ -82,7 +86,7 @@ fn collect(
     if beyond > 0 {
         tracing::warn!(beyond, "more happened than the journal takes down");
         if waiting.len() > WAITING {
-            return;
+            return no_room;
         }
         waiting.push_back(NewEvent {
             at_ms,
@@ -91,6 +95,7 @@ fn collect(
             text: format!("{beyond} notices were not taken down"),
         });
     }
+    no_room
 }
 
 async fn write(store: &StoreThread, waiting: &mut VecDeque<NewEvent>) {
@@ -98,6 +103,7 @@ async fn write(store: &StoreThread, waiting: &mut VecDeque<NewEvent>) {
         return;
     }
     let events: Vec<_> = waiting.iter().cloned().collect();
+    let store = store.writing(Record::Events);
     let stored = store.run(move |store| store.keep_events(&events)).await;
     // What the store does not take waits on; its trouble is told by its thread.
     if stored.is_ok() {
@@ -173,7 +179,11 @@ mod tests {
                 },
             );
         }
-        collect(&mut notices, &mut waiting, 0);
+        assert_eq!(
+            collect(&mut notices, &mut waiting, 0),
+            0,
+            "the store would have room"
+        );
         assert_eq!(waiting.len(), A_LOOK + 1);
         let last = waiting.back().unwrap();
         assert_eq!(
@@ -194,6 +204,18 @@ mod tests {
             collect(&mut notices, &mut waiting, 0);
         }
         assert!(waiting.len() <= WAITING + 100, "{}", waiting.len());
+        board.tell(
+            "a",
+            What::WindowRefused {
+                seq: 0,
+                why: String::new(),
+            },
+        );
+        assert_eq!(
+            collect(&mut notices, &mut waiting, 0),
+            1,
+            "the store has no room for it"
+        );
         board.tell(
             "a",
             What::State {

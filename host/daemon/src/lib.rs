@@ -39,7 +39,10 @@ mod routing;
 #[cfg(test)]
 mod simulation;
 mod states;
+mod store_health;
+mod store_queue;
 mod store_thread;
+mod store_watch;
 mod supervisor;
 mod switching_off;
 mod tank;

@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use crate::device::Order;
 use crate::learning::{Course, Learned, Learner, Lookup};
 use crate::machine::Machine;
-use crate::model::{Fit, What};
+use crate::model::{Fit, Record, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::supervisor::Devices;
@@ -67,6 +67,7 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms:
     if let Some(why) = &no_lookup {
         tracing::info!(device = learned.device, why, "no lookup");
     }
+    let store = store.writing_once(Record::Results);
     let stored = store.run(move |store| {
         store.record_result(&result, state.as_deref())?;
         if let Some(curve) = curve {

@@ -2,23 +2,14 @@
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use rusqlite::Connection;
 use rusqlite::backup::{Backup, StepResult};
 
 use super::folder::{self, RECORDS};
 use super::schema;
-use super::{Store, StoreError, database};
-
-impl Store {
-    /// As [`backup`].
-    ///
-    /// # Errors
-    /// As [`backup`].
-    pub fn backup(&self, to: &Path) -> Result<(), StoreError> {
-        backup(self.folder(), to)
-    }
-}
+use super::{StoreError, database};
 
 /// Copies a store to a new folder, whoever writes to it meanwhile, by SQLite's online backup. Results come
 /// first: every window that they speak of is in the copy, unless retention deleted it meanwhile. The new
@@ -26,7 +17,7 @@ impl Store {
 ///
 /// # Errors
 /// [`StoreError::Exists`] where there is such a folder, [`StoreError::NoStore`], else what the database or
-/// the operating system reports.
+/// the operating system reports. What was copied until then is removed, by the next backup or start if this process is killed.
 pub fn backup(from: &Path, to: &Path) -> Result<(), StoreError> {
     if fs::symlink_metadata(to).is_ok() {
         let path = to.to_owned();
@@ -36,21 +27,96 @@ pub fn backup(from: &Path, to: &Path) -> Result<(), StoreError> {
         let folder = from.to_owned();
         return Err(StoreError::NoStore { folder });
     }
-    let mut name = to.as_os_str().to_owned();
-    name.push(format!(".{}.partial", std::process::id()));
-    let partial = PathBuf::from(name);
-    let done = into_folder(from, &partial).and_then(|()| {
-        ihd_signal::atomic::rename(&partial, to).map_err(StoreError::files(to, "renaming"))
-    });
-    if done.is_err() {
-        // That it cannot be removed either is of no use here.
-        let _ = fs::remove_dir_all(&partial);
+    let partial = Partial::begin(to)?;
+    into_folder(from, &partial.folder)?;
+    ihd_signal::atomic::rename(&partial.folder, to).map_err(StoreError::files(to, "renaming"))
+}
+
+/// Ending of a folder that is being filled; its name begins with a dot, which no backup's does.
+const PARTIAL: &str = ".partial";
+
+/// Ending of the file beside it that is locked meanwhile.
+const LOCK: &str = ".lock";
+
+/// Tells the backups of one process apart.
+static BEGUN: AtomicU32 = AtomicU32::new(0);
+
+/// A backup that is being filled, under a name of its own; removed unless it was renamed.
+struct Partial {
+    folder: PathBuf,
+    lock: PathBuf,
+    /// Held until its process ends.
+    _held: File,
+}
+
+impl Partial {
+    /// Begins one beside `to`, and removes those that killed processes left there.
+    fn begin(to: &Path) -> Result<Self, StoreError> {
+        let parent = match to.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(parent).map_err(StoreError::files(parent, "making the folder"))?;
+        remove_leftovers(parent);
+        let name = to.file_name().unwrap_or_default().to_string_lossy();
+        let (process, n) = (std::process::id(), BEGUN.fetch_add(1, Ordering::Relaxed));
+        let folder = parent.join(format!(".{name}.{process}-{n}{PARTIAL}"));
+        let lock = beside(&folder, LOCK);
+        let begun = File::create(&lock).and_then(|held| {
+            held.try_lock()?;
+            fs::create_dir(&folder)?;
+            Ok(held)
+        });
+        let held = begun.map_err(StoreError::files(&folder, "making the folder"))?;
+        Ok(Self {
+            folder,
+            lock,
+            _held: held,
+        })
     }
-    done
+}
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        // It is not there after a renaming. That it cannot be removed is told by the next backup, which tries again.
+        let _ = fs::remove_dir_all(&self.folder);
+        let _ = fs::remove_file(&self.lock);
+    }
+}
+
+/// Removes backups that were not finished, and whose process is gone, from a folder of backups.
+pub(crate) fn remove_leftovers(backups: &Path) {
+    let Ok(entries) = fs::read_dir(backups) else {
+        return;
+    };
+    for entry in entries.flatten() {
+        let path = entry.path();
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if !name.starts_with('.') || !name.ends_with(&format!("{PARTIAL}{LOCK}")) {
+            continue;
+        }
+        let free = File::open(&path).is_ok_and(|file| file.try_lock().is_ok());
+        let partial = path.with_extension("");
+        if free {
+            if partial.exists() {
+                tracing::warn!(folder = %partial.display(), "removed: a backup that was not finished");
+            }
+            let gone = fs::remove_dir_all(&partial).is_ok() || !partial.exists();
+            if gone {
+                let _ = fs::remove_file(&path);
+            }
+        }
+    }
+}
+
+fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
 }
 
 fn into_folder(from: &Path, to: &Path) -> Result<(), StoreError> {
-    fs::create_dir_all(to).map_err(StoreError::files(to, "making the folder"))?;
     let source = database::open_to_read(&from.join(RECORDS), &schema::RECORDS)?;
     copy(&source, &to.join(RECORDS))?;
     for day in folder::days(from)? {

@@ -9,6 +9,7 @@ use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
 use super::StoreError;
 use super::error::is_damage;
+use super::folder;
 use super::schema::Schema;
 
 /// How long a connection waits for another one that writes.
@@ -35,9 +36,40 @@ pub enum Found {
 /// SQLite reports.
 pub fn open(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     in_the_way(path)?;
-    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
-        | OpenFlags::SQLITE_OPEN_CREATE
-        | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    if !path.exists() {
+        make(path, schema)?;
+    }
+    connect(path, schema, OpenFlags::SQLITE_OPEN_READ_WRITE)
+}
+
+/// Ending of the name that a database has until its tables are on disk.
+pub const MAKING: &str = ".new";
+
+/// Makes a database under another name, and renames it when it is whole: a file without tables is none that was left half-made.
+fn make(path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(MAKING);
+    let unfinished = Path::new(&name);
+    if unfinished.exists() {
+        folder::delete(unfinished)?;
+    }
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE;
+    let made = connect(unfinished, schema, flags).and_then(|connection| {
+        let closed = connection.close();
+        closed.map_err(|(_, error)| as_error(path, "making its tables")(error))
+    });
+    let named = made.and_then(|()| {
+        ihd_signal::atomic::rename(unfinished, path).map_err(StoreError::files(path, "renaming"))
+    });
+    if named.is_err() && unfinished.exists() {
+        // It is removed at the next start otherwise.
+        let _ = folder::delete(unfinished);
+    }
+    named
+}
+
+fn connect(path: &Path, schema: &Schema, flags: OpenFlags) -> Result<Connection, StoreError> {
+    let flags = flags | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let mut connection =
         Connection::open_with_flags(path, flags).map_err(as_error(path, "opening"))?;
     prepare(&mut connection, path, schema)?;
@@ -67,6 +99,12 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
     let opening = || as_error(path, "opening");
     connection.busy_timeout(BUSY).map_err(opening())?;
     let version = version(connection, path, schema)?;
+    if version == 0 && schema.shrinks {
+        // Before the first page is written.
+        connection
+            .pragma_update(None, "auto_vacuum", "INCREMENTAL")
+            .map_err(opening())?;
+    }
     // The first that reads the file: what is no database shows here.
     connection
         .pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get::<_, String>(0))
@@ -217,7 +255,7 @@ fn run_check(
     }
 }
 
-/// What is no file cannot be a database.
+/// What is no file, or has no byte, cannot be a database.
 fn in_the_way(path: &Path) -> Result<(), StoreError> {
     for ending in ["", "-wal", "-shm"] {
         let mut name = path.as_os_str().to_owned();
@@ -226,6 +264,9 @@ fn in_the_way(path: &Path) -> Result<(), StoreError> {
         match fs::metadata(path) {
             Ok(about) if !about.is_file() => {
                 return Err(damaged(path, "it is no file".to_owned()));
+            }
+            Ok(about) if about.len() == 0 && ending.is_empty() => {
+                return Err(damaged(path, "it is empty: 0 bytes".to_owned()));
             }
             _ => {}
         }

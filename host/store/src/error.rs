@@ -145,6 +145,43 @@ impl StoreError {
         }
     }
 
+    /// Returns `true` if another connection kept the database locked for longer than a write waits.
+    pub fn is_locked(&self) -> bool {
+        use ErrorCode::{DatabaseBusy, DatabaseLocked};
+        matches!(self.code(), Some(DatabaseBusy | DatabaseLocked))
+    }
+
+    /// Returns `true` if the files may not be written, or not opened.
+    pub fn is_denied(&self) -> bool {
+        use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        match self {
+            Self::Database { full: false, .. } => matches!(
+                self.code(),
+                Some(ErrorCode::PermissionDenied | ErrorCode::ReadOnly | ErrorCode::CannotOpen)
+            ),
+            Self::Files { source, .. } => {
+                matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem)
+            }
+            _ => false,
+        }
+    }
+
+    /// Returns `true` if the databases or their disk failed; `false` if what was asked for makes no sense, such as a lookup that is not
+    /// there.
+    pub fn is_of_storage(&self) -> bool {
+        matches!(
+            self,
+            Self::Database { .. } | Self::Files { .. } | Self::Damaged { .. }
+        )
+    }
+
+    fn code(&self) -> Option<ErrorCode> {
+        match self {
+            Self::Database { source, .. } => source.sqlite_error_code(),
+            _ => None,
+        }
+    }
+
     /// What `doing` something with `file` failed of.
     pub(crate) fn database(
         file: &Path,
@@ -200,6 +237,11 @@ fn is_full(error: &io::Error) -> bool {
 
 /// Whether a file as long as this one, and a few pages more, cannot be written beside it.
 fn has_no_room(file: &Path) -> bool {
+    write_beside(file, 1 << 16).is_err_and(|error| is_full(&error))
+}
+
+/// Writes so many bytes to a file beside this one, at the offset at which this one grows, and removes it.
+pub(crate) fn write_beside(file: &Path, bytes: usize) -> io::Result<()> {
     let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
     let mut log = file.as_os_str().to_owned();
     log.push("-wal");
@@ -208,10 +250,10 @@ fn has_no_room(file: &Path) -> bool {
     let tried = File::create(&path).and_then(|mut file| {
         // What is left out before it takes no room.
         file.seek(SeekFrom::Start(end))?;
-        file.write_all(&[0; 1 << 16])?;
+        file.write_all(&vec![0; bytes])?;
         file.sync_all()
     });
     // That it cannot be removed says nothing about room.
     let _ = fs::remove_file(&path);
-    tried.is_err_and(|error| is_full(&error))
+    tried
 }

@@ -8,9 +8,13 @@ use serde::Serialize;
 
 use super::StoreError;
 use super::clock::is_day;
+use super::database::MAKING;
 
 /// What holds everything but the windows.
 pub const RECORDS: &str = "ihd.db";
+
+/// Folder of backups that the daemon makes, in the store's.
+pub const BACKUPS: &str = "backups";
 
 /// Held by the process that writes.
 const LOCK: &str = "ihd.lock";
@@ -102,6 +106,14 @@ fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
     Ok(names)
 }
 
+/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned; older ones do not.
+pub fn shrinks(path: &Path) -> bool {
+    // The header's field "incremental vacuum mode": https://sqlite.org/fileformat2.html
+    let mut header = [0; 68];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
+    read.is_ok() && header[64..68] != [0; 4]
+}
+
 /// Bytes that a database takes, with what SQLite keeps beside it; nothing where it is not.
 pub fn size(path: &Path) -> u64 {
     let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
@@ -140,18 +152,24 @@ fn remove_if_there(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Removes what SQLite kept beside databases that are gone: it would be taken for that of a new one.
+/// Removes databases that were not made to the end, and what SQLite kept beside databases that are gone: it would be taken for that of a
+/// new one.
 ///
 /// # Errors
 /// What the operating system reports.
 pub fn remove_orphans(folder: &Path) -> Result<(), StoreError> {
+    let unfinished = format!(".db{MAKING}");
     for name in names(folder)? {
+        if name.ends_with(&unfinished) {
+            delete(&folder.join(&name))?;
+        }
         for ending in BESIDE {
             let Some(database) = name.strip_suffix(ending) else {
                 continue;
             };
             let path = folder.join(&name);
-            if database.ends_with(".db") && !folder.join(database).exists() && path.is_file() {
+            let is_ours = database.ends_with(".db") || database.ends_with(&unfinished);
+            if is_ours && !folder.join(database).exists() && path.is_file() {
                 remove_if_there(&path)?;
             }
         }

@@ -3,7 +3,7 @@
 //! ```text
 //!  ihd-store/
 //!    ihd.db                    devices, sessions, results, lookups, learned, events, audit: FULL
-//!    windows-2026-11-22.db     that day's windows, bit for bit: NORMAL; retention deletes such files
+//!    windows-2026-11-22.db     that day's windows, bit for bit: NORMAL; retention thins and deletes them
 //!    ihd.lock                  held by the one process that writes
 //!    ihd.db.damaged-…          set aside at a start, never read again
 //! ```
@@ -11,6 +11,7 @@
 //! [`Store`] writes, and is one process's; [`Reader`] reads beside it. What a method has returned `Ok` for is
 //! committed. docs/store.md has the tables, queries and what to do with a damaged file.
 
+mod age;
 mod backup;
 pub mod check;
 pub mod clock;
@@ -24,14 +25,19 @@ mod lookups;
 mod outbox;
 mod payload;
 mod reader;
+mod recent;
 mod results;
 mod retention;
+mod room;
 pub mod schema;
 mod settings;
+mod space;
 mod start;
 mod store;
 mod telemetry;
 mod text;
+mod thinning;
+mod trial;
 mod windows;
 
 pub use backup::backup;
@@ -46,6 +52,7 @@ pub use reader::{DeviceRow, Reader, SessionRow};
 pub use results::{NewResult, ResultFilter, ResultRow, Taught};
 pub use retention::Collected;
 pub use settings::{Keep, Retention, Settings, UnknownKeep};
+pub use space::{DaySpace, bytes_a_day};
 pub use start::Opened;
 pub use store::{Figures, Store};
 pub use telemetry::{Spread, TelemetryRead, TelemetrySecond, TelemetrySpan};

@@ -1,6 +1,6 @@
-//! What is deleted: whole days of windows, and the oldest rows of tables that only grow.
+//! What is deleted: days of windows that are too old, and the oldest rows of tables that only grow.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use rusqlite::Connection;
 use serde::Serialize;
@@ -27,18 +27,33 @@ pub struct Collected {
     pub rows: u64,
     /// Bytes that windows take now.
     pub bytes_left: u64,
-    /// Whether today's windows alone take more than windows may: their samples are then not kept.
-    pub today_is_too_large: bool,
+    /// Windows whose samples went to make room for newer ones.
+    pub thinned: u64,
+}
+
+/// Files that were deleted.
+#[derive(Debug, Default)]
+pub(crate) struct Deleted {
+    paths: Vec<PathBuf>,
+    bytes: u64,
+}
+
+impl Deleted {
+    fn add(&mut self, path: PathBuf, bytes: u64) {
+        self.paths.push(path);
+        self.bytes += bytes;
+    }
 }
 
 impl Store {
-    /// Deletes days of windows that are too old or too many, today's never; drops samples that tell
+    /// Deletes days of windows that are too old, today's never; thins windows that are too many (thinning.rs); drops samples that tell
     /// nothing, where the settings say so; brings the databases' logs into them, so that sizes are honest.
     ///
     /// # Errors
     /// What the database or the operating system reports; what was deleted until then is deleted.
     pub fn collect_garbage(&mut self) -> Result<Collected, StoreError> {
         let mut collected = Collected::default();
+        self.grow_older()?;
         if self.settings().keep == Keep::Telling {
             collected.samples_dropped = self.drop_what_tells_nothing()?;
         }
@@ -50,10 +65,27 @@ impl Store {
             checkpoint(&day.connection);
         }
         self.measure_other_days()?;
-        let (deleted, bytes) = self.delete_old_days()?;
-        (collected.deleted, collected.bytes) = (deleted, bytes);
+        let Deleted {
+            mut paths,
+            mut bytes,
+        } = self.delete_by_age()?;
+        let thinned = self.figures().thinned;
+        self.make_room()?;
+        // What thinning gave back is in the logs until then.
+        for day in self.days.each() {
+            checkpoint(&day.connection);
+        }
+        self.measure_other_days()?;
+        let Deleted {
+            paths: oldest,
+            bytes: of_oldest,
+        } = std::mem::take(&mut self.deleted);
+        paths.extend(oldest);
+        bytes += of_oldest;
+        (collected.deleted, collected.bytes) = (paths, bytes);
+        collected.thinned = self.figures().thinned - thinned;
         collected.bytes_left = self.other_days_bytes + folder::size(&self.path_of_today());
-        collected.today_is_too_large = !self.has_room_today()?;
+        self.tell_what_no_fleet_gets()?;
         Ok(collected)
     }
 
@@ -94,41 +126,72 @@ impl Store {
         Ok(())
     }
 
-    /// Deletes what is too old, and then the oldest until the rest fits, today's never.
-    pub(crate) fn delete_old_days(&mut self) -> Result<(Vec<PathBuf>, u64), StoreError> {
-        let retention = self.settings().retention;
-        let now = self.now();
-        let today = clock::day(now);
-        let first_kept = retention.max_age_days.map(|days| {
-            let age_ms = i64::from(days).saturating_mul(DAY_MS);
-            clock::day(now.saturating_sub(age_ms).max(0))
-        });
-        let today_bytes = self.today_bytes()?;
-        let (mut deleted, mut bytes) = (Vec::new(), 0);
+    /// Deletes days that are older than the settings say, today's never. Age is time in use: no clock makes a day old.
+    pub(crate) fn delete_by_age(&mut self) -> Result<Deleted, StoreError> {
+        let mut deleted = Deleted::default();
+        let today = clock::day(self.now());
+        self.age_of(&today)?;
+        let Some(days) = self.settings().retention.max_age_days else {
+            return Ok(deleted);
+        };
+        // The day itself, and so many more.
+        let most_ms = i64::from(days).saturating_add(1).saturating_mul(DAY_MS);
         for (day, path) in self.by_age(&today)? {
-            let too_old = first_kept.as_ref().is_some_and(|first| day < *first);
-            let too_many = self.other_days_bytes + today_bytes > retention.max_bytes;
-            if !(too_old || too_many) {
-                continue;
+            if self.age_of(&day)? >= most_ms {
+                deleted.add(path.clone(), self.delete_day(&day, &path)?);
             }
-            self.tell_lost_to_fleet(&day)?;
-            self.days.close(&path);
-            let freed = folder::delete(&path)?;
-            self.other_days_bytes = self.other_days_bytes.saturating_sub(freed);
-            tracing::info!(file = %path.display(), bytes = freed, "deleted: retention");
-            bytes += freed;
-            deleted.push(path);
         }
-        Ok((deleted, bytes))
+        Ok(deleted)
+    }
+
+    /// Deletes the oldest file that is not today's and that `which` takes; false where there is none.
+    pub(crate) fn delete_oldest(
+        &mut self,
+        which: impl Fn(&Path) -> bool,
+    ) -> Result<bool, StoreError> {
+        let today = clock::day(self.now());
+        let oldest = self
+            .by_age(&today)?
+            .into_iter()
+            .find(|(_, path)| which(path));
+        let Some((day, path)) = oldest else {
+            return Ok(false);
+        };
+        let bytes = self.delete_day(&day, &path)?;
+        self.deleted.add(path, bytes);
+        Ok(true)
+    }
+
+    fn delete_day(&mut self, day: &str, path: &PathBuf) -> Result<u64, StoreError> {
+        self.tell_lost_to_fleet(day)?;
+        self.days.close(path);
+        let freed = folder::delete(path)?;
+        self.other_days_bytes = self.other_days_bytes.saturating_sub(freed);
+        if !folder::of_day(self.folder(), day).exists() {
+            self.forget_age_of(day)?;
+        }
+        tracing::info!(file = %path.display(), bytes = freed, "deleted: retention");
+        Ok(freed)
     }
 
     /// A day that goes before a fleet has got all of it is told.
     fn tell_lost_to_fleet(&mut self, day: &str) -> Result<(), StoreError> {
         // A damaged one tells nothing.
-        let lost = self.count_due_of(day).unwrap_or(0);
-        if lost == 0 {
-            return Ok(());
+        match self.count_due_of(day).unwrap_or(0) {
+            0 => Ok(()),
+            lost => self.tell_lost(day, lost),
         }
+    }
+
+    /// Windows whose samples went before a fleet had them are told, for each day.
+    fn tell_what_no_fleet_gets(&mut self) -> Result<(), StoreError> {
+        for (day, lost) in std::mem::take(&mut self.lost_to_fleet) {
+            self.tell_lost(&day, lost)?;
+        }
+        Ok(())
+    }
+
+    fn tell_lost(&mut self, day: &str, lost: u64) -> Result<(), StoreError> {
         let text =
             format!("{lost} windows of {day} that the fleet had not got are deleted: retention");
         tracing::warn!("{text}");
@@ -157,7 +220,7 @@ impl Store {
         folder::of_day(self.folder(), &clock::day(self.now()))
     }
 
-    fn today_bytes(&self) -> Result<u64, StoreError> {
+    pub(crate) fn today_bytes(&self) -> Result<u64, StoreError> {
         let path = self.path_of_today();
         let today = self.days.today.as_ref();
         match today.filter(|day| day.file.path == path) {
@@ -165,23 +228,10 @@ impl Store {
             None => Ok(folder::size(&path)),
         }
     }
-
-    /// Whether samples may be kept now, after the oldest days have made room.
-    pub(crate) fn has_room_today(&mut self) -> Result<bool, StoreError> {
-        let max = self.settings().retention.max_bytes;
-        let today = self.today_bytes()?;
-        if self.other_days_bytes.saturating_add(today) <= max {
-            return Ok(true);
-        }
-        if today <= max {
-            self.delete_old_days()?;
-        }
-        Ok(self.other_days_bytes.saturating_add(today) <= max)
-    }
 }
 
 /// Brings a database's log into it. A reader may keep it from that for now.
-fn checkpoint(connection: &Connection) {
+pub(crate) fn checkpoint(connection: &Connection) {
     let done = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
     if let Err(error) = done {
         tracing::debug!(%error, "checkpoint");

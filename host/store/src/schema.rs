@@ -9,6 +9,8 @@ pub struct Schema {
     pub steps: &'static [&'static str],
     /// Tables that each step makes: they must be there from its version on.
     pub tables: &'static [&'static [&'static str]],
+    /// Whether freed pages go back to the disk on demand: SQLite's `auto_vacuum = INCREMENTAL`.
+    pub shrinks: bool,
     /// SQLite's `synchronous`: FULL lasts when the power fails, NORMAL when the process does.
     pub synchronous: &'static str,
 }
@@ -20,22 +22,25 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 /// `ihd.db`.
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
-    steps: &[RECORDS_1, RECORDS_2, RECORDS_3],
+    steps: &[RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4],
     tables: &[
         &[
             "devices", "sessions", "results", "lookups", "learned", "events", "audit",
         ],
         &[],
         &["fleet"],
+        &["used"],
     ],
+    shrinks: false,
     synchronous: "FULL",
 };
 
 /// `windows-YYYY-MM-DD.db`.
 pub static WINDOWS: Schema = Schema {
     application_id: WINDOWS_ID,
-    steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3],
-    tables: &[&["windows"], &["telemetry", "trajectories"], &[]],
+    steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3, WINDOWS_4],
+    tables: &[&["windows"], &["telemetry", "trajectories"], &[], &[]],
+    shrinks: true,
     synchronous: "NORMAL",
 };
 
@@ -233,4 +238,18 @@ const WINDOWS_3: &str = "
 ALTER TABLE windows ADD COLUMN fleet INTEGER CHECK (fleet IN (0, 1, 2));
 CREATE INDEX windows_due ON windows (at_ms) WHERE fleet = 0;
 CREATE INDEX windows_unanswered ON windows (at_ms) WHERE fleet = 1;
+";
+
+const RECORDS_4: &str = "
+-- How long the store was in use, in steps that no clock can stretch: retention tells the age of a day by it.
+CREATE TABLE used (
+    day     TEXT PRIMARY KEY,              -- when a day's file was seen first; '' is now
+    used_ms INTEGER NOT NULL
+) STRICT;
+";
+
+const WINDOWS_4: &str = "
+-- Windows with samples in the order in which they came: retention goes through them. Where samples went to make room, not_kept is
+-- 'thinned'.
+CREATE INDEX windows_with_samples ON windows (id) WHERE not_kept IS NULL;
 ";

@@ -19,10 +19,10 @@ pub struct Settings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Retention {
-    /// Days after which a day's windows are deleted; none for never.
+    /// Days in use after which a day's windows are deleted; `None` for never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_age_days: Option<u32>,
-    /// Bytes that all windows may take on disk: the oldest days are deleted first, today's never.
+    /// Bytes that all windows may take on disk: beyond it older ones are thinned, the newest stay.
     pub max_bytes: u64,
 }
 

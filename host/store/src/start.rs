@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use rusqlite::Connection;
 
+use super::backup;
 use super::clock::{self, Clock};
 use super::database::{self, Found};
 use super::folder::{self, Damage, Lock};
@@ -50,6 +51,7 @@ impl Store {
         fs::create_dir_all(folder).map_err(StoreError::files(folder, "making the folder"))?;
         let lock = Lock::take(folder)?;
         folder::remove_orphans(folder)?;
+        backup::remove_leftovers(&folder.join(folder::BACKUPS));
         let mut damage = Vec::new();
         let at_ms = clock();
         let path = folder.join(folder::RECORDS);
@@ -57,6 +59,7 @@ impl Store {
         check_days(folder, at_ms, &mut damage)?;
         let mut store = Store::new(folder, settings, clock, records, lock)?;
         store.end_sessions_that_were_cut_off()?;
+        store.resume_recent()?;
         for found in &damage {
             store.event(None, "damage", &in_words(found))?;
         }

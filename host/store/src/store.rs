@@ -1,6 +1,6 @@
 //! The store that one process writes: devices, sessions, windows as they come.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use ihd_link::Window;
@@ -10,7 +10,10 @@ use serde::Serialize;
 
 use super::clock::{self, Clock};
 use super::folder::{self, DayFile, Lock};
+use super::recent::{self, Recent};
+use super::retention::{Deleted, checkpoint};
 use super::text::printable;
+use super::thinning::Thinning;
 use super::windows::{Day, Kept, NotKept, OpenDays};
 use super::{DeviceId, Keep, SessionId, Settings, StoreError, start};
 
@@ -31,6 +34,16 @@ pub struct Store {
     pub(crate) none_due_to: Option<String>,
     /// The day of which was told that its windows are too many.
     told_too_large: Option<String>,
+    /// Windows of the last hour.
+    pub(crate) recent: Recent,
+    /// How far older windows are thinned.
+    pub(crate) thinning: Thinning,
+    /// Windows of days whose samples went before a fleet had them, not told yet.
+    pub(crate) lost_to_fleet: BTreeMap<String, u64>,
+    /// Files that were deleted to make room, not told yet.
+    pub(crate) deleted: Deleted,
+    /// When the last collection was, by the clock of then.
+    pub(crate) collected_ms: Option<i64>,
     /// Let go last.
     _lock: Lock,
 }
@@ -54,9 +67,14 @@ pub struct Figures {
     pub windows_known: u64,
     /// Windows stored without their samples because the policy says so.
     pub not_kept_by_policy: u64,
-    /// Windows stored without their samples because today's take all that windows may.
+    /// Windows stored without their samples because no room could be made.
     pub not_kept_for_size: u64,
+    /// Windows whose samples went to make room for newer ones.
+    pub thinned: u64,
 }
+
+/// One in so many parts of what windows may take is what they may be beyond it, until room is made.
+const BEYOND: u64 = 10;
 
 const END_CUT_OFF: &str = "UPDATE sessions SET ended_ms = ?1,
     why = 'cut off: the process ended without ending it' WHERE ended_ms IS NULL";
@@ -90,6 +108,11 @@ impl Store {
             figures: Figures::default(),
             none_due_to: None,
             told_too_large: None,
+            recent: Recent::default(),
+            thinning: Thinning::default(),
+            lost_to_fleet: BTreeMap::new(),
+            deleted: Deleted::default(),
+            collected_ms: None,
             _lock: lock,
         })
     }
@@ -115,12 +138,20 @@ impl Store {
         }
     }
 
+    pub(crate) fn figures_mut(&mut self) -> &mut Figures {
+        &mut self.figures
+    }
+
     pub(crate) fn settings(&self) -> &Settings {
         &self.settings
     }
 
     pub(crate) fn records(&self) -> &Connection {
         &self.records
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
     }
 
     pub(crate) fn now(&self) -> i64 {
@@ -311,6 +342,10 @@ impl Store {
         if is_due && self.none_due_to.as_ref() >= Some(&today.file.day) {
             self.none_due_to = None;
         }
+        if kept == Kept::New {
+            let row = today.connection.last_insert_rowid();
+            self.recent.note(&today.file.day, row, at_ms);
+        }
         self.count(kept, not_kept);
         if kept == Kept::New {
             self.session(session)?.windows = windows.wrapping_add(1);
@@ -325,12 +360,15 @@ impl Store {
         {
             return Ok(Some(NotKept::Policy));
         }
-        if self.has_room_today()? {
+        if let Err(error) = self.make_room() {
+            tracing::warn!(%error, "room for newer windows could not be made");
+        }
+        let max = self.settings.retention.max_bytes;
+        if self.excess_bytes()? <= max / BEYOND {
             return Ok(None);
         }
         let today = self.days.today.as_ref().map(|day| day.file.day.clone());
         if self.told_too_large != today {
-            let max = self.settings.retention.max_bytes;
             let text = format!(
                 "today's windows take all of the {max} bytes that windows may: their samples are not kept"
             );
@@ -370,9 +408,31 @@ impl Store {
             None => self.last_day_before(day)?,
         };
         self.days.before = before.filter(|before| before.file.day != day);
-        self.days.today = Some(Day::open(file)?);
+        if let Some(before) = &self.days.before {
+            // From now on its room is what it takes on the disk.
+            checkpoint(&before.connection);
+        }
+        let today = Day::open(file)?;
+        self.days.today = Some(today);
+        self.days.thinned = None;
+        self.thinning = Thinning::default();
         self.measure_other_days()?;
-        self.delete_old_days()?;
+        self.delete_by_age()?;
+        Ok(())
+    }
+
+    /// Finds the windows of the last hour of those that are there, whatever the clock says.
+    pub(crate) fn resume_recent(&mut self) -> Result<(), StoreError> {
+        let mut left_ms = recent::LAST_MS;
+        for file in folder::days(&self.folder)?.into_iter().rev() {
+            let day = Day::open(file)?;
+            let (first, span_ms) = day.first_row_within(left_ms)?;
+            self.recent.resume(&day.file.day, first);
+            left_ms -= span_ms + recent::LONGEST_STEP_MS;
+            if left_ms <= 0 {
+                break;
+            }
+        }
         Ok(())
     }
 
@@ -382,25 +442,18 @@ impl Store {
         days.pop().map(Day::open).transpose()
     }
 
-    /// A day's file broke while it was written: the store goes on with a new one.
+    /// A day's file broke while it was opened or written: the store goes on with a new one.
     pub(crate) fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
-        for day in [self.days.today.take(), self.days.before.take()] {
-            let Some(day) = day else { continue };
-            let path = day.path().to_owned();
-            drop(day);
-            let broken = match error {
-                StoreError::Damaged { file, .. } | StoreError::Database { file, .. } => {
-                    *file == path
-                }
-                _ => false,
-            };
-            if broken {
-                let damage = folder::set_aside(&path, error.to_string(), self.now())?;
-                tracing::error!("{}", start::in_words(&damage));
-                self.event(None, "damage", &start::in_words(&damage))?;
-            }
+        let (StoreError::Damaged { file, .. } | StoreError::Database { file, .. }) = error else {
+            return Ok(());
+        };
+        self.days = OpenDays::default();
+        if *file == self.path {
+            return Ok(());
         }
-        Ok(())
+        let damage = folder::set_aside(file, error.to_string(), self.now())?;
+        tracing::error!("{}", start::in_words(&damage));
+        self.event(None, "damage", &start::in_words(&damage))
     }
 
     /// Drops a window's samples where they are. That it fails is told, and does no harm: a collection does

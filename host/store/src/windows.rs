@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::folder::DayFile;
 use super::schema::WINDOWS;
+use super::thinning::Candidate;
 use super::{StoreError, database, payload};
 
 /// Whether a window was new.
@@ -29,6 +30,8 @@ pub(crate) enum NotKept {
     TellsNothing,
     /// Today's windows take all that windows may.
     Size,
+    /// Newer windows needed its room.
+    Thinned,
 }
 
 impl NotKept {
@@ -37,6 +40,7 @@ impl NotKept {
             Self::Policy => "policy",
             Self::TellsNothing => "tells nothing",
             Self::Size => "size",
+            Self::Thinned => "thinned",
         }
     }
 }
@@ -76,6 +80,9 @@ pub struct WindowFilter {
     /// That of this number alone.
     pub seq: Option<u32>,
 }
+
+/// Pages that are given back at once: 4 MiB.
+const PAGES_AT_ONCE: i64 = 1_024;
 
 /// A day's database, open.
 pub(crate) struct Day {
@@ -208,6 +215,119 @@ impl Day {
         read().map_err(self.failed("looking for windows"))
     }
 
+    /// The last row; 0 for a day without windows.
+    pub(crate) fn last_row(&self) -> Result<i64, StoreError> {
+        let sql = "SELECT coalesce(max(id), 0) FROM windows";
+        let last = self.connection.query_row(sql, [], |row| row.get(0));
+        last.map_err(self.failed("looking for the last window"))
+    }
+
+    /// The first of the rows that were stored within `span_ms` before the last one, by bisection, and how long before.
+    pub(crate) fn first_row_within(&self, span_ms: i64) -> Result<(i64, i64), StoreError> {
+        let at = |id: i64| {
+            let sql = "SELECT at_ms FROM windows WHERE id <= ?1 ORDER BY id DESC LIMIT 1";
+            let at = self
+                .connection
+                .query_row(sql, [id], |row| row.get::<_, i64>(0));
+            at.map_err(self.failed("looking for the last windows"))
+        };
+        let (mut before, mut first) = (0, self.last_row()?);
+        if first == 0 {
+            return Ok((1, 0));
+        }
+        let last_ms = at(first)?;
+        let from_ms = last_ms.saturating_sub(span_ms);
+        while first - before > 1 {
+            let middle = before + (first - before) / 2;
+            match at(middle)? >= from_ms {
+                true => first = middle,
+                false => before = middle,
+            }
+        }
+        Ok((first, last_ms.saturating_sub(at(first)?).clamp(0, span_ms)))
+    }
+
+    /// Windows with samples after a row and before another, in the order in which they came.
+    pub(crate) fn with_samples(
+        &self,
+        after: i64,
+        until: Option<i64>,
+        limit: usize,
+    ) -> Result<Vec<Candidate>, StoreError> {
+        let read = || {
+            let mut statement = self.connection.prepare(
+                "SELECT id, device, boot, seq, at_ms, fleet IS 0
+                 FROM windows INDEXED BY windows_with_samples
+                 WHERE not_kept IS NULL AND id > ?1 AND id < ?2 ORDER BY id LIMIT ?3",
+            )?;
+            let until = until.unwrap_or(i64::MAX);
+            let rows = statement.query_map(params![after, until, limit as i64], |row| {
+                Ok(Candidate {
+                    id: row.get(0)?,
+                    device: row.get(1)?,
+                    boot: row.get(2)?,
+                    seq: row.get(3)?,
+                    at_ms: row.get(4)?,
+                    is_due: row.get(5)?,
+                })
+            })?;
+            rows.collect::<rusqlite::Result<_>>()
+        };
+        read().map_err(self.failed("looking for room"))
+    }
+
+    /// Drops the samples of these windows; a fleet will not get those that come with `true`.
+    pub(crate) fn thin(&self, gone: &[(&Candidate, bool)], why: NotKept) -> Result<(), StoreError> {
+        let thin = || {
+            let change = self.connection.unchecked_transaction()?;
+            {
+                let mut windows = change.prepare(
+                    "UPDATE windows SET not_kept = ?2, pairs_zst = NULL, trajectory_zst = NULL,
+                     fleet = iif(?3, NULL, fleet) WHERE id = ?1",
+                )?;
+                let mut trajectories = change.prepare(
+                    "DELETE FROM trajectories WHERE device = ?1 AND boot = ?2 AND seq = ?3",
+                )?;
+                for (window, never_sent) in gone {
+                    windows.execute(params![window.id, why.word(), never_sent])?;
+                    trajectories.execute(params![window.device, window.boot, window.seq])?;
+                }
+            }
+            change.commit()
+        };
+        thin().map_err(self.failed("making room"))
+    }
+
+    /// Gives pages that are not used back to the disk, at most so many that no window waits long; how many bytes the database is shorter.
+    pub(crate) fn give_back(&self) -> Result<u64, StoreError> {
+        let bytes = || -> Result<i64, StoreError> {
+            let pages = self.pragma("page_count")?;
+            Ok(pages.saturating_mul(self.pragma("page_size")?))
+        };
+        let before = bytes()?;
+        let free = self.pragma("freelist_count")?.min(PAGES_AT_ONCE);
+        if free == 0 {
+            return Ok(0);
+        }
+        let vacuum = || {
+            let sql = format!("PRAGMA incremental_vacuum({free})");
+            let mut statement = self.connection.prepare(&sql)?;
+            // A page a row.
+            let mut rows = statement.query([])?;
+            while rows.next()?.is_some() {}
+            Ok(())
+        };
+        vacuum().map_err(self.failed("giving room back"))?;
+        Ok(u64::try_from(before.saturating_sub(bytes()?)).unwrap_or(0))
+    }
+
+    fn pragma(&self, name: &str) -> Result<i64, StoreError> {
+        let value = self
+            .connection
+            .pragma_query_value(None, name, |row| row.get(0));
+        value.map_err(self.failed("measuring"))
+    }
+
     /// Drops a window's samples; false where it has none here.
     pub(crate) fn drop_samples(
         &self,
@@ -237,14 +357,8 @@ impl Day {
 
     /// Bytes in use; what was freed is used again before the file grows.
     pub(crate) fn used_bytes(&self) -> Result<u64, StoreError> {
-        let pragma = |name: &str| {
-            let value = self
-                .connection
-                .pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-            value.map_err(self.failed("measuring"))
-        };
-        let pages = pragma("page_count")? - pragma("freelist_count")?;
-        let bytes = pages.saturating_mul(pragma("page_size")?);
+        let pages = self.pragma("page_count")? - self.pragma("freelist_count")?;
+        let bytes = pages.saturating_mul(self.pragma("page_size")?);
         Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
@@ -383,21 +497,22 @@ impl Stored {
     }
 }
 
-/// Today's windows, and those of the day before, which verdicts still come for after midnight.
+/// Today's windows, those of the day before, which verdicts still come for after midnight, and those of the day that is being thinned.
 #[derive(Default)]
 pub(crate) struct OpenDays {
     pub(crate) today: Option<Day>,
     pub(crate) before: Option<Day>,
+    pub(crate) thinned: Option<Day>,
 }
 
 impl OpenDays {
     pub(crate) fn each(&self) -> impl Iterator<Item = &Day> {
-        self.today.iter().chain(&self.before)
+        self.today.iter().chain(&self.before).chain(&self.thinned)
     }
 
     /// Closes a day's database, if it is open.
     pub(crate) fn close(&mut self, path: &PathBuf) {
-        for day in [&mut self.today, &mut self.before] {
+        for day in [&mut self.today, &mut self.before, &mut self.thinned] {
             if day.as_ref().is_some_and(|open| open.file.path == *path) {
                 *day = None;
             }

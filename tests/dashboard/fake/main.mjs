@@ -89,7 +89,10 @@ async function answer(request, response) {
   const parts = url.pathname.split('/').filter(Boolean).map(decodeURIComponent);
   if (url.pathname === '/') return page(response, 'index.html');
   if (parts[0] === 'page') return page(response, parts.slice(1).join('/'));
-  if (url.pathname === '/healthz') return json(response, 200, { service: 'ihd', store: true, supervisor: true });
+  if (url.pathname === '/healthz') {
+    const failure = options.storeFailure ?? null;
+    return json(response, failure ? 503 : 200, { service: 'ihd', store: !failure, store_failure: failure, supervisor: true });
+  }
   const body = await bodyOf(request);
   if (parts[0] === 'fake') return fake(response, parts[1], body);
   if (options.slowMs) await new Promise((done) => setTimeout(done, options.slowMs));

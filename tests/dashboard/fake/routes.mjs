@@ -148,6 +148,11 @@ export function mend(daemon, options, what, body) {
       return {};
     case 'fleet':
       return daemon.fleet.change(body);
+    case 'store':
+      // As a daemon's store that fails, and is well again with null.
+      options.storeFailure = body.failure ?? null;
+      daemon.tell(null, 'store', { ok: !body.failure, text: body.failure?.text ?? 'the store works again' });
+      return { failure: options.storeFailure };
     case 'slow':
       options.slowMs = body.ms ?? 0;
       return { slow_ms: options.slowMs };

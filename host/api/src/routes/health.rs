@@ -8,32 +8,34 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
-use ihd_daemon::model::{DeviceReport, DeviceState};
+use ihd_daemon::board::now_ms;
+use ihd_daemon::model::{DeviceReport, DeviceState, StoreFailure};
 
 use super::App;
 use crate::backend::Alive;
 use crate::model::{Health, Problem};
 use crate::prometheus::Exposition;
 
-/// Whether the daemon works; needs no token.
+/// Whether the daemon works; needs no token. A store that drops records says why, since when, which, and what to do.
 #[utoipa::path(get, path = "/healthz", tag = "daemon",
     responses((status = 200, body = Health), (status = 503, body = Health)))]
 pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<Health>) {
-    let alive = app.backend.alive().await.unwrap_or(Alive {
-        store: false,
+    let alive = app.backend.alive().await.unwrap_or_else(|_| Alive {
+        store_failure: Some(StoreFailure::silent(now_ms())),
         supervisor: false,
         audit: false,
     });
-    let status = if alive.store && alive.supervisor {
+    let health = Health {
+        service: "ihd".into(),
+        store: alive.store_failure.is_none(),
+        store_failure: alive.store_failure,
+        supervisor: alive.supervisor,
+        audit: alive.audit,
+    };
+    let status = if health.store && health.supervisor {
         StatusCode::OK
     } else {
         StatusCode::SERVICE_UNAVAILABLE
-    };
-    let health = Health {
-        service: "ihd".into(),
-        store: alive.store,
-        supervisor: alive.supervisor,
-        audit: alive.audit,
     };
     (status, Json(health))
 }
@@ -44,10 +46,13 @@ pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<He
         (status = 401, body = Problem)))]
 pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     let mut text = Exposition::default();
+    let mut family = "";
     for figure in app.backend.figures() {
         let kind = if figure.counter { "counter" } else { "gauge" };
-        text.family(figure.name, figure.help, kind);
-        text.sample(figure.name, &[], figure.value);
+        if figure.name != std::mem::replace(&mut family, figure.name) {
+            text.family(figure.name, figure.help, kind);
+        }
+        text.sample(figure.name, figure.label.as_slice(), figure.value);
     }
     own(&mut text, &app);
     devices(&mut text, &app.backend.devices());

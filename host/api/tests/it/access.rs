@@ -1,6 +1,7 @@
 //! Who is refused, with which status and words.
 
 use ihd_api::access::{Role, tokens::Tokens};
+use ihd_daemon::model::{Dropped, StoreCause, StoreFailure};
 
 use crate::backend::Running;
 use crate::http::{ask, raw};
@@ -237,10 +238,25 @@ fn a_backup_stays_in_its_folder_and_overwrites_nothing() {
 }
 
 #[test]
-fn health_says_what_is_dead() {
+fn health_says_what_is_dropped_why_and_what_to_do() {
     let server = Running::start();
-    server.fake.asked.lock().unwrap().store_dead = true;
-    let (status, body) = ask(server.address, "GET /healthz", &[], "");
-    assert_eq!(status, 503);
-    assert!(body.contains("\"store\":false"), "{body}");
+    let health = || {
+        let (status, body) = ask(server.address, "GET /healthz", &[], "");
+        (
+            status,
+            serde_json::from_str::<ihd_api::model::Health>(&body).unwrap(),
+        )
+    };
+    let (status, well) = health();
+    assert_eq!((status, well.store, well.store_failure), (200, true, None));
+    let dropped = Dropped {
+        windows: 7,
+        ..Dropped::default()
+    };
+    let failure = StoreFailure::new(StoreCause::DiskFull, 1_795_348_800_000, dropped);
+    server.fake.asked.lock().unwrap().store_failure = Some(failure.clone());
+    let (status, ill) = health();
+    assert_eq!((status, ill.store), (503, false));
+    assert!(failure.text.contains("full") && failure.advice.contains("Free space"));
+    assert_eq!(ill.store_failure, Some(failure));
 }

@@ -12,7 +12,7 @@ use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
     Command, CommandError, DeviceReport, DeviceState, Done, Fit, FleetReport, History, Hob,
     JournalEntry, Lease, Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve,
-    PotPoint, RecordingFile, Scope, WindowCounts, WindowSummary, WindowWanted,
+    PotPoint, RecordingFile, Scope, StoreFailure, WindowCounts, WindowSummary, WindowWanted,
 };
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc, watch};
@@ -36,7 +36,7 @@ pub struct Asked {
     pub trainings: Vec<usize>,
     pub maps: Vec<Option<u32>>,
     pub journals: Vec<JournalFilter>,
-    pub store_dead: bool,
+    pub store_failure: Option<StoreFailure>,
     /// What it knows of a fleet; none at first.
     pub fleet: Option<Arc<FleetReport>>,
 }
@@ -373,17 +373,26 @@ impl Backend for Fake {
     }
 
     fn figures(&self) -> Vec<Figure> {
-        vec![Figure {
+        let queue = Figure {
             name: "store_queue",
             help: "Jobs that wait for the store",
+            label: None,
             counter: false,
             value: 2.0,
-        }]
+        };
+        let dropped = |kind, value| Figure {
+            name: "store_dropped_total",
+            help: "Records that are in no store",
+            label: Some(("record", kind)),
+            counter: true,
+            value,
+        };
+        vec![queue, dropped("windows", 7.0), dropped("audits", 0.0)]
     }
 
     fn alive(&self) -> Answer<'_, Alive> {
         answer(Ok(Alive {
-            store: !self.asked.lock().unwrap().store_dead,
+            store_failure: self.asked.lock().unwrap().store_failure.clone(),
             supervisor: true,
             audit: true,
         }))

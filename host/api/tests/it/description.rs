@@ -171,6 +171,7 @@ fn metrics_are_in_prometheus_text_format() {
             let (name, kind) = rest.split_once(' ').unwrap();
             assert!(["counter", "gauge"].contains(&kind), "{line}");
             assert_eq!(kind == "counter", name.ends_with("_total"), "{line}");
+            assert_ne!(family, name, "a family is described once");
             family = name.into();
         } else if !line.starts_with("# HELP ") {
             assert!(line.starts_with(&family), "{line} is not of {family}");
@@ -182,6 +183,8 @@ fn metrics_are_in_prometheus_text_format() {
     assert!(samples > 20, "{text}");
     for line in [
         "ihd_store_queue 2",
+        "ihd_store_dropped_total{record=\"windows\"} 7",
+        "ihd_store_dropped_total{record=\"audits\"} 0",
         "ihd_windows_total{device=\"serial:/dev/tty ä\",fate=\"stored\"} 11",
         "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"faulted\"} 1",
         "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"idle\"} 0",

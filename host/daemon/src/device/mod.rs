@@ -32,7 +32,7 @@ use crate::history::Seconds;
 use crate::learning::{Learner, Lookup};
 use crate::lease::LeaseId;
 use crate::machine::Machine;
-use crate::model::{Command, CommandError, DeviceState, Done, What};
+use crate::model::{Command, CommandError, DeviceState, Done, Record, What};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::{OpenDevice, TruthOf};
@@ -98,7 +98,8 @@ impl Context {
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
     ) -> Option<T> {
-        let done = tokio::time::timeout(STORE_WITHIN, self.store.run(f)).await;
+        let store = self.store.writing(Record::State);
+        let done = tokio::time::timeout(STORE_WITHIN, store.run(f)).await;
         done.ok()?.ok()
     }
 

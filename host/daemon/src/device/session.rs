@@ -26,10 +26,11 @@ use crate::face::Face;
 use crate::learning::{Lookup, Task, Work, curve_of};
 use crate::lease::{LeaseId, LeaseOver};
 use crate::ledger::Arrival;
-use crate::model::{DeviceState, What};
+use crate::model::{DeviceState, Record, What};
 use crate::pot_watch::words;
 use crate::printable::printable;
 use crate::states::{live, of_telemetry, pot_change};
+use crate::store_thread::StoreAccess;
 use crate::switching_off::switch_off;
 
 /// How often the session looks at the clock, and shows what the device does.
@@ -337,12 +338,16 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// An event for the store; where it has no room, for the log alone.
+    /// An event for the store; if it has no room, for the log alone, and counted.
     pub(super) fn note(&self, kind: &'static str, text: &str) {
         let (device, text) = (self.device, printable(text));
-        self.context
-            .store
-            .offer(move |store| store.event(device, kind, &text));
+        let store = self.store().writing_once(Record::Events);
+        store.offer(move |store| store.event(device, kind, &text));
+    }
+
+    /// The store, in this device's lane.
+    fn store(&self) -> StoreAccess {
+        self.context.store.of_device(&self.face.name)
     }
 
     async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), Ended> {
@@ -459,6 +464,10 @@ impl<'a> Session<'a> {
         let teaches = told.is_none_or(|(_, heats, _)| *heats);
         let power_w = told.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3);
         let ids = self.device.zip(self.session);
+        if ids.is_none() {
+            // The store did not take the connection, which a window's row refers to.
+            self.context.store.dropped(Record::Windows, 1);
+        }
         let ids = ids.filter(|_| self.windows_allowed.take());
         let truth = match ids {
             Some(_) => self.truth_of(half_cycle).await,
@@ -468,7 +477,8 @@ impl<'a> Session<'a> {
             let face = Arc::clone(self.face);
             let learner = Arc::clone(&self.context.learner);
             let trust = Arc::clone(&self.context.trust);
-            self.context.store.offer(move |store| {
+            let store = self.store().writing_once(Record::Windows);
+            store.offer(move |store| {
                 let for_fleet = teaches && trust.is_edge;
                 let kept = store.keep_window_for(session, &window, for_fleet);
                 let mut inner = face.lock();

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::device::Context;
 use crate::history::Seconds;
+use crate::model::Record;
 use crate::store_thread::StoreThread;
 
 /// Between two writes: what a daemon that is killed loses of its history at most.
@@ -21,13 +22,8 @@ pub async fn keep(context: Context) {
         let now_ms = context.machine.now_ms();
         write(&context.seconds, &context.store, now_ms, false).await;
         let dropped = context.seconds.dropped();
-        if dropped > told {
-            let seconds = dropped - std::mem::replace(&mut told, dropped);
-            tracing::warn!(
-                seconds,
-                "the store cannot keep up: seconds of telemetry were dropped"
-            );
-        }
+        let seconds = dropped - std::mem::replace(&mut told, dropped);
+        context.store.dropped(Record::Telemetry, seconds);
     }
 }
 
@@ -37,6 +33,7 @@ pub async fn write(seconds: &Seconds, store: &StoreThread, now_ms: i64, all: boo
     if batch.is_empty() {
         return;
     }
+    let store = store.writing(Record::Telemetry);
     let kept = store.run(move |store| store.keep_telemetry(&batch)).await;
     match kept {
         Ok(_) => seconds.written(),

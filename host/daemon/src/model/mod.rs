@@ -9,6 +9,7 @@ mod live;
 mod map;
 mod pot_temperature;
 mod recording;
+mod store;
 mod training;
 mod window;
 
@@ -24,6 +25,7 @@ pub use pot_temperature::{PotCurve, PotPoint, PotTemperature};
 pub use recording::{
     Quantity, RecordSettings, RecordingFile, RecordingNow, RecordingPhase, Trigger,
 };
+pub use store::{Dropped, Record, StoreCause, StoreFailure};
 pub use training::{Fit, FitRemark, FitStep};
 pub use window::{Measured, Scope, Trajectory, WindowSummary, WindowWanted};
 

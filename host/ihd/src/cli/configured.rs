@@ -59,7 +59,7 @@ pub fn server_settings(config: &Config) -> Settings {
         allowed_hosts: config.allowed_hosts.clone(),
         token_file: config.token_file.clone(),
         tls,
-        backups: config.store.join("backups"),
+        backups: config.store.join(ihd_store::folder::BACKUPS),
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
@@ -41,11 +41,15 @@ pub fn configure(
 impl Daemon {
     /// Starts it on a configured folder, and waits until it answers. Its log goes to `daemon.log` there.
     pub fn start(folder: &Path, address: SocketAddr) -> io::Result<Self> {
+        Self::start_as(ihd(folder), folder, address)
+    }
+
+    /// As [`Daemon::start`], by this command.
+    pub fn start_as(mut command: Command, folder: &Path, address: SocketAddr) -> io::Result<Self> {
         let log = fs::OpenOptions::new()
             .create(true)
             .append(true)
             .open(folder.join("daemon.log"))?;
-        let mut command = ihd(folder);
         command
             .args(["trainer", "--daemon", "--config", "ihd.toml"])
             .stdout(Stdio::from(log.try_clone()?))

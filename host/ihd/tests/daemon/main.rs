@@ -6,6 +6,7 @@
 mod chance;
 mod daemon;
 mod device;
+mod full_disk;
 mod hob_port;
 mod hostile;
 mod hostile_to_commands;

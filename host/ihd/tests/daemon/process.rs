@@ -18,6 +18,16 @@ pub fn ihd(folder: &Path) -> Command {
     command
 }
 
+/// As [`ihd`]; a limit of its files' size is an error to it and no signal.
+pub fn ihd_with_limits(folder: &Path) -> Command {
+    let plain = ihd(folder);
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]);
+    command.arg(plain.get_program());
+    command.current_dir(folder).stdin(Stdio::null());
+    command
+}
+
 /// A process that does not outlive its owner.
 pub struct Process {
     child: Child,
@@ -44,6 +54,20 @@ impl Process {
         let _ = Command::new("kill")
             .arg(self.child.id().to_string())
             .status();
+    }
+
+    /// Limits the size of its files, in bytes; `None` for no limit.
+    pub fn limit_files(&self, bytes: Option<u64>) {
+        let soft = bytes.map_or_else(|| "unlimited".to_owned(), |bytes| bytes.to_string());
+        let pid = self.child.id().to_string();
+        let limit = format!("--fsize={soft}:unlimited");
+        let status = Command::new("prlimit")
+            .args(["--pid", &pid, &limit])
+            .status();
+        assert!(
+            status.is_ok_and(|status| status.success()),
+            "prlimit (util-linux)"
+        );
     }
 
     /// Whether it has ended.

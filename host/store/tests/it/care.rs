@@ -75,6 +75,40 @@ fn a_backup_while_it_is_written_is_whole_and_of_one_moment() {
     assert!(!folder.path().join("b").exists());
 }
 
+/// A backup that was killed is never under a backup's name, and the next one removes what it left; one that runs is left alone.
+#[test]
+fn what_a_killed_backup_leaves_is_hidden_and_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &Settings::default());
+    let session = session(&mut store);
+    store.keep_window(session, &window(1)).unwrap();
+    let backups = folder.path().join("backups");
+    let leave = |name: &str| {
+        fs::create_dir_all(backups.join(name)).unwrap();
+        fs::write(backups.join(name).join("ihd.db"), "half of it").unwrap();
+        fs::File::create(backups.join(format!("{name}.lock"))).unwrap()
+    };
+    drop(leave(".killed.4711-0.partial"));
+    let runs = leave(".runs.4712-0.partial");
+    runs.try_lock().unwrap();
+    backup(folder.path(), &backups.join("whole")).unwrap();
+    let left = [".runs.4712-0.partial", ".runs.4712-0.partial.lock", "whole"];
+    assert_eq!(files(&backups), left);
+    drop(runs);
+    drop(store);
+    // A daemon that starts looks there, too.
+    open(folder.path(), &Settings::default());
+    assert_eq!(files(&backups), ["whole"]);
+    // A backup that fails on its way leaves nothing.
+    fs::write(
+        folder.path().join("windows-2026-11-21.db"),
+        "not a database",
+    )
+    .unwrap();
+    assert!(backup(folder.path(), &backups.join("fails")).is_err());
+    assert_eq!(files(&backups), ["whole"]);
+}
+
 #[test]
 fn a_check_reads_every_window_beside_the_writer() {
     let folder = tempfile::tempdir().unwrap();

@@ -180,16 +180,48 @@ fn a_table_that_is_missing() {
     each_database(without, "table");
 }
 
-/// An empty file is what a process leaves that ends before the first table: nothing is lost with it.
+/// A database has its name only when its tables are on disk, so that no process leaves an empty one.
 #[test]
-fn an_empty_file_is_a_new_one() {
+fn an_empty_file_is_damage_and_a_database_that_was_not_made_to_the_end_is_none() {
+    each_database(|path| fs::write(path, "").unwrap(), "0 bytes");
     let folder = tempfile::tempdir().unwrap();
     let windows = filled(folder.path());
-    fs::write(folder.path().join(RECORDS), "").unwrap();
     fs::write(folder.path().join(&windows), "").unwrap();
-    let mut store = open(folder.path(), &Settings::default());
-    let session = session(&mut store);
-    assert_eq!(store.keep_window(session, &window(1)).unwrap(), Kept::New);
+    let report = Reader::open(folder.path()).unwrap().check().unwrap();
+    assert!(report.integrity.contains("0 bytes"), "{}", report.integrity);
+    fs::write(folder.path().join(RECORDS), "").unwrap();
+    let refused = Reader::open(folder.path()).err().unwrap();
+    assert!(refused.is_damage() && refused.to_string().contains("0 bytes"));
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["ihd.db.new", "ihd.db.new-wal", "windows-2026-11-22.db.new"] {
+        fs::write(folder.path().join(name), "half of it").unwrap();
+    }
+    open(folder.path(), &Settings::default());
+    assert!(
+        !files(folder.path())
+            .iter()
+            .any(|name| name.contains(".new"))
+    );
+}
+
+/// The day's file is emptied while the store does not have it open.
+#[test]
+fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let mut store = opened.unwrap().store;
+    let new = session(&mut store);
+    fs::write(folder.path().join("windows-2026-11-22.db"), "").unwrap();
+    assert_eq!(store.keep_window(new, &window(1)).unwrap(), Kept::New);
+    let events = Reader::open(folder.path()).unwrap().events(10).unwrap();
+    assert!(
+        events
+            .iter()
+            .any(|event| event.kind == "damage" && event.text.contains("0 bytes"))
+    );
+    let set_aside = ihd_store::folder::damaged_days(folder.path()).unwrap();
+    assert_eq!(set_aside.len(), 1);
 }
 
 /// What was committed stands in the log until a checkpoint: a torn one gives what was whole.

@@ -147,3 +147,11 @@ pub fn files(folder: &Path) -> Vec<String> {
     names.sort();
     names
 }
+
+/// Lets this much time pass in steps, in each of which a daemon would collect.
+pub fn live(store: &mut Store, clock: &SetClock, ms: i64) {
+    for _ in 0..ms / 1_200_000 {
+        clock.forward(1_200_000);
+        store.collect_garbage().unwrap();
+    }
+}

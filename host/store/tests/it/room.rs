@@ -31,6 +31,8 @@ fn a_writer_that_is_limited() {
             .unwrap_err()
             .is_full()
     );
+    let trial = store.try_writing().unwrap_err();
+    assert!(trial.is_full() && trial.is_of_storage(), "{trial}");
     let mut results = 0;
     let full = loop {
         match store.record_result(&result(session, results), Some(&[b'x'; 20_000])) {
@@ -65,6 +67,7 @@ fn a_limit_of_the_files_size() {
     assert!(counts[0] > 5 && counts[1] > 5, "{counts:?}");
     // Without the limit: all that was acknowledged is there, and no more, and it goes on.
     let mut store = open(folder.path(), &Settings::default());
+    store.try_writing().unwrap();
     let reader = Reader::open(folder.path()).unwrap();
     let windows = || reader.windows(&WindowFilter::default()).unwrap().len();
     let all = ResultFilter {

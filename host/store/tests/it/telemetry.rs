@@ -136,8 +136,8 @@ fn midnight_is_passed_and_retention_takes_the_day() {
             .count(),
         3
     );
-    clock.forward(2 * DAY_MS);
     store.collect_garbage().unwrap();
+    live(&mut store, &clock, 2 * DAY_MS);
     assert!(
         all(&reader, "a", within, true).is_empty(),
         "gone with their days"
@@ -188,12 +188,13 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
         (
             day,
             "DROP TABLE telemetry; DROP TABLE trajectories; DROP INDEX windows_due;
-             DROP INDEX windows_unanswered; ALTER TABLE windows DROP COLUMN fleet;",
+             DROP INDEX windows_unanswered; DROP INDEX windows_with_samples; ALTER TABLE windows DROP COLUMN fleet;",
         ),
         (
             folder.path().join("ihd.db"),
             "DROP INDEX events_in_time; DROP INDEX audit_in_time;
-             ALTER TABLE lookups DROP COLUMN confidence; DROP TABLE fleet;",
+             ALTER TABLE lookups DROP COLUMN confidence; DROP TABLE fleet;
+             DROP TABLE used;",
         ),
     ] {
         let connection = Connection::open(path).unwrap();

@@ -53,6 +53,12 @@ export function path(parts, query = {}) {
   return parts.map(encodeURIComponent).join("/") + (text ? `?${text}` : "");
 }
 
+/** The daemon's health; a store that fails answers 503, with why. @returns {Promise<any>} */
+export async function health() {
+  const response = await fetch(new URL("../../healthz", import.meta.url), { cache: "no-store" });
+  return response.json();
+}
+
 /**
  * @typedef {{method?: string, body?: any, holder?: string, signal?: AbortSignal, keepalive?: boolean,
  *   timeoutMs?: number}} RequestOptions

@@ -23,7 +23,7 @@ const SAME_MS = 3000;
 /** Whether an entry is to stand out. @param {Entry} entry */
 export function isAlarm(entry) {
   if (entry.kind === "fault") return !/^(0\b|fault cleared|no fault)/.test(entry.text);
-  if (entry.kind === "store") return !/well again/.test(entry.text);
+  if (entry.kind === "store") return !/works again/.test(entry.text);
   if (entry.kind === "lookup") return /was refused/.test(entry.text);
   if (entry.kind === "state") return /^(faulted|incompatible|suspended)/.test(entry.text);
   return ALARMS.has(entry.kind);

@@ -11,6 +11,7 @@ import { login, logout, session as readSession } from "./login.js";
 import { Off } from "./off.js";
 import { hashOf, placeOf, VIEWS } from "./router.js";
 import { isShared } from "./shared-stream.js";
+import { StoreBanner } from "./store-banner.js";
 import { Stream } from "./stream.js";
 import { MOST_STREAMS, Tabs } from "./tabs.js";
 import { Theme } from "./theme.js";
@@ -179,7 +180,6 @@ leases.on(() => {
 stream.on("notice", (notice) => {
   const heatedHere = leases.heated().includes(notice.device);
   if (notice.event === "fault" && notice.fault !== 0 && heatedHere) complain(`${notice.device}, which this page heats: fault ${notice.fault}, ${notice.text}`);
-  if (notice.event === "store" && !notice.ok) complain(`The daemon's store: ${notice.text}`);
 });
 
 // Without a stream for all, a hidden page that heats nothing gives its connection to others where there are many.
@@ -191,5 +191,6 @@ function settle() {
 document.addEventListener("visibilitychange", settle);
 leases.on(settle);
 
+new StoreBanner(/** @type {HTMLElement} */ (document.querySelector("#store-failure")), stream, api.health);
 stream.start();
 go(placeOf(location.hash));

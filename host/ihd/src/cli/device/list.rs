@@ -1,5 +1,7 @@
 //! `ihd device list`.
 
+use std::time::Duration;
+
 use anyhow::Result;
 use ihd_daemon::config::Config;
 use ihd_daemon::model::DeviceReport;
@@ -8,6 +10,9 @@ use serde::Serialize;
 
 use super::text::one_line;
 use crate::cli::{configured, output};
+
+/// A store that hangs is said after five seconds.
+const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Serialize)]
 struct Listed {
@@ -40,7 +45,14 @@ pub(super) fn print(config: &Config, json: bool) -> Result<()> {
         return output::json(&listed);
     }
     match &daemon {
-        Some(client) => say!("daemon at {}", client.url())?,
+        Some(client) => {
+            say!("daemon at {}", client.url())?;
+            if let Some(failure) = client.health(HEALTH_WITHIN)?.store_failure {
+                let lost = failure.dropped.text();
+                let (text, advice) = (failure.text, failure.advice);
+                say!("its store does not take everything: {text}; lost so far: {lost}. {advice}")?;
+            }
+        }
         None => say!("no daemon at {}; without one there are:", config.listen)?,
     }
     if listed.is_empty() {

@@ -4,11 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use ihd_store::{Reader, Store, StoreError};
+use ihd_store::{DaySpace, Reader, Store, StoreError, bytes_a_day};
 use serde_json::json;
 
 use super::super::output;
 use super::place::Place;
+
+/// Bytes of a window where there are too few to measure it (docs/store.md).
+const BYTES_A_WINDOW: f64 = 30.8e3;
 
 /// A check found the store damaged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,7 +30,8 @@ pub struct CheckArgs {
     json: bool,
 }
 
-/// Delete what is beyond the configuration's retention: whole days of windows, today's never.
+/// Delete what is beyond the configuration's retention: days that are too old, and the samples of windows that newer ones need the
+/// room of.
 ///
 /// A daemon does that by itself, and keeps others from writing while it runs.
 #[derive(Debug, Args)]
@@ -51,11 +55,17 @@ pub struct BackupArgs {
 
 impl CheckArgs {
     pub fn run(&self, place: &Place) -> Result<()> {
-        let report = match Reader::open(&place.folder).and_then(|reader| reader.check()) {
+        let checked = Reader::open(&place.folder).and_then(|reader| {
+            let report = reader.check()?;
+            Ok((report, reader.space()?))
+        });
+        let (report, space) = match checked {
             Err(error @ StoreError::Damaged { .. }) => return self.unreadable(&error),
-            report => report?,
+            checked => checked?,
         };
         if self.json {
+            let mut report = serde_json::to_value(&report)?;
+            report["space"] = json!(space);
             output::json(&report)?;
         } else {
             say!("integrity   {}", report.integrity)?;
@@ -76,6 +86,7 @@ impl CheckArgs {
             for name in &report.set_aside {
                 say!("set aside   {name}")?;
             }
+            say_space(&space, place.settings.retention.max_bytes)?;
         }
         if report.is_whole() {
             Ok(())
@@ -96,6 +107,41 @@ impl CheckArgs {
     }
 }
 
+/// Room that windows take, and how long it lasts.
+fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
+    const GB: f64 = 1e9;
+    let (bytes, may) = (
+        days.iter().map(|day| day.bytes).sum::<u64>() as f64,
+        max_bytes as f64,
+    );
+    say!("space       {:.2} of {:.2} GB", bytes / GB, may / GB)?;
+    for day in days {
+        let (gb, windows, whole) = (day.bytes as f64 / GB, day.windows, day.with_samples);
+        say!(
+            "            {}  {gb:.2} GB, {windows} windows, {whole} with samples",
+            day.day
+        )?;
+    }
+    let whole: u64 = days.iter().map(|day| day.with_samples).sum();
+    let all: u64 = days.iter().map(|day| day.windows).sum();
+    // Tables, and rows without samples, are the most of a day with few windows.
+    let each = if whole < 1_000.max(all / 2) {
+        BYTES_A_WINDOW
+    } else {
+        bytes / whole as f64
+    };
+    // Half-cycles of a mains of 50 Hz.
+    let a_second = 100.0 / f64::from(ihd_train::WINDOWS_EVERY);
+    let a_day = bytes_a_day(each, a_second, 1.0);
+    say!(
+        "            a hob that heats all day makes {:.1} GB; {:.2} GB hold {:.1} h of heating, older windows are thinned, to {:.0} MB a day in the end",
+        a_day / GB,
+        may / GB,
+        24.0 * may / a_day,
+        1_440.0 * each / 1e6
+    )
+}
+
 impl GcArgs {
     pub fn run(&self, place: &Place) -> Result<()> {
         // A store is not made by cleaning it.
@@ -114,17 +160,14 @@ impl GcArgs {
             say!("deleted   {}", path.display())?;
         }
         say!(
-            "freed     {} bytes in {} files; samples of {} windows that tell nothing; {} old rows",
+            "freed     {} bytes in {} files; samples of {} windows that tell nothing, of {} thinned; {} old rows",
             collected.bytes,
             collected.deleted.len(),
             collected.samples_dropped,
+            collected.thinned,
             collected.rows
         )?;
-        say!("left      {} bytes of windows", collected.bytes_left)?;
-        if collected.today_is_too_large {
-            say!("today's windows alone take all that windows may: their samples are not kept")?;
-        }
-        Ok(())
+        say!("left      {} bytes of windows", collected.bytes_left)
     }
 }
 

@@ -1,0 +1,216 @@
+//! Jobs that wait for the store: a lane for each device and one for the daemon, served in turn. Plain data, driven by a thread or by a
+//! simulation.
+//!
+//! A device that floods fills its own lane and no other: what does not fit is its own, and every lane is served once before any is
+//! served twice. Memory is bounded: [`ALL_DEVICES`] jobs, and [`GUARANTEED`] and [`RESERVE`] for each device.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// Jobs of the daemon itself that may wait.
+pub const DAEMON: usize = 128;
+
+/// Jobs of one device that may wait: its windows of some ten seconds, 4.5 MB.
+pub const DEVICE: usize = 64;
+
+/// Jobs of all devices that may wait, 36 MB of windows, shared evenly by the devices that have some.
+pub const ALL_DEVICES: usize = 512;
+
+/// Jobs of a device that may wait whatever the others have.
+pub const GUARANTEED: usize = 4;
+
+/// Room of a lane for what is not a window: a flood of windows must not cost the fault that explains it.
+const RESERVE: usize = 8;
+
+/// The owner of jobs that are done in order.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Lane {
+    /// The daemon: commands, results, telemetry, what is read.
+    Daemon,
+    /// A device, by name.
+    Device(Arc<str>),
+}
+
+/// How much of its lane a job may use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Room {
+    /// The lane's share.
+    Share,
+    /// The lane's share and its reserve.
+    Reserve,
+}
+
+/// Jobs that wait.
+#[derive(Debug)]
+pub struct StoreQueue<J> {
+    /// Lanes with jobs, no others.
+    lanes: BTreeMap<Lane, VecDeque<J>>,
+    /// The same lanes, the next one first.
+    turns: VecDeque<Lane>,
+    of_devices: usize,
+}
+
+impl<J> Default for StoreQueue<J> {
+    fn default() -> Self {
+        Self {
+            lanes: BTreeMap::new(),
+            turns: VecDeque::new(),
+            of_devices: 0,
+        }
+    }
+}
+
+impl<J> StoreQueue<J> {
+    /// Appends a job to its lane.
+    ///
+    /// # Errors
+    /// The job, if its lane has no room.
+    pub fn push(&mut self, lane: &Lane, room: Room, job: J) -> Result<(), J> {
+        if self.len_of(lane) >= self.limit(lane, room) {
+            return Err(job);
+        }
+        if let Lane::Device(_) = lane {
+            self.of_devices += 1;
+        }
+        if let Some(jobs) = self.lanes.get_mut(lane) {
+            jobs.push_back(job);
+        } else {
+            self.lanes.insert(lane.clone(), VecDeque::from([job]));
+            self.turns.push_back(lane.clone());
+        }
+        Ok(())
+    }
+
+    /// Takes the next job: the first of the lane whose turn it is.
+    pub fn next(&mut self) -> Option<J> {
+        let lane = self.turns.pop_front()?;
+        let jobs = self.lanes.get_mut(&lane)?;
+        let job = jobs.pop_front();
+        if jobs.is_empty() {
+            self.lanes.remove(&lane);
+        } else {
+            self.turns.push_back(lane.clone());
+        }
+        if let Lane::Device(_) = lane {
+            self.of_devices -= 1;
+        }
+        job
+    }
+
+    /// Jobs that wait.
+    pub fn len(&self) -> usize {
+        self.of_devices + self.len_of(&Lane::Daemon)
+    }
+
+    /// Returns `true` if no job waits.
+    pub fn is_empty(&self) -> bool {
+        self.turns.is_empty()
+    }
+
+    /// Jobs of one lane that wait.
+    pub fn len_of(&self, lane: &Lane) -> usize {
+        self.lanes.get(lane).map_or(0, VecDeque::len)
+    }
+
+    /// Jobs that may wait in a lane now.
+    fn limit(&self, lane: &Lane, room: Room) -> usize {
+        let reserve = match room {
+            Room::Share => 0,
+            Room::Reserve => RESERVE,
+        };
+        if *lane == Lane::Daemon {
+            return DAEMON + reserve;
+        }
+        if self.of_devices >= ALL_DEVICES {
+            return GUARANTEED + reserve;
+        }
+        let others = self.lanes.keys().filter(|other| *other != lane);
+        let devices = 1 + others.filter(|other| **other != Lane::Daemon).count();
+        (ALL_DEVICES / devices).clamp(GUARANTEED, DEVICE) + reserve
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn device(name: &str) -> Lane {
+        Lane::Device(name.into())
+    }
+
+    /// Pushes for as long as there is room; how many were taken.
+    fn flood(queue: &mut StoreQueue<Lane>, lane: &Lane) -> usize {
+        (0..10_000)
+            .take_while(|_| queue.push(lane, Room::Share, lane.clone()).is_ok())
+            .count()
+    }
+
+    #[test]
+    fn a_device_that_floods_loses_its_own_windows_and_delays_others_by_one_job() {
+        let mut queue = StoreQueue::default();
+        let (loud, quiet) = (device("loud"), device("quiet"));
+        let mut served = Vec::new();
+        let mut lost = 0;
+        // The store does one job while the loud device has ten windows, the quiet one has a window each third time.
+        for turn in 0..300 {
+            for _ in 0..10 {
+                lost += usize::from(queue.push(&loud, Room::Share, loud.clone()).is_err());
+            }
+            if turn % 3 == 0 {
+                let before = queue.len_of(&quiet);
+                assert_eq!(before, 0, "it never waits for a second job of another lane");
+                queue.push(&quiet, Room::Share, quiet.clone()).unwrap();
+            }
+            served.extend(queue.next());
+        }
+        assert_eq!(served.iter().filter(|lane| **lane == quiet).count(), 100);
+        assert!((DEVICE - 1..=DEVICE).contains(&queue.len_of(&loud)));
+        assert_eq!(lost, 3_000 - 200 - queue.len_of(&loud));
+    }
+
+    #[test]
+    fn floods_of_all_devices_leave_room_for_one_more_and_are_bounded() {
+        let mut queue = StoreQueue::default();
+        for k in 0..100 {
+            let taken = flood(&mut queue, &device(&k.to_string()));
+            assert!((GUARANTEED..=DEVICE).contains(&taken), "{k}: {taken}");
+        }
+        assert!(
+            queue.len() <= ALL_DEVICES + 100 * GUARANTEED,
+            "{}",
+            queue.len()
+        );
+        assert_eq!(flood(&mut queue, &device("late")), GUARANTEED);
+        // The daemon's own commands have room, and their turn within one round.
+        assert_eq!(flood(&mut queue, &Lane::Daemon), DAEMON);
+        let round: Vec<_> = (0..102).filter_map(|_| queue.next()).collect();
+        assert_eq!(
+            round.iter().filter(|lane| **lane == Lane::Daemon).count(),
+            1
+        );
+        assert_eq!(
+            round
+                .iter()
+                .collect::<std::collections::BTreeSet<_>>()
+                .len(),
+            102
+        );
+    }
+
+    #[test]
+    fn a_lane_keeps_its_order_and_has_room_for_the_fault_that_explains_a_flood() {
+        let mut queue = StoreQueue::default();
+        let lane = device("a");
+        for k in 0..DEVICE {
+            queue.push(&lane, Room::Share, k).unwrap();
+        }
+        assert_eq!(queue.push(&lane, Room::Share, 1_000), Err(1_000));
+        queue.push(&lane, Room::Reserve, 2_000).unwrap();
+        let served: Vec<_> = std::iter::from_fn(|| queue.next()).collect();
+        let given: Vec<_> = (0..DEVICE).chain([2_000]).collect();
+        assert_eq!(served, given);
+        assert!(queue.is_empty());
+        queue.push(&lane, Room::Share, 1).unwrap();
+        assert_eq!((queue.len(), queue.len_of(&lane)), (1, 1));
+    }
+}

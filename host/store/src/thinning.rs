@@ -1,0 +1,188 @@
+//! Which windows give their samples up when room is needed: the newest stay, the older the fewer.
+//!
+//! 1. Windows older than an hour that show no change of R or L beyond their standard deviation.
+//! 2. Of the rest, those beyond one a minute.
+//! 3. The oldest days, whole.
+//! 4. The oldest windows of the last hour.
+//!
+//! Nothing goes while there is room, whatever its age. Rows and results stay.
+
+use std::collections::BTreeMap;
+
+/// A step of thinning. Each goes through all windows, oldest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Tier {
+    /// Keeps one window per change of R or L.
+    Changes,
+    /// Keeps one a minute.
+    Minutes,
+    /// Keeps none.
+    Nothing,
+}
+
+/// A window with samples.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub(crate) id: i64,
+    pub(crate) device: String,
+    pub(crate) boot: u32,
+    pub(crate) seq: u32,
+    pub(crate) at_ms: i64,
+    /// Whether a fleet has not got it yet.
+    pub(crate) is_due: bool,
+}
+
+/// What was identified of a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Identified {
+    pub(crate) r_ohm: f64,
+    pub(crate) l_h: f64,
+    pub(crate) sigma_r_pct: f64,
+    pub(crate) sigma_l_pct: f64,
+}
+
+impl Identified {
+    /// Returns `true` if R or L differs from that of another window by more than a standard deviation of this one.
+    fn differs(&self, kept: &Self) -> bool {
+        // Without a standard deviation every difference counts.
+        let beyond = |x: f64, kept: f64, sigma_pct: f64| {
+            (x - kept).abs()
+                > x.abs()
+                    * 1e-2
+                    * if sigma_pct.is_finite() {
+                        sigma_pct
+                    } else {
+                        0.0
+                    }
+        };
+        beyond(self.r_ohm, kept.r_ohm, self.sigma_r_pct)
+            || beyond(self.l_h, kept.l_h, self.sigma_l_pct)
+    }
+}
+
+/// How far a tier is, and what it kept last of each device.
+#[derive(Debug)]
+pub(crate) struct Cursor {
+    pub(crate) tier: Tier,
+    /// The day's file that it is at; empty before the first.
+    pub(crate) day: String,
+    /// The last row that it has seen there.
+    pub(crate) after: i64,
+    kept: BTreeMap<String, Kept>,
+}
+
+#[derive(Debug)]
+struct Kept {
+    identified: Option<Identified>,
+    minute: i64,
+}
+
+impl Cursor {
+    pub(crate) fn new(tier: Tier) -> Self {
+        Self {
+            tier,
+            day: String::new(),
+            after: 0,
+            kept: BTreeMap::new(),
+        }
+    }
+
+    /// Goes to the beginning of a day.
+    pub(crate) fn turn_to(&mut self, day: &str) {
+        self.day = day.to_owned();
+        self.after = 0;
+    }
+
+    /// Goes past a window; returns `true` if it keeps its samples.
+    pub(crate) fn pass(&mut self, window: &Candidate, identified: Option<Identified>) -> bool {
+        self.after = window.id;
+        let minute = window.at_ms.div_euclid(60_000);
+        let before = self.kept.get(&window.device);
+        let keeps = match self.tier {
+            Tier::Changes => match (identified, before.and_then(|kept| kept.identified)) {
+                (Some(now), Some(before)) => now.differs(&before),
+                (now, _) => now.is_some(),
+            },
+            Tier::Minutes => before.is_none_or(|kept| kept.minute != minute),
+            Tier::Nothing => false,
+        };
+        if keeps {
+            let kept = Kept { identified, minute };
+            self.kept.insert(window.device.clone(), kept);
+        }
+        keeps
+    }
+}
+
+/// The cursors of the tiers that go through all days.
+#[derive(Debug)]
+pub(crate) struct Thinning {
+    pub(crate) changes: Cursor,
+    pub(crate) minutes: Cursor,
+}
+
+impl Default for Thinning {
+    fn default() -> Self {
+        Self {
+            changes: Cursor::new(Tier::Changes),
+            minutes: Cursor::new(Tier::Minutes),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn window(id: i64, device: &str) -> Candidate {
+        Candidate {
+            id,
+            device: device.to_owned(),
+            boot: 1,
+            seq: id as u32,
+            at_ms: id * 20_000,
+            is_due: false,
+        }
+    }
+
+    fn identified(r_ohm: f64, l_h: f64) -> Option<Identified> {
+        Some(Identified {
+            r_ohm,
+            l_h,
+            sigma_r_pct: 1.0,
+            sigma_l_pct: 0.5,
+        })
+    }
+
+    #[test]
+    fn one_window_per_change_of_r_or_l_beyond_its_deviation() {
+        let mut cursor = Cursor::new(Tier::Changes);
+        let l = 80e-6;
+        let mut keeps = |id, device, what| cursor.pass(&window(id, device), what);
+        assert!(!keeps(1, "a", None), "nobody identified it");
+        assert!(keeps(2, "a", identified(2.00, l)));
+        assert!(!keeps(3, "a", identified(2.019, l)));
+        assert!(keeps(4, "b", identified(2.019, l)), "another device");
+        // A slow drift is a change against what was kept, not against the neighbour.
+        assert!(keeps(5, "a", identified(2.025, l)));
+        assert!(!keeps(6, "a", identified(2.03, l * 1.004)));
+        assert!(keeps(7, "a", identified(2.03, l * 1.006)));
+        assert!(!keeps(8, "a", None));
+        let without = Identified {
+            sigma_r_pct: f64::NAN,
+            ..identified(2.031, l * 1.006).unwrap()
+        };
+        assert!(keeps(9, "a", Some(without)));
+        assert_eq!(cursor.after, 9);
+    }
+
+    #[test]
+    fn one_window_a_minute_of_each_device() {
+        let mut cursor = Cursor::new(Tier::Minutes);
+        // A window each 20 s of two devices: rows 0, 3, 6 begin a minute.
+        for id in 0..9 {
+            assert_eq!(cursor.pass(&window(id, "a"), None), id % 3 == 0, "{id}");
+            assert_eq!(cursor.pass(&window(id, "b"), None), id % 3 == 0, "{id}");
+        }
+    }
+}
