@@ -13,8 +13,9 @@ use crate::{board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_t
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// Variables that lengthen tests in the full tier, unless they are set by hand.
-const AT_LENGTH: [(&str, &str); 10] = [
+const AT_LENGTH: [(&str, &str); 11] = [
     ("PROPTEST_CASES", "256"),
+    ("IHD_SEEDS", "10000"),
     ("IHD_KILLS", "200"),
     ("IHD_HOBS", "3"),
     ("IHD_SOAK_S", "864"),

@@ -270,7 +270,7 @@ mod tests {
 
     /// Where it did, a refusal would be right.
     #[test]
-    fn no_clean_capture_clips() {
+    fn no_clean_capture_clips_at_length() {
         for case in plan(false).cases() {
             let s = &case.settings;
             if case.group == Group::Faulty
