@@ -14,6 +14,7 @@ mod hostile_to_daemon;
 mod http;
 mod kills;
 mod many;
+mod off_latency;
 mod player;
 mod process;
 mod proxy;

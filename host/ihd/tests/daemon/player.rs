@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{Client, Event, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{FaultEvent, Pot, State, Telemetry, WindowStart};
+use ihd_shared::wire::messages::{
+    FaultEvent, Message, Pot, SetPower, State, Telemetry, WindowStart,
+};
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
@@ -115,6 +117,8 @@ pub struct Truth {
     heard: u32,
     /// Power that a host asked for, other than 0.
     pub asked_by_host: u32,
+    /// When a host switched it off last.
+    pub off_at: Option<Instant>,
     connected: bool,
 }
 
@@ -137,6 +141,11 @@ impl Truth {
     /// Puts on another pot of its tapes.
     pub fn put(&mut self, tape: usize) {
         self.tape = tape;
+    }
+
+    /// Power that a host asks for, in watt.
+    pub fn asked_w(&self) -> u16 {
+        self.device.status.asked_w
     }
 
     /// Half-cycles that its clock says have passed.
@@ -171,6 +180,7 @@ impl Player {
             lookups_taken: 0,
             heard: 0,
             asked_by_host: 0,
+            off_at: None,
             connected: false,
         };
         let mut player = Self {
@@ -217,9 +227,13 @@ impl Player {
                 truth.refresh();
                 truth.device.answer(wire, id, &payload)?;
                 let status = &truth.device.status;
+                let is_off = id == SetPower::ID && status.asked_w == 0;
                 let (taken, asked) = (status.lookup_version != before.0, status.asked_w > before.1);
                 truth.lookups_taken += u32::from(taken);
                 truth.asked_by_host += u32::from(asked);
+                if is_off {
+                    truth.off_at = Some(Instant::now());
+                }
                 continue;
             }
             drop(truth);

@@ -17,10 +17,10 @@ use crate::player::{Act, Player, Tape};
 use crate::proxy::{Faults, Proxy};
 
 /// A file system of its own that can be filled; none where this may not be had.
-struct Disk<'a>(&'a Path);
+pub struct Disk<'a>(&'a Path);
 
 impl<'a> Disk<'a> {
-    fn mount(at: &'a Path, megabytes: u32) -> Option<Self> {
+    pub fn mount(at: &'a Path, megabytes: u32) -> Option<Self> {
         fs::create_dir_all(at).ok()?;
         let mut mount = Command::new("mount");
         mount
@@ -33,7 +33,7 @@ impl<'a> Disk<'a> {
     }
 
     /// Fills it to the last byte, or frees that again.
-    fn fill(&self, full: bool) {
+    pub fn fill(&self, full: bool) {
         let ballast = self.0.join("ballast");
         if !full {
             let _ = fs::remove_file(ballast);
