@@ -147,7 +147,7 @@ impl StoreHealth {
         self.dropped
     }
 
-    /// What has changed since this was asked last.
+    /// Returns the change of condition since the last call; `None` if there is none.
     pub fn take_change(&mut self) -> Option<Change> {
         let failure = self.failure();
         let cause = failure.as_ref().map(|failure| failure.cause);

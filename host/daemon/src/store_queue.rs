@@ -31,7 +31,7 @@ pub enum Lane {
     Device(Arc<str>),
 }
 
-/// How much of its lane a job may use.
+/// Share of its lane that a job may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Room {
     /// The lane's share.

@@ -55,7 +55,7 @@ pub enum StoreTrouble {
     Gone(&'static str),
 }
 
-/// How much the store does.
+/// Work of the store so far.
 #[derive(Debug, Default)]
 pub struct StoreGauge {
     /// Jobs done.
@@ -155,20 +155,20 @@ impl StoreThread {
         }
     }
 
-    /// As [`StoreAccess::writing`].
+    /// The daemon's [`StoreAccess::writing`].
     pub fn writing(&self, record: Record) -> StoreAccess {
         self.access().writing(record)
     }
 
-    /// As [`StoreAccess::writing_once`].
+    /// The daemon's [`StoreAccess::writing_once`].
     pub fn writing_once(&self, record: Record) -> StoreAccess {
         self.access().writing_once(record)
     }
 
-    /// As [`StoreAccess::run`], for the daemon.
+    /// Runs `f` in the daemon's lane: [`StoreAccess::run`].
     ///
     /// # Errors
-    /// As [`StoreAccess::run`].
+    /// Those of [`StoreAccess::run`].
     pub async fn run<T: Send + 'static>(
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
@@ -189,7 +189,7 @@ impl StoreThread {
         lock(&self.shared.waiting).queue.len()
     }
 
-    /// How much it does.
+    /// Work so far.
     pub fn gauge(&self) -> &StoreGauge {
         &self.shared.gauge
     }
@@ -517,7 +517,7 @@ mod tests {
     }
 
     impl Rig {
-        /// What was told of the store since this was asked last.
+        /// Notices of the store since the last call.
         fn told(&mut self) -> Vec<(bool, String)> {
             let mut told = Vec::new();
             loop {

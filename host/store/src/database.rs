@@ -255,7 +255,7 @@ fn run_check(
     }
 }
 
-/// What is no file, or has no byte, cannot be a database.
+/// Refuses a path that is no file, or a file without a byte.
 fn in_the_way(path: &Path) -> Result<(), StoreError> {
     for ending in ["", "-wal", "-shm"] {
         let mut name = path.as_os_str().to_owned();

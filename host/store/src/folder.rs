@@ -106,12 +106,14 @@ fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
     Ok(names)
 }
 
-/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned; older ones do not.
+/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned: none of an earlier ihd does, and none
+/// that was set aside.
 pub fn shrinks(path: &Path) -> bool {
     // The header's field "incremental vacuum mode": https://sqlite.org/fileformat2.html
     let mut header = [0; 68];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
-    read.is_ok() && header[64..68] != [0; 4]
+    let is_set_aside = path.extension().is_none_or(|ending| ending != "db");
+    !is_set_aside && read.is_ok() && header[64..68] != [0; 4]
 }
 
 /// Bytes that a database takes, with what SQLite keeps beside it; nothing where it is not.

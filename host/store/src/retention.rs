@@ -1,4 +1,4 @@
-//! What is deleted: days of windows that are too old, and the oldest rows of tables that only grow.
+//! Deletion: days of windows that are too old, and the oldest rows of tables that only grow.
 
 use std::path::{Path, PathBuf};
 

@@ -159,7 +159,7 @@ impl Store {
         Ok(windows.len())
     }
 
-    /// What was identified of a window, if the gate let it pass; and whether there is any result.
+    /// Returns what was identified of a window, if the gate let it pass, and `true` if there is any result.
     fn identified(&self, window: &Candidate) -> Result<(Option<Identified>, bool), StoreError> {
         use rusqlite::OptionalExtension;
         let of = params![window.device, window.boot, window.seq];

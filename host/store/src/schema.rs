@@ -9,7 +9,7 @@ pub struct Schema {
     pub steps: &'static [&'static str],
     /// Tables that each step makes: they must be there from its version on.
     pub tables: &'static [&'static [&'static str]],
-    /// Whether freed pages go back to the disk on demand: SQLite's `auto_vacuum = INCREMENTAL`.
+    /// `true` if freed pages go back to the disk on demand: SQLite's `auto_vacuum = INCREMENTAL`.
     pub shrinks: bool,
     /// SQLite's `synchronous`: FULL lasts when the power fails, NORMAL when the process does.
     pub synchronous: &'static str,

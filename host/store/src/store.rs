@@ -36,7 +36,7 @@ pub struct Store {
     told_too_large: Option<String>,
     /// Windows of the last hour.
     pub(crate) recent: Recent,
-    /// How far older windows are thinned.
+    /// Progress of thinning older windows.
     pub(crate) thinning: Thinning,
     /// Windows of days whose samples went before a fleet had them, not told yet.
     pub(crate) lost_to_fleet: BTreeMap<String, u64>,

@@ -28,11 +28,11 @@ pub(crate) struct Candidate {
     pub(crate) boot: u32,
     pub(crate) seq: u32,
     pub(crate) at_ms: i64,
-    /// Whether a fleet has not got it yet.
+    /// `true` if a fleet has not got it yet.
     pub(crate) is_due: bool,
 }
 
-/// What was identified of a window.
+/// R and L of a window, with their standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Identified {
     pub(crate) r_ohm: f64,
@@ -60,7 +60,7 @@ impl Identified {
     }
 }
 
-/// How far a tier is, and what it kept last of each device.
+/// Progress of a tier, with what it kept last of each device.
 #[derive(Debug)]
 pub(crate) struct Cursor {
     pub(crate) tier: Tier,

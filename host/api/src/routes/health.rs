@@ -16,7 +16,7 @@ use crate::backend::Alive;
 use crate::model::{Health, Problem};
 use crate::prometheus::Exposition;
 
-/// Whether the daemon works; needs no token. A store that drops records says why, since when, which, and what to do.
+/// Health of the daemon; needs no token. A store that drops records says why, since when, which, and what to do.
 #[utoipa::path(get, path = "/healthz", tag = "daemon",
     responses((status = 200, body = Health), (status = 503, body = Health)))]
 pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<Health>) {

@@ -132,7 +132,7 @@ impl StoreCause {
         }
     }
 
-    /// What a person does about it.
+    /// Advice to a person.
     pub fn advice(self) -> &'static str {
         match self {
             Self::DiskFull => {
@@ -168,7 +168,7 @@ pub struct StoreFailure {
     pub cause: StoreCause,
     /// The cause in plain words.
     pub text: String,
-    /// What a person does about it.
+    /// Advice to a person.
     pub advice: String,
     /// Since when, in milliseconds since 1970, UTC.
     pub since_ms: i64,

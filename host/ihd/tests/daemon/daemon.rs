@@ -44,7 +44,7 @@ impl Daemon {
         Self::start_as(ihd(folder), folder, address)
     }
 
-    /// As [`Daemon::start`], by this command.
+    /// Starts it by this command: [`Daemon::start`].
     pub fn start_as(mut command: Command, folder: &Path, address: SocketAddr) -> io::Result<Self> {
         let log = fs::OpenOptions::new()
             .create(true)

@@ -18,7 +18,7 @@ pub fn ihd(folder: &Path) -> Command {
     command
 }
 
-/// As [`ihd`]; a limit of its files' size is an error to it and no signal.
+/// The command of [`ihd`], to which a limit of its files' size is an error and no signal.
 pub fn ihd_with_limits(folder: &Path) -> Command {
     let plain = ihd(folder);
     let mut command = Command::new("sh");
