@@ -3,9 +3,10 @@
 use std::io::{Read, Write};
 
 use ihd_link::Client;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{GetStatus, Message};
+use ihd_shared::wire::number::Number;
 
 use super::*;
 use crate::hob::HobConfig;
@@ -63,7 +64,7 @@ impl Port {
     /// Sends a message that the port takes in `at_s` seconds after the beginning.
     fn say(&mut self, stream: &mut TcpStream, message: &impl Message, at_s: f64) {
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, 0, &mut frame).unwrap();
+        let length = encode_numbered(message, Number::FIRST, 0, &mut frame).unwrap();
         stream.write_all(&frame[..length]).unwrap();
         let unread = self.server.hob().unread();
         let deadline = Instant::now() + PATIENCE;
