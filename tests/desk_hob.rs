@@ -17,9 +17,10 @@ use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
 use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::Hello;
+use ihd_shared::wire::messages::{AnyMessage, Hello, Piece};
 
 /// Half-cycle of the desk's mains, in nanoseconds.
 pub const HALF_CYCLE_NS: u64 = 10_000_000;
@@ -47,6 +48,9 @@ pub struct DeskHob {
     pub turn_every: u32,
     /// What the link does to each frame towards the host.
     pub mangle: Mangle,
+    /// Requests for pieces of windows reach the device: it sends them again.
+    pub sends_again: bool,
+    ears: Deframer,
     to_device: VecDeque<u8>,
     to_host: VecDeque<u8>,
 }
@@ -54,15 +58,6 @@ pub struct DeskHob {
 /// The hello of a desk device.
 pub fn desk_hello() -> Hello {
     ours(ROLE_DEVICE, CAP_SIMULATED, 7, "desk 0.0.0", "desk")
-}
-
-/// The hello of a desk device of protocol 2.0, which sends no piece of a window again.
-pub fn older_hello() -> Hello {
-    Hello {
-        protocol_minor: 0,
-        schema_hash: 0,
-        ..desk_hello()
-    }
 }
 
 impl DeskHob {
@@ -78,6 +73,8 @@ impl DeskHob {
             bytes_per_block: usize::MAX,
             turn_every: 1,
             mangle: Box::new(<[u8]>::to_vec),
+            sends_again: true,
+            ears: Deframer::new(),
             to_device: VecDeque::new(),
             to_host: VecDeque::new(),
         }
@@ -105,8 +102,29 @@ impl DeskHob {
 
     /// Bytes for the device, as they come.
     pub fn offer(&mut self, bytes: &[u8]) {
-        self.to_device.extend(bytes);
+        if self.sends_again {
+            self.to_device.extend(bytes);
+        } else {
+            self.offer_without_piece_requests(bytes);
+        }
         self.exchange();
+    }
+
+    /// All but the frames that ask for pieces of windows; those that let go of one pass.
+    fn offer_without_piece_requests(&mut self, bytes: &[u8]) {
+        let mut frame = Vec::new();
+        for &byte in bytes {
+            frame.push(byte);
+            let Some(Ok(whole)) = self.ears.push(byte) else {
+                continue;
+            };
+            let message = AnyMessage::decode(whole.id, whole.split().1);
+            if matches!(message, Ok(AnyMessage::ResendWindow(m)) if m.piece != Piece::Nothing) {
+                frame.clear();
+            }
+            self.to_device.extend(frame.drain(..));
+        }
+        self.to_device.extend(frame);
     }
 
     /// What has arrived at the host.
@@ -273,15 +291,17 @@ impl Transport for DeskLink {
 /// # Panics
 /// When the device refuses: the test then fails where it should.
 pub fn heating() -> (Client, DeskLink) {
-    heating_as(desk_hello())
+    heating_where(true)
 }
 
-/// The same for a device that says this of itself.
+/// The same where the device sends pieces of windows again or, as over a link that loses every request for them, does not.
 ///
 /// # Panics
 /// As [`heating`].
-pub fn heating_as(hello: Hello) -> (Client, DeskLink) {
-    let link = DeskLink::new(DeskHob::new(hello));
+pub fn heating_where(sends_again: bool) -> (Client, DeskLink) {
+    let mut hob = DeskHob::new(desk_hello());
+    hob.sends_again = sends_again;
+    let link = DeskLink::new(hob);
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     client.set_power(1_000).unwrap();
     link.hob().run(60);

@@ -4,31 +4,33 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_shared::wire::RESEND_MINOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, Configure, DecodeError, FaultEvent, Hello, Message, NO_PANEL,
-    NO_SENSOR_C, Outcome, PushLookup, ReplayBlocks, ReplayMode, ReplayStart, Reply, ResendWindow,
-    ResetLookup, SetPower, State, Status, Stream, Telemetry, Utilisation,
+    AnyMessage, Configure, DecodeError, FaultEvent, Hello, Message, NO_PANEL, NO_SENSOR_C, Outcome,
+    ReplayMode, ReplayStart, Reply, ResendWindow, State, Status, Stream, Telemetry, Utilisation,
+    is_numbered,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use crate::control::{Action, Control, Now};
+use crate::conversation::{Conversation, Turn};
 use crate::half_cycle::Summary;
 use crate::impedance::Tank;
 use crate::realtime::{Access, RealTime};
-use crate::replay::{Replay, Replayed};
+use crate::replay::Replay;
 use crate::request::PanelEvent;
 use crate::self_test::guarded::GuardedLookup;
-use crate::service::Service;
+use crate::service::{Service, Test};
 use crate::temperature::TemperatureCodes;
 use crate::transmit_queue::{Answer, TransmitQueue};
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
     deframer: Deframer,
+    conversation: Conversation,
     pub(crate) queue: TransmitQueue,
     control: Control,
     pub(crate) service: Service,
@@ -50,6 +52,7 @@ impl Housekeeping {
     pub fn new(hello: Hello) -> Self {
         Self {
             deframer: Deframer::new(),
+            conversation: Conversation::default(),
             queue: TransmitQueue::new(hello),
             control: Control::default(),
             service: Service::default(),
@@ -116,113 +119,127 @@ impl Housekeeping {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
-            let (id, seq) = (frame.id, frame.seq);
+            let id = frame.id;
             // A host sends it by itself for as long as windows come: it answers for no power.
             if id != ResendWindow::ID {
                 self.half_cycles_unheard = 0;
             }
-            match AnyMessage::decode(id, frame.payload) {
-                // These two borrow from the deframer; the rest may borrow all of self.
+            let (number, bytes) = frame.split();
+            if self.paired && is_numbered(id) {
+                match self.conversation.turn(number) {
+                    Turn::New => {}
+                    Turn::Again => {
+                        if let Some(answer) = self.conversation.answer() {
+                            self.queue.answer(number, answer.clone());
+                        }
+                        continue;
+                    }
+                    Turn::Past => continue,
+                    Turn::Unnumbered => {
+                        self.queue.answer(number, outcome(Outcome::Malformed));
+                        continue;
+                    }
+                }
+            }
+            let answer = match AnyMessage::decode(id, bytes) {
+                // These three borrow from the deframer; the rest may borrow all of self.
                 Ok(AnyMessage::PushLookup(push)) if self.paired => {
                     let offered = RlLookup::from_bytes(push.blob.0);
                     let (outcome, detail) = match offered {
                         Ok(lookup) => self.accept(lookup),
                         Err(why) => why.outcome(),
                     };
-                    self.reply(PushLookup::ID, outcome, detail);
+                    Some(reply(outcome, detail))
                 }
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
-                    match self.replay.blocks(access, &blocks, seq) {
-                        Some(Replayed::Estimates(estimates)) => {
-                            self.queue.answer(Answer::ReplayEstimates(estimates));
-                        }
-                        Some(Replayed::NotReplaying(mode)) => {
-                            self.queue.answer(Answer::ReplayMode(mode));
-                        }
-                        None => self.reply(ReplayBlocks::ID, Outcome::Malformed, 0),
-                    }
+                    let replayed = self.replay.blocks(access, &blocks);
+                    Some(replayed.map_or_else(outcome, Answer::ReplayEstimates))
                 }
-                Ok(AnyMessage::LinkData(data)) if self.paired => self.service.take_link_data(&data),
-                Ok(AnyMessage::Hello(theirs)) => self.pair(access, &theirs),
-                _ if !self.paired => self.reply(id, Outcome::NotPaired, 0),
-                Ok(AnyMessage::SetPower(m)) => self.set_power(access, &m),
-                Ok(AnyMessage::Stream(m)) => self.stream(access, &m),
-                Ok(AnyMessage::GetStatus(_)) => {
-                    let status = self.status(access);
-                    self.queue.answer(Answer::Status(status));
+                Ok(AnyMessage::LinkData(data)) if self.paired => {
+                    self.service.take_link_data(&data);
+                    None
                 }
-                Ok(AnyMessage::ReadLookup(_)) => self.queue.answer(Answer::Lookup),
+                Ok(AnyMessage::ResendWindow(m)) if self.paired => {
+                    self.queue.resend(access, m);
+                    None
+                }
+                Ok(AnyMessage::Hello(theirs)) => {
+                    self.pair(access, &theirs);
+                    None
+                }
+                _ if !is_numbered(id) => None,
+                _ if !self.paired => Some(outcome(Outcome::NotPaired)),
+                Ok(AnyMessage::TestChannels(_)) => self.ask_test(number, Test::Channels),
+                Ok(AnyMessage::TestComparators(_)) => self.ask_test(number, Test::Comparators),
+                Ok(AnyMessage::TestClocks(_)) => self.ask_test(number, Test::Clocks),
+                Ok(AnyMessage::Restart(m)) => self.ask_restart(number, m.into),
+                Ok(AnyMessage::SetPower(m)) => {
+                    let (outcome, detail) = self.host_power(access, m.power_w);
+                    Some(reply(outcome, detail))
+                }
+                Ok(AnyMessage::Stream(m)) => Some(self.stream(access, &m)),
+                Ok(AnyMessage::GetStatus(_)) => Some(Answer::Status(self.status(access))),
+                Ok(AnyMessage::ReadLookup(_)) => Some(Answer::Lookup),
                 Ok(AnyMessage::ResetLookup(_)) => {
                     let (outcome, detail) = self.activate(prior());
-                    self.reply(ResetLookup::ID, outcome, detail);
+                    Some(reply(outcome, detail))
                 }
-                Ok(AnyMessage::Configure(m)) => self.configure(access, m),
-                Ok(AnyMessage::GetFrontEnd(_)) => self.queue.answer(Answer::FrontEnd),
-                Ok(AnyMessage::ResendWindow(m)) => self.queue.resend(access, m),
-                Ok(AnyMessage::ClearFault(_)) => self.clear_fault(access),
+                Ok(AnyMessage::Configure(m)) => Some(self.configure(access, m)),
+                Ok(AnyMessage::GetFrontEnd(_)) => Some(Answer::FrontEnd),
+                Ok(AnyMessage::ClearFault(_)) => Some(self.clear_fault(access)),
                 Ok(AnyMessage::GetUtilisation(_)) => {
-                    let utilisation = access.with(utilisation);
-                    self.queue.answer(Answer::Utilisation(utilisation));
+                    Some(Answer::Utilisation(access.with(utilisation)))
                 }
-                Ok(AnyMessage::ReplayStart(m)) => self.start_replay(access, &m),
+                Ok(AnyMessage::ReplayStart(m)) => Some(self.start_replay(access, &m)),
                 Ok(AnyMessage::ReplayEnd(_)) => {
                     let mode = self.replay.end(access);
-                    self.answer_replay_mode(mode);
+                    Some(self.replay_mode(mode))
                 }
-                Ok(AnyMessage::Restart(m)) => self.ask_restart(m.into),
-                Ok(AnyMessage::GetBoard(_)) => self.queue.answer(Answer::Board),
-                Ok(AnyMessage::TestBoard(m)) => self.ask_board_test(m.test),
-                Ok(AnyMessage::TestLink(m)) => self.test_link(&m),
-                Ok(AnyMessage::StreamLog(m)) => self.stream_log(m.on),
+                Ok(AnyMessage::GetBoard(_)) => Some(Answer::Board),
+                Ok(AnyMessage::TestLink(m)) => Some(self.test_link(&m)),
+                Ok(AnyMessage::StreamLog(m)) => Some(match self.queue.stream_log(m.on) {
+                    true => outcome(Outcome::Ok),
+                    false => outcome(Outcome::Unavailable),
+                }),
                 Ok(_) | Err(DecodeError::UnknownId { .. }) => {
-                    self.reply(id, Outcome::UnknownMessage, 0);
+                    Some(outcome(Outcome::UnknownMessage))
                 }
                 Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
-                    self.reply(id, Outcome::Malformed, 0);
+                    Some(outcome(Outcome::Malformed))
                 }
+            };
+            if let Some(answer) = answer {
+                self.answer(number, answer);
             }
         }
         bytes.len()
     }
 
-    pub(crate) fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
-        self.queue.answer(Answer::Reply(Reply {
-            to,
-            outcome,
-            detail,
-        }));
+    /// Answers a request, now and when it comes again.
+    pub(crate) fn answer(&mut self, number: Number, answer: Answer) {
+        self.conversation.keep(number, &answer);
+        self.queue.answer(number, answer);
     }
 
     /// A host says hello: it starts from a silent device, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
         let fits = check(self.queue.hello(), theirs).is_ok();
         self.paired = fits && !self.service.is_leaving();
-        let minor = self.queue.hello().protocol_minor.min(theirs.protocol_minor);
-        let asks_again = self.paired && minor >= RESEND_MINOR;
-        self.queue.restart(access, asks_again);
-        self.replay.forget_sequence();
+        self.conversation = Conversation::default();
+        self.queue.restart(access);
         self.forget_service(access);
         self.telemetry_every = 0;
         // Whoever comes must hear of an active fault, even if it was reported to somebody before.
         self.reported_fault = Fault::NONE;
         access.with(|rt| rt.set_windows_every(0));
-        self.queue.answer(Answer::Hello);
-        if self.paired {
-            self.queue.answer(Answer::FrontEnd);
-        } else {
-            self.reply(Hello::ID, Outcome::NotPaired, 0);
-        }
+        // One that does not fit sees it in ours.
+        self.queue.tell(Answer::Hello);
     }
 
     /// Nobody is talked to until the next hello.
     pub(crate) fn unpair(&mut self) {
         self.paired = false;
         self.telemetry_every = 0;
-    }
-
-    fn set_power(&mut self, access: &mut impl Access, m: &SetPower) {
-        let (outcome, detail) = self.host_power(access, m.power_w);
-        self.reply(SetPower::ID, outcome, detail);
     }
 
     fn host_power(&mut self, access: &mut impl Access, power_w: u16) -> (Outcome, u32) {
@@ -265,7 +282,7 @@ impl Housekeeping {
         self.control.temperatures().fan()
     }
 
-    fn clear_fault(&mut self, access: &mut impl Access) {
+    fn clear_fault(&mut self, access: &mut impl Access) -> Answer {
         let action = self.control.clear_fault();
         self.act(access, action);
         let standing = access.with(|rt| rt.fault());
@@ -274,38 +291,38 @@ impl Housekeeping {
             _ if self.control.state() == State::LockedOut => Outcome::LockedOut,
             _ => Outcome::FaultActive,
         };
-        self.reply(ClearFault::ID, outcome, u32::from(standing.number()));
+        reply(outcome, u32::from(standing.number()))
     }
 
-    fn start_replay(&mut self, access: &mut impl Access, m: &ReplayStart) {
+    fn start_replay(&mut self, access: &mut impl Access, m: &ReplayStart) -> Answer {
         let off = self.control.switch_off();
         self.act(access, off);
         match self.replay.start(access, m) {
-            Ok(mode) => self.answer_replay_mode(mode),
-            Err((outcome, detail)) => self.reply(ReplayStart::ID, outcome, detail),
+            Ok(mode) => self.replay_mode(mode),
+            Err((outcome, detail)) => reply(outcome, detail),
         }
     }
 
-    fn answer_replay_mode(&mut self, mode: ReplayMode) {
+    fn replay_mode(&mut self, mode: ReplayMode) -> Answer {
         self.queue.set_capability(CAP_REPLAYING, mode.active);
-        self.queue.answer(Answer::ReplayMode(mode));
+        Answer::ReplayMode(mode)
     }
 
-    fn stream(&mut self, access: &mut impl Access, m: &Stream) {
+    fn stream(&mut self, access: &mut impl Access, m: &Stream) -> Answer {
         self.telemetry_every = m.telemetry_every;
         access.with(|rt| rt.set_windows_every(m.windows_every));
-        self.reply(Stream::ID, Outcome::Ok, 0);
+        outcome(Outcome::Ok)
     }
 
-    fn configure(&mut self, access: &mut impl Access, settings: Configure) {
+    fn configure(&mut self, access: &mut impl Access, settings: Configure) -> Answer {
         match settings.check() {
             Ok(()) => {
                 self.control.set_give_up_s(settings.give_up_s);
                 access.with(|rt| rt.set_dither(settings.dither_permille));
                 self.settings = settings;
-                self.reply(Configure::ID, Outcome::Ok, 0);
+                outcome(Outcome::Ok)
             }
-            Err(field) => self.reply(Configure::ID, Outcome::OutOfRange, field),
+            Err(field) => reply(Outcome::OutOfRange, field),
         }
     }
 
@@ -355,7 +372,7 @@ impl Housekeeping {
         if fault != self.reported_fault && self.paired && !self.queue.is_full() {
             self.reported_fault = fault;
             self.queue
-                .answer(Answer::Fault(FaultEvent { half_cycle, fault }));
+                .tell(Answer::Fault(FaultEvent { half_cycle, fault }));
         }
     }
 
@@ -483,6 +500,16 @@ impl Housekeeping {
     pub fn transmit(&mut self, access: &mut impl Access, out: &mut [u8; MAX_ENCODED]) -> usize {
         self.queue.transmit(access, &self.active, out)
     }
+}
+
+/// An outcome with its detail.
+fn reply(outcome: Outcome, detail: u32) -> Answer {
+    Answer::Reply(Reply { outcome, detail })
+}
+
+/// An outcome that has no detail.
+pub(crate) fn outcome(outcome: Outcome) -> Answer {
+    reply(outcome, 0)
 }
 
 fn utilisation(realtime: &mut RealTime) -> Utilisation {

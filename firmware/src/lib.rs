@@ -20,6 +20,7 @@ extern crate std;
 pub mod burst;
 pub mod channels;
 pub mod control;
+pub mod conversation;
 pub mod demod;
 pub mod drive;
 pub mod ekf;

@@ -45,23 +45,12 @@ impl Estimates {
     }
 }
 
-/// What a message of blocks is answered with.
-#[derive(Clone, Debug)]
-pub enum Replayed {
-    /// What the blocks led to.
-    Estimates(Estimates),
-    /// The device is not in replay mode, and took nothing.
-    NotReplaying(ReplayMode),
-}
-
 /// Replay mode as the link sees it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Replay {
     blocks: u32,
     /// The last answer, for a host that did not get it.
     last: Estimates,
-    /// Frame that `last` answered.
-    last_seq: Option<u16>,
 }
 
 impl Replay {
@@ -107,32 +96,27 @@ impl Replay {
         }
     }
 
-    /// Another host, or the same one anew: its frames count from the beginning.
-    pub fn forget_sequence(&mut self) {
-        self.last_seq = None;
-    }
-
-    /// Replays the blocks of one message, which came in frame `seq`; `None` when they are not whole
-    /// blocks, or too many. A frame that comes twice is replayed once, and a message without
-    /// blocks asks for the last answer again: so nothing that a link does makes the estimator see
-    /// a block twice or not at all.
+    /// Replays the blocks of one message. A message without blocks asks for the last answer again, and a request that comes
+    /// twice is carried out once ([`crate::conversation`]): so nothing that a link does makes the estimator see a block twice
+    /// or not at all.
+    ///
+    /// # Errors
+    /// The outcome: they are not whole blocks or too many, or the device is not in replay mode.
     pub fn blocks(
         &mut self,
         access: &mut impl Access,
         m: &ReplayBlocks<'_>,
-        seq: u16,
-    ) -> Option<Replayed> {
+    ) -> Result<Estimates, Outcome> {
         let bytes = m.data.0;
         let count = bytes.len() / BLOCK_BYTES;
         if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
-            return None;
+            return Err(Outcome::Malformed);
         }
-        let (active, blocks) = (access.with(|rt| rt.is_replaying()), self.blocks);
-        if !active {
-            return Some(Replayed::NotReplaying(ReplayMode { active, blocks }));
+        if !access.with(|rt| rt.is_replaying()) {
+            return Err(Outcome::NotReplaying);
         }
-        if count == 0 || self.last_seq == Some(seq) {
-            return Some(Replayed::Estimates(self.last));
+        if count == 0 {
+            return Ok(self.last);
         }
         let mut entries = [TrajectoryEntry::default(); BLOCKS_PER_MESSAGE];
         let blocks = bytes.chunks_exact(BLOCK_BYTES);
@@ -143,13 +127,12 @@ impl Replay {
         }
         let first = self.blocks;
         self.blocks = first.wrapping_add(count as u32);
-        self.last_seq = Some(seq);
         self.last = Estimates {
             first,
             entries,
             count,
         };
-        Some(Replayed::Estimates(self.last))
+        Ok(self.last)
     }
 }
 

@@ -10,14 +10,14 @@
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::link_test::Received;
 use ihd_shared::wire::messages::{
-    BoardTest, Clocks, Comparators, LinkData, Message, Outcome, Program, Restart, State, StreamLog,
-    TestBoard, TestLink,
+    Clocks, Comparators, LinkData, Outcome, Program, Reply, State, TestLink,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::RESTART_AFTER_MS;
 
 use crate::channels::{Measuring, Reference, SlowCodes};
 use crate::drive::Bridge;
-use crate::housekeeping::Housekeeping;
+use crate::housekeeping::{Housekeeping, outcome};
 use crate::log_ring::LogSource;
 use crate::realtime::Access;
 use crate::transmit_queue::Answer;
@@ -86,34 +86,40 @@ pub struct NoFacilities;
 
 impl Facilities for NoFacilities {}
 
+/// Part of the board that is to be looked at.
+#[derive(Clone, Copy)]
+pub enum Test {
+    /// The measuring channels.
+    Channels,
+    /// The trip of both comparators.
+    Comparators,
+    /// The clocks against each other.
+    Clocks,
+}
+
 /// What is under way.
 enum Order {
     /// Asked for and not looked at.
     Restart(Program),
     /// The answer is leaving; since when, in milliseconds.
     Leaving(Program, u32),
-    Test(BoardTest),
+    Test(Test),
     Channels(Measuring),
     /// Since when, in milliseconds.
     Clocks(u32),
 }
 
-impl Order {
-    /// The test it is, if it is one.
-    fn test(&self) -> Option<BoardTest> {
-        match self {
-            Self::Restart(_) | Self::Leaving(..) => None,
-            Self::Test(test) => Some(*test),
-            Self::Channels(_) => Some(BoardTest::Channels),
-            Self::Clocks(_) => Some(BoardTest::Clocks),
-        }
-    }
+/// What comes of a step of an order.
+enum Step {
+    Next(Order),
+    Answer(Answer),
+    Leave(Program),
 }
 
-/// The order under way, and the count of the link's test.
+/// The order under way with its request's number, and the count of the link's test.
 #[derive(Default)]
 pub struct Service {
-    order: Option<Order>,
+    order: Option<(Number, Order)>,
     received: Received,
 }
 
@@ -125,7 +131,7 @@ impl Service {
 
     /// Whether the device is about to go: nobody is paired with it any more, and nothing is heated.
     pub fn is_leaving(&self) -> bool {
-        matches!(self.order, Some(Order::Leaving(..)))
+        matches!(self.order, Some((_, Order::Leaving(..))))
     }
 
     /// Forgets what a host that is gone has asked for.
@@ -154,38 +160,33 @@ impl Housekeeping {
         self.service.forget();
     }
 
-    pub(crate) fn ask_restart(&mut self, into: Program) {
+    pub(crate) fn ask_restart(&mut self, number: Number, into: Program) -> Option<Answer> {
+        self.begin(number, Order::Restart(into))
+    }
+
+    pub(crate) fn ask_test(&mut self, number: Number, test: Test) -> Option<Answer> {
+        self.begin(number, Order::Test(test))
+    }
+
+    /// Takes an order, which is answered later, or says that there is one already.
+    fn begin(&mut self, number: Number, order: Order) -> Option<Answer> {
         if self.service.order.is_some() {
-            self.reply(Restart::ID, Outcome::Busy, 0);
-        } else {
-            self.service.order = Some(Order::Restart(into));
+            return Some(outcome(Outcome::Busy));
         }
+        self.service.order = Some((number, order));
+        None
     }
 
-    pub(crate) fn ask_board_test(&mut self, test: BoardTest) {
-        match &self.service.order {
-            None => self.service.order = Some(Order::Test(test)),
-            // A repetition: it is answered once.
-            Some(order) if order.test() == Some(test) => {}
-            Some(_) => self.reply(TestBoard::ID, Outcome::Busy, 0),
-        }
-    }
-
-    pub(crate) fn test_link(&mut self, test: &TestLink) {
+    pub(crate) fn test_link(&mut self, test: &TestLink) -> Answer {
         if usize::from(test.bytes) > CHUNK_BYTES {
-            return self.reply(TestLink::ID, Outcome::OutOfRange, 1);
+            return Answer::Reply(Reply {
+                outcome: Outcome::OutOfRange,
+                detail: 1,
+            });
         }
         let tested = core::mem::take(&mut self.service.received).counts();
-        self.queue.answer(Answer::LinkTested(tested));
         self.queue.send_link_data(test.frames, test.bytes);
-    }
-
-    pub(crate) fn stream_log(&mut self, on: bool) {
-        let outcome = match self.queue.stream_log(on) {
-            true => Outcome::Ok,
-            false => Outcome::Unavailable,
-        };
-        self.reply(StreamLog::ID, outcome, 0);
+        Answer::LinkTested(tested)
     }
 
     /// To be called after each block, behind [`Housekeeping::poll`]: carries out what a host has asked the board
@@ -196,7 +197,7 @@ impl Housekeeping {
         if self.queue.is_full() {
             return;
         }
-        let Some(order) = self.service.order.take() else {
+        let Some((number, order)) = self.service.order.take() else {
             return;
         };
         let now_ms = access.with(|rt| rt.now_ms());
@@ -204,23 +205,62 @@ impl Housekeeping {
             if now_ms.wrapping_sub(since_ms) >= RESTART_AFTER_MS {
                 board.restart(into);
             }
-            self.service.order = Some(order);
+            self.service.order = Some((number, order));
             return;
         }
-        if !self.is_off(access) {
+        let step = if self.is_off(access) {
+            self.step(order, now_ms, access, board)
+        } else {
             access.with(|rt| rt.recorder().end_raw());
-            return match order.test() {
-                Some(_) => self.reply(TestBoard::ID, Outcome::NotIdle, 0),
-                None => self.reply(Restart::ID, Outcome::NotIdle, 0),
-            };
-        }
-        self.service.order = match order {
-            Order::Restart(into) => self.leave(into, now_ms, board),
-            Order::Test(test) => self.begin_test(test, now_ms, board),
-            Order::Channels(measuring) => self.measure(measuring, now_ms, access, board),
-            Order::Clocks(since_ms) => self.count(since_ms, now_ms, board),
-            Order::Leaving(..) => None,
+            Step::Answer(outcome(Outcome::NotIdle))
         };
+        match step {
+            Step::Next(order) => self.service.order = Some((number, order)),
+            Step::Answer(answer) => self.answer(number, answer),
+            Step::Leave(into) => {
+                self.answer(number, outcome(Outcome::Ok));
+                self.unpair();
+                self.service.order = Some((number, Order::Leaving(into, now_ms)));
+            }
+        }
+    }
+
+    fn step(
+        &mut self,
+        order: Order,
+        now_ms: u32,
+        access: &mut impl Access,
+        board: &mut impl Facilities,
+    ) -> Step {
+        let answer = match order {
+            Order::Restart(into) | Order::Leaving(into, _) if board.has_program(into) => {
+                return Step::Leave(into);
+            }
+            Order::Restart(_) | Order::Leaving(..) => None,
+            Order::Test(Test::Channels) => {
+                return Step::Next(Order::Channels(Measuring::begin(now_ms)));
+            }
+            Order::Test(Test::Comparators) => board.comparators().map(Answer::Comparators),
+            Order::Test(Test::Clocks) if board.begin_clocks() => {
+                return Step::Next(Order::Clocks(now_ms));
+            }
+            Order::Test(Test::Clocks) => None,
+            Order::Channels(mut measuring) => {
+                if !measuring.step(now_ms, access, board.slow_codes()) {
+                    return Step::Next(Order::Channels(measuring));
+                }
+                let found = measuring.result(board.reference()).map(Answer::Channels);
+                // A window that nobody lets go of has the recorder.
+                return Step::Answer(found.unwrap_or_else(|| outcome(Outcome::Busy)));
+            }
+            Order::Clocks(since_ms) => match board.clocks() {
+                None if now_ms.wrapping_sub(since_ms) < CLOCKS_WITHIN_MS => {
+                    return Step::Next(Order::Clocks(since_ms));
+                }
+                found => found.map(Answer::Clocks),
+            },
+        };
+        Step::Answer(answer.unwrap_or_else(|| outcome(Outcome::Unavailable)))
     }
 
     /// Both switches open, nothing asks for anything else, and the samples are the ADC's.
@@ -231,62 +271,5 @@ impl Housekeeping {
             bridges == [Bridge::Open; 2] && !rt.is_replaying()
         });
         open && !asked
-    }
-
-    fn leave(&mut self, into: Program, now_ms: u32, board: &mut impl Facilities) -> Option<Order> {
-        if !board.has_program(into) {
-            self.reply(Restart::ID, Outcome::Unavailable, 0);
-            return None;
-        }
-        self.reply(Restart::ID, Outcome::Ok, 0);
-        self.unpair();
-        Some(Order::Leaving(into, now_ms))
-    }
-
-    fn begin_test(
-        &mut self,
-        test: BoardTest,
-        now_ms: u32,
-        board: &mut impl Facilities,
-    ) -> Option<Order> {
-        match test {
-            BoardTest::Channels => return Some(Order::Channels(Measuring::begin(now_ms))),
-            BoardTest::Comparators => match board.comparators() {
-                Some(found) => self.queue.answer(Answer::Comparators(found)),
-                None => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
-            },
-            BoardTest::Clocks if board.begin_clocks() => return Some(Order::Clocks(now_ms)),
-            BoardTest::Clocks => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
-        }
-        None
-    }
-
-    fn measure(
-        &mut self,
-        mut measuring: Measuring,
-        now_ms: u32,
-        access: &mut impl Access,
-        board: &mut impl Facilities,
-    ) -> Option<Order> {
-        if !measuring.step(now_ms, access, board.slow_codes()) {
-            return Some(Order::Channels(measuring));
-        }
-        match measuring.result(board.reference()) {
-            Some(found) => self.queue.answer(Answer::Channels(found)),
-            // A window that nobody lets go of has the recorder.
-            None => self.reply(TestBoard::ID, Outcome::Busy, 0),
-        }
-        None
-    }
-
-    fn count(&mut self, since_ms: u32, now_ms: u32, board: &mut impl Facilities) -> Option<Order> {
-        match board.clocks() {
-            Some(found) => self.queue.answer(Answer::Clocks(found)),
-            None if now_ms.wrapping_sub(since_ms) < CLOCKS_WITHIN_MS => {
-                return Some(Order::Clocks(since_ms));
-            }
-            None => self.reply(TestBoard::ID, Outcome::Unavailable, 0),
-        }
-        None
     }
 }

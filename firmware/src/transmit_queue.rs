@@ -11,13 +11,14 @@ use heapless::Deque;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::sampling::{CODE_BITS, I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES};
-use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{CRC32, Digest, MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::link_test::fill;
 use ihd_shared::wire::messages::{
     Board, Channels, Clocks, Comparators, FaultEvent, FrontEnd, Hello, LinkData, LinkTested, Log,
-    LookupBlob, Message, Outcome, Piece, Raw, ReplayMode, Reply, ResendWindow, Status, Telemetry,
-    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
+    LookupBlob, Message, Piece, Raw, ReplayMode, Reply, ResendWindow, Status, Telemetry,
+    TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowGone, WindowStart,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::WINDOW_KEPT_HALF_CYCLES;
 
 use crate::log_ring::LogSource;
@@ -36,7 +37,8 @@ const TELEMETRY: usize = 4;
 /// Bytes of log in one message: all that is kept, as a frame of it is sent whole.
 pub const LOG_BYTES: usize = 512;
 
-/// An answer that waits.
+/// An answer that waits, or what is as urgent.
+#[derive(Clone)]
 pub enum Answer {
     /// The device's hello.
     Hello,
@@ -110,13 +112,11 @@ enum Stage {
 pub struct TransmitQueue {
     hello: Hello,
     frame_seq: u16,
-    answers: Deque<Answer, ANSWERS>,
+    answers: Deque<(Number, Answer), ANSWERS>,
     telemetry: Deque<Telemetry, TELEMETRY>,
     telemetry_due: u32,
     telemetry_dropped: u32,
     cursor: Option<Cursor>,
-    /// The host asks for what it misses, and lets go of what it has.
-    host_asks_again: bool,
     /// Half-cycles for which a window that was sent is still kept.
     kept_half_cycles: u8,
     identity: Identity,
@@ -138,7 +138,6 @@ impl TransmitQueue {
             telemetry_due: 0,
             telemetry_dropped: 0,
             cursor: None,
-            host_asks_again: false,
             kept_half_cycles: 0,
             identity: Identity::default(),
             log: None,
@@ -189,14 +188,17 @@ impl TransmitQueue {
 
     /// Whether another answer would find no room.
     pub fn is_full(&self) -> bool {
-        // A hello is followed by a refusal or by what the codes stand for.
-        self.answers.len() + 2 > ANSWERS
+        self.answers.is_full()
     }
 
-    /// Queues an answer; callers keep [`TransmitQueue::is_full`] false first.
-    pub fn answer(&mut self, answer: Answer) {
-        // A fault event on top of a full queue is lost here, not in Status, which still reports it.
-        let _ = self.answers.push_back(answer);
+    /// Queues an answer to the request of this number; callers keep [`TransmitQueue::is_full`] false first.
+    pub fn answer(&mut self, number: Number, answer: Answer) {
+        let _ = self.answers.push_back((number, answer));
+    }
+
+    /// As [`TransmitQueue::answer`], for what answers no request.
+    pub fn tell(&mut self, answer: Answer) {
+        self.answer(Number::NONE, answer);
     }
 
     /// Telemetry is due: takes a number, then looks for room. `fill` gets number and drop count.
@@ -215,15 +217,13 @@ impl TransmitQueue {
         self.telemetry_dropped
     }
 
-    /// Forgets everything queued for a host that is gone. The one that comes may ask for pieces of windows
-    /// again.
-    pub fn restart(&mut self, access: &mut impl Access, host_asks_again: bool) {
+    /// Forgets everything queued for a host that is gone.
+    pub fn restart(&mut self, access: &mut impl Access) {
         self.answers.clear();
         self.telemetry.clear();
         self.cursor = None;
         self.log_on = false;
         self.test_data = TestData::default();
-        self.host_asks_again = host_asks_again;
         access.with(|rt| rt.recorder().abandon());
     }
 
@@ -231,7 +231,7 @@ impl TransmitQueue {
     pub fn resend(&mut self, access: &mut impl Access, m: ResendWindow) {
         if m.piece != Piece::Nothing {
             self.kept_half_cycles = WINDOW_KEPT_HALF_CYCLES;
-            self.answer(Answer::Piece(m));
+            self.tell(Answer::Piece(m));
         } else if self.cursor.as_ref().is_some_and(|c| c.header.seq == m.seq) {
             self.let_go(access);
         }
@@ -260,32 +260,32 @@ impl TransmitQueue {
         lookup: &RlLookup,
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
-        if let Some(answer) = self.answers.pop_front() {
+        if let Some((number, answer)) = self.answers.pop_front() {
             return match answer {
                 Answer::Hello => {
                     let hello = self.hello.clone();
                     self.frame(&hello, out)
                 }
-                Answer::FrontEnd => self.frame(&front_end(), out),
-                Answer::Reply(m) => self.frame(&m, out),
-                Answer::Status(m) => self.frame(&m, out),
-                Answer::Utilisation(m) => self.frame(&m, out),
+                Answer::FrontEnd => self.numbered(&front_end(), number, out),
+                Answer::Reply(m) => self.numbered(&m, number, out),
+                Answer::Status(m) => self.numbered(&m, number, out),
+                Answer::Utilisation(m) => self.numbered(&m, number, out),
                 Answer::Lookup => {
                     let blob = lookup.to_bytes();
-                    self.frame(&LookupBlob { blob: Raw(&blob) }, out)
+                    self.numbered(&LookupBlob { blob: Raw(&blob) }, number, out)
                 }
                 Answer::Fault(m) => self.frame(&m, out),
-                Answer::ReplayMode(m) => self.frame(&m, out),
+                Answer::ReplayMode(m) => self.numbered(&m, number, out),
                 Answer::ReplayEstimates(estimates) => {
                     let mut raw = [0; Estimates::BYTES];
-                    self.frame(&estimates.message(&mut raw), out)
+                    self.numbered(&estimates.message(&mut raw), number, out)
                 }
                 Answer::Piece(m) => self.piece(&m, access, out),
-                Answer::Board => self.board(out),
-                Answer::Channels(m) => self.frame(&m, out),
-                Answer::Comparators(m) => self.frame(&m, out),
-                Answer::Clocks(m) => self.frame(&m, out),
-                Answer::LinkTested(m) => self.frame(&m, out),
+                Answer::Board => self.board(number, out),
+                Answer::Channels(m) => self.numbered(&m, number, out),
+                Answer::Comparators(m) => self.numbered(&m, number, out),
+                Answer::Clocks(m) => self.numbered(&m, number, out),
+                Answer::LinkTested(m) => self.numbered(&m, number, out),
             };
         }
         if let Some(telemetry) = self.telemetry.pop_front() {
@@ -312,7 +312,7 @@ impl TransmitQueue {
         }
     }
 
-    fn board(&mut self, out: &mut [u8; MAX_ENCODED]) -> usize {
+    fn board(&mut self, number: Number, out: &mut [u8; MAX_ENCODED]) -> usize {
         let id = self.identity;
         let message = Board {
             id_code: id.id_code,
@@ -326,7 +326,7 @@ impl TransmitQueue {
             build_id: Raw(id.build_id.as_ref().map_or(&[], |id| id.as_slice())),
             chip: Raw(id.chip.as_ref().map_or(&[], |id| id.as_slice())),
         };
-        self.frame(&message, out)
+        self.numbered(&message, number, out)
     }
 
     /// The oldest of the log that was not sent, if the host wants it and there is any.
@@ -393,9 +393,6 @@ impl TransmitQueue {
         };
         cursor.stage = next;
         self.cursor = Some(cursor);
-        if matches!(next, Stage::Sent) && !self.host_asks_again {
-            self.let_go(access);
-        }
         length
     }
 
@@ -427,12 +424,7 @@ impl TransmitQueue {
                 return length;
             }
         }
-        let gone = Reply {
-            to: ResendWindow::ID,
-            outcome: Outcome::OutOfRange,
-            detail: m.seq,
-        };
-        self.frame(&gone, out)
+        self.frame(&WindowGone { seq: m.seq }, out)
     }
 
     fn start(
@@ -505,10 +497,20 @@ impl TransmitQueue {
         self.frame(&end, out)
     }
 
+    /// A frame of a message that has no number.
     fn frame<M: Message>(&mut self, message: &M, out: &mut [u8; MAX_ENCODED]) -> usize {
+        self.numbered(message, Number::NONE, out)
+    }
+
+    fn numbered<M: Message>(
+        &mut self,
+        message: &M,
+        number: Number,
+        out: &mut [u8; MAX_ENCODED],
+    ) -> usize {
         let seq = self.frame_seq;
         self.frame_seq = seq.wrapping_add(1);
         // Every message of the table fits; a test in `tests/` encodes the longest of each.
-        encode(message, seq, out).unwrap_or(0)
+        encode_numbered(message, number, seq, out).unwrap_or(0)
     }
 }

@@ -18,12 +18,13 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     ClearFault, Configure, GetStatus, Hello, Message, PushLookup, Raw, ReplayEnd, ReplayStart,
     ResetLookup, SetPower, State, Stream,
 };
+use ihd_shared::wire::number::Number;
 
 /// Blocks of a half-cycle, near enough.
 const HALF_CYCLE: u64 = 220;
@@ -96,6 +97,7 @@ struct Soak {
     air: Vec<[Pair; ADC_LOCK_P]>,
     samples: Samples,
     seq: u16,
+    number: Number,
     states: [u64; 6],
     frames: u64,
     faults: u64,
@@ -112,6 +114,7 @@ impl Soak {
             air: of_load(0.15, 30.0, 7.0),
             samples: Samples::Pot,
             seq: 0,
+            number: Number::NONE,
             states: [0; 6],
             frames: 0,
             faults: 0,
@@ -240,7 +243,13 @@ impl Soak {
     fn message(&mut self, message: &impl Message) {
         let mut frame = [0; MAX_ENCODED];
         self.seq = self.seq.wrapping_add(1);
-        let length = encode(message, self.seq, &mut frame).expect("it fits");
+        self.number = match self.random.below(20) {
+            // Again, or one that is past.
+            0 => self.number,
+            1 => Number::FIRST,
+            _ => self.number.next(),
+        };
+        let length = encode_numbered(message, self.number, self.seq, &mut frame).expect("it fits");
         if self.random.one_in(30) {
             let at = self.random.below(length as u64) as usize;
             frame[at] ^= 1 << self.random.below(8);

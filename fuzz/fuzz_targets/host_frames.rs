@@ -19,7 +19,7 @@ mod reader;
 use host_frames_board::Board;
 use ihd_firmware::housekeeping::Housekeeping;
 use ihd_firmware::realtime::{Bridge, Drive, RealTime};
-use ihd_link::incoming::{Answer, Event, Incoming};
+use ihd_link::incoming::{Event, Incoming};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
 use ihd_shared::lookup::plausible;
@@ -28,8 +28,8 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    ClearFault, GetStatus, MESSAGES, Message, PushLookup, Raw, ReadLookup, ReplayBlocks, ReplayEnd,
-    ReplayStart, SetPower, State, Stream,
+    ClearFault, GetStatus, Hello, MESSAGES, Message, PushLookup, Raw, ReadLookup, ReplayBlocks,
+    ReplayEnd, ReplayStart, SetPower, State, Status, Stream,
 };
 use reader::{Reader, framed, framed_raw};
 
@@ -294,10 +294,9 @@ impl Device {
             }
         }
         for answer in self.host.answers.drain(..) {
-            match answer {
-                Answer::Hello(_) => self.hellos += 1,
-                Answer::Status(m) => assert!(rated(m.f_sw_hz) && m.asked_w <= RATED_POWER_W),
-                _ => {}
+            self.hellos += u32::from(answer.id() == Hello::ID);
+            if let Some(m) = answer.decode::<Status>() {
+                assert!(rated(m.f_sw_hz) && m.asked_w <= RATED_POWER_W);
             }
         }
     }

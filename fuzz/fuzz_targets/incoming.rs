@@ -75,7 +75,7 @@ impl Host {
         self.sent += bytes.len() as u64;
         for &byte in bytes {
             if let Some(Ok(frame)) = self.frames.push(byte) {
-                match AnyMessage::decode(frame.id, frame.payload) {
+                match AnyMessage::decode(frame.id, frame.split().1) {
                     Ok(AnyMessage::WindowStart(_)) => {
                         self.starts += 1;
                         self.window_messages += 1;
@@ -83,7 +83,8 @@ impl Host {
                     Ok(
                         AnyMessage::WindowChunk(_)
                         | AnyMessage::TrajectoryChunk(_)
-                        | AnyMessage::WindowEnd(_),
+                        | AnyMessage::WindowEnd(_)
+                        | AnyMessage::WindowGone(_),
                     ) => self.window_messages += 1,
                     Ok(AnyMessage::LinkData(_)) => self.link_data += 1,
                     _ => {}

@@ -107,7 +107,7 @@ fn hello(bytes: &[u8]) {
         if let Some(result) = deframer.push(byte) {
             let frame = result.expect("what was encoded decodes");
             assert!(frame.payload.len() <= bytes.len());
-            let again = AnyMessage::decode(frame.id, frame.payload);
+            let again = AnyMessage::decode(frame.id, frame.split().1);
             assert_eq!(again, Ok(AnyMessage::Hello(theirs.clone())));
         }
     }

@@ -17,5 +17,5 @@ pub const BLOCK_BYTES: usize = ADC_LOCK_P * PAIR_BYTES;
 /// blocks.
 pub const NO_CROSSING: u16 = u16::MAX;
 
-// Beside the blocks: two varints of a u16, and the length.
-const _: () = assert!(BLOCKS_PER_MESSAGE * BLOCK_BYTES + 3 + 3 + 2 <= MAX_PAYLOAD);
+// Beside the blocks: the number of the request, two varints of a u16, and the length.
+const _: () = assert!(BLOCKS_PER_MESSAGE * BLOCK_BYTES + 2 + 3 + 3 + 2 <= MAX_PAYLOAD);

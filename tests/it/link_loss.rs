@@ -3,15 +3,16 @@
 use std::time::Duration;
 
 use ihd_link::{Client, Counters, Event, Transport};
-use ihd_shared::wire::messages::{Hello, Status};
+use ihd_shared::wire::messages::Status;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
-use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, older_hello};
+use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use ihd_tests::faulty_link::{Faults, FaultyLink};
 
 /// A device on the desk whose link carries a frame a block, 15 MB/s.
-fn desk(hello: Hello) -> DeskLink {
-    let mut hob = DeskHob::new(hello);
+fn desk(sends_again: bool) -> DeskLink {
+    let mut hob = DeskHob::new(desk_hello());
+    hob.sends_again = sends_again;
     hob.bytes_per_block = 1;
     DeskLink::new(hob)
 }
@@ -71,9 +72,9 @@ const fn faults(flips: f64, lost: f64, repeated: f64, swapped: f64) -> Faults {
 #[test]
 fn a_faulty_link_costs_few_windows() {
     for (what, faults, at_least) in CASES {
-        let faulty = |hello| FaultyLink::new(desk(hello), faults, 1);
-        let now = watch(faulty(desk_hello()), 300);
-        let before = watch(faulty(older_hello()), 100);
+        let faulty = |sends_again| FaultyLink::new(desk(sends_again), faults, 1);
+        let now = watch(faulty(true), 300);
+        let before = watch(faulty(false), 100);
         let (share, pieces) = (whole(&now), now.0.pieces_asked);
         println!(
             "{what}: {:.1} % of {} windows whole, {pieces} pieces asked for again, {} dropped by the \

@@ -17,6 +17,7 @@ mod field_loop;
 mod fuzz_targets;
 mod import;
 mod link_device;
+mod link_late;
 mod link_loss;
 mod link_tcp;
 mod link_windows;

@@ -9,7 +9,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, decode, encode, encode_numbered};
 use ihd_shared::wire::hello::CAP_REPLAYING;
 use ihd_shared::wire::messages::{
     AnyMessage, FrontEnd, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry,
@@ -118,7 +118,8 @@ fn a_device_of_other_scales_is_not_compared() {
                 ..front_end()
             };
             let mut out = [0; MAX_ENCODED];
-            let length = encode(&other, frame.seq, &mut out).unwrap();
+            let (number, _) = frame.split();
+            let length = encode_numbered(&other, number, frame.seq, &mut out).unwrap();
             out[..length].to_vec()
         });
         client(link)
@@ -276,7 +277,8 @@ fn one_bit_of_one_estimate_is_seen_and_reported() {
             let Some(Ok(whole)) = deframer.push(byte) else {
                 continue;
             };
-            let (seq, payload) = (whole.seq, whole.payload.to_vec());
+            let (number, message) = whole.split();
+            let (seq, payload) = (whole.seq, message.to_vec());
             if let Ok(AnyMessage::ReplayEstimates(m)) = AnyMessage::decode(whole.id, &payload) {
                 seen += 1;
                 if seen == 30 {
@@ -287,7 +289,7 @@ fn one_bit_of_one_estimate_is_seen_and_reported() {
                         data: Raw(&data),
                     };
                     let mut out = [0; MAX_ENCODED];
-                    let length = encode(&changed, seq, &mut out).unwrap();
+                    let length = encode_numbered(&changed, number, seq, &mut out).unwrap();
                     return out[..length].to_vec();
                 }
             }

@@ -6,19 +6,20 @@ use std::sync::{Arc, LazyLock, Mutex};
 use ihd_link::incoming::Incoming;
 use ihd_link::{Event, Window};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_raw};
-use ihd_tests::desk_hob::{heating_as, older_hello};
+use ihd_tests::desk_hob::heating;
 use proptest::prelude::*;
 
 /// The frames a heating device sends in some half-cycles, undamaged.
 static RECORDED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-    let (_client, link) = heating_as(older_hello());
+    let (_client, link) = heating();
     let frames = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&frames);
     link.hob().mangle = Box::new(move |frame| {
         kept.lock().unwrap().push(frame.to_vec());
         frame.to_vec()
     });
-    link.hob().run(8);
+    // Nobody lets go of a window, which is kept for 20 half-cycles.
+    link.hob().run(80);
     let mut frames = frames.lock().unwrap();
     std::mem::take(&mut *frames)
 });

@@ -3,28 +3,32 @@
 use std::collections::BTreeMap;
 
 use ihd_link::Event;
-use ihd_link::incoming::{Answer, Incoming};
+use ihd_link::incoming::Incoming;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::CHUNK_BYTES;
-use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, decode, encode_raw};
+use ihd_shared::wire::frame::{
+    MAX_ENCODED, MAX_PAYLOAD, decode, encode, encode_numbered, encode_raw,
+};
 use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
-    AnyMessage, Board, BoardTest, Channels, ClearFault, Clocks, Comparators, Configure, FaultEvent,
-    FrontEnd, GetBoard, GetFrontEnd, GetStatus, GetUtilisation, Hello, Limit, LinkData, LinkTested,
-    Log, LookupBlob, MESSAGES, Message, Outcome, Piece, Pot, Program, PushLookup, Raw, ReadLookup,
+    AnyMessage, Board, Channels, ClearFault, Clocks, Comparators, Configure, FaultEvent, FrontEnd,
+    GetBoard, GetFrontEnd, GetStatus, GetUtilisation, Hello, Limit, LinkData, LinkTested, Log,
+    LookupBlob, MESSAGES, Message, Outcome, Piece, Pot, Program, PushLookup, Raw, ReadLookup,
     ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply, ResendWindow,
     ResetLookup, Restart, SCHEMA_HASH, SetPower, State, Status, Stream, StreamLog, Telemetry,
-    TestBoard, TestLink, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
+    TestChannels, TestClocks, TestComparators, TestLink, TrajectoryChunk, Utilisation, WindowChunk,
+    WindowEnd, WindowGone, WindowStart, is_numbered,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 const HELLO: &str = include_str!("../fixtures/wire/hello.txt");
 const GOLDEN: &str = include_str!("../fixtures/wire/messages.txt");
 
-/// Number, name, payload and frame of each message in a golden file.
+/// Number, name, message and frame of each message in a golden file.
 fn golden(text: &str) -> BTreeMap<u8, (String, Vec<u8>, Vec<u8>)> {
     let lines: Vec<&str> = text.lines().filter(|l| !l.starts_with('#')).collect();
     let at = lines.iter().position(|l| l.starts_with("0x")).unwrap();
@@ -49,11 +53,26 @@ fn unhex(text: &str) -> Vec<u8> {
         .collect()
 }
 
-/// The frame of any message.
-fn framed(message: &AnyMessage<'_>, seq: u16) -> Vec<u8> {
+/// The frame of any message, under a number if it carries one.
+fn framed(message: &AnyMessage<'_>, number: Number, seq: u16) -> Vec<u8> {
     let (mut payload, mut out) = ([0; MAX_PAYLOAD], [0; MAX_ENCODED]);
-    let (id, payload) = message.payload(&mut payload).unwrap();
-    let length = encode_raw(id, seq, payload, &mut out).unwrap();
+    let (id, message) = message.bytes(&mut payload).unwrap();
+    let number = number.to_le_bytes();
+    let number = if is_numbered(id) { &number[..] } else { &[] };
+    let length = encode_raw(id, seq, &[number, message].concat(), &mut out).unwrap();
+    out[..length].to_vec()
+}
+
+/// The same by the encoder of both ends.
+fn encoded(id: u8, message: &[u8], number: Number, seq: u16) -> Vec<u8> {
+    let mut out = [0; MAX_ENCODED];
+    let length = match AnyMessage::decode(id, message).unwrap() {
+        AnyMessage::SetPower(m) => encode_numbered(&m, number, seq, &mut out),
+        AnyMessage::Status(m) => encode_numbered(&m, number, seq, &mut out),
+        AnyMessage::Telemetry(m) => encode(&m, seq, &mut out),
+        _ => return Vec::new(),
+    };
+    let length = length.unwrap();
     out[..length].to_vec()
 }
 
@@ -111,9 +130,6 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             into: Program::Bootloader,
         }),
         AnyMessage::GetBoard(GetBoard {}),
-        AnyMessage::TestBoard(TestBoard {
-            test: BoardTest::Clocks,
-        }),
         AnyMessage::LinkData(LinkData {
             seq: 70_000,
             data: Raw(chunk),
@@ -123,8 +139,10 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             bytes: 960,
         }),
         AnyMessage::StreamLog(StreamLog { on: true }),
+        AnyMessage::TestChannels(TestChannels {}),
+        AnyMessage::TestComparators(TestComparators {}),
+        AnyMessage::TestClocks(TestClocks {}),
         AnyMessage::Reply(Reply {
-            to: 5,
             outcome: Outcome::LookupStale,
             detail: 70_000,
         }),
@@ -237,6 +255,7 @@ fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
             dropped: 3,
             data: Raw(chunk),
         }),
+        AnyMessage::WindowGone(WindowGone { seq: 77 }),
     ]
 }
 
@@ -303,21 +322,30 @@ fn every_message_has_its_golden_bytes() {
     golden_of.extend(golden(HELLO));
     let mut covered = Vec::new();
     for sample in samples(&chunk, &lookup) {
-        let mut stuffed = framed(&sample, 0);
-        let end = stuffed.len() - 1;
-        let frame = decode(&mut stuffed[1..end]).unwrap();
-        let id = frame.id;
+        let mut bytes = [0; MAX_PAYLOAD];
+        let (id, bytes) = sample.bytes(&mut bytes).unwrap();
         covered.push(id);
-        let (name, payload, on_wire) = golden_of
+        let (name, message, on_wire) = golden_of
             .remove(&id)
             .unwrap_or_else(|| panic!("{sample:?} is missing in tests/fixtures/wire/make.py"));
-        assert_eq!(
-            frame.payload, payload,
-            "payload of {name}; read messages.txt"
-        );
+        assert_eq!(bytes, message, "bytes of {name}; read messages.txt");
         let seq = 0x100 + u16::from(id);
-        assert_eq!(framed(&sample, seq), on_wire, "frame of {name}");
-        assert_eq!(AnyMessage::decode(id, &payload).as_ref(), Ok(&sample));
+        let number = Number::from_le_bytes((0x200 + u16::from(id)).to_le_bytes());
+        assert_eq!(framed(&sample, number, seq), on_wire, "frame of {name}");
+        let by_the_encoder = encoded(id, &message, number, seq);
+        assert!(
+            by_the_encoder.is_empty() || by_the_encoder == on_wire,
+            "{name}"
+        );
+        assert_eq!(AnyMessage::decode(id, &message).as_ref(), Ok(&sample));
+        let mut stuffed = on_wire[1..on_wire.len() - 1].to_vec();
+        let (read, rest) = decode(&mut stuffed).unwrap().split();
+        let carried = if is_numbered(id) {
+            number
+        } else {
+            Number::NONE
+        };
+        assert_eq!((read, rest), (carried, &message[..]), "{name}");
     }
     let table: Vec<u8> = MESSAGES.iter().filter_map(|m| m.id).collect();
     assert_eq!(covered, table, "messages of the table without a sample");
@@ -384,6 +412,8 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
     .enumerate()
     {
         let mut out = [0; MAX_ENCODED];
+        let number = if is_numbered(id) { &[9, 0][..] } else { &[] };
+        let payload = [number, &payload].concat();
         let length = encode_raw(id, seq as u16, &payload, &mut out).unwrap();
         for &byte in &out[..length] {
             incoming.push(byte).unwrap();
@@ -394,7 +424,9 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         fault: newer,
         ..status()
     };
-    assert_eq!(incoming.answers.pop_front(), Some(Answer::Status(status)));
+    let answer = incoming.answers.pop_front().unwrap();
+    assert_eq!(answer.number().to_le_bytes(), [9, 0]);
+    assert_eq!(answer.decode(), Some(status));
     let telemetry = Telemetry {
         fault: newer,
         ..telemetry()
@@ -457,6 +489,6 @@ fn the_longest_of_every_message_fits_a_frame() {
             // Integers only, at most 22 of at most 5 bytes: far below a frame.
             _ => {}
         }
-        assert!(framed(message, u16::MAX).len() <= MAX_ENCODED);
+        assert!(framed(message, Number::FIRST, u16::MAX).len() <= MAX_ENCODED);
     }
 }

@@ -12,8 +12,9 @@ mod tests {
     use ihd_shared::lookup::prior::prior;
     use ihd_shared::units::{MicroOhm, PicoHenry};
     use ihd_shared::wire::deframer::Deframer;
-    use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+    use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
     use ihd_shared::wire::messages::{AnyMessage, SetPower};
+    use ihd_shared::wire::number::Number;
     use static_cell::ConstStaticCell;
 
     /// 68 KiB: never on the stack.
@@ -46,13 +47,16 @@ mod tests {
     #[test]
     fn a_frame_comes_back() {
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(&SetPower { power_w: 1_200 }, 7, &mut frame).unwrap();
+        let number = Number::FIRST.next();
+        let length = encode_numbered(&SetPower { power_w: 1_200 }, number, 7, &mut frame).unwrap();
         let mut deframer = Deframer::new();
         let mut heard = 0;
         for &byte in &frame[..length] {
             if let Some(Ok(frame)) = deframer.push(byte) {
-                let message = AnyMessage::decode(frame.id, frame.payload).unwrap();
+                let (repeated, payload) = frame.split();
+                let message = AnyMessage::decode(frame.id, payload).unwrap();
                 assert_eq!(message, AnyMessage::SetPower(SetPower { power_w: 1_200 }));
+                assert_eq!(repeated, number);
                 heard += 1;
             }
         }

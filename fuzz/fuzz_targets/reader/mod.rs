@@ -3,8 +3,9 @@
 // Each target uses some of it.
 #![allow(dead_code)]
 
-use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, encode, encode_raw};
+use ihd_shared::wire::frame::{MAX_ENCODED, MAX_PAYLOAD, encode_numbered, encode_raw};
 use ihd_shared::wire::messages::Message;
+use ihd_shared::wire::number::Number;
 
 /// The bytes that are left.
 pub struct Reader<'a>(pub &'a [u8]);
@@ -56,10 +57,11 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The frame of a message.
+/// The frame of a message; a request's number is that of its frame.
 pub fn framed<M: Message>(message: &M, seq: u16) -> Vec<u8> {
     let mut out = [0; MAX_ENCODED];
-    let length = encode(message, seq, &mut out).expect("the message fits a frame");
+    let number = Number::from_le_bytes(seq.to_le_bytes());
+    let length = encode_numbered(message, number, seq, &mut out).expect("the message fits a frame");
     out[..length].to_vec()
 }
 

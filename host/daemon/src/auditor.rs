@@ -12,6 +12,7 @@ use tokio::task::JoinHandle;
 
 use crate::daemon::lock;
 use crate::face::Face;
+use crate::model::Record;
 use crate::store_thread::{StoreThread, StoreTrouble};
 
 /// Commands that may wait: with a database that is locked for ten minutes, two a second.
@@ -155,7 +156,8 @@ impl Writer {
             } = &audit;
             store.audit(*at_ms, Some(device), holder, command, outcome)
         };
-        self.store.run(write).await?;
+        let store = self.store.writing(Record::Audits);
+        store.run(write).await?;
         if self.gauge.is_late.swap(false, Ordering::Relaxed) {
             tracing::info!("audit: commands are written again");
         }

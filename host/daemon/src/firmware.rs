@@ -6,9 +6,13 @@ use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 /// What to update where a device speaks this minor version of the daemon's protocol; empty where it fits.
 pub fn updates_needed(minor: u16) -> String {
-    let theirs = format!("{PROTOCOL_MAJOR}.{minor}");
-    let ours = format!("{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}");
-    match minor.cmp(&PROTOCOL_MINOR) {
+    between(minor, PROTOCOL_MINOR)
+}
+
+fn between(theirs: u16, ours: u16) -> String {
+    let older = theirs.cmp(&ours);
+    let [theirs, ours] = [theirs, ours].map(|minor| format!("{PROTOCOL_MAJOR}.{minor}"));
+    match older {
         Ordering::Equal => String::new(),
         Ordering::Less => format!(
             "its firmware speaks protocol {theirs}, this daemon {ours}: part of what is asked finds no answer; `ihd flash` brings it up to date"
@@ -33,8 +37,8 @@ mod tests {
     #[test]
     fn the_older_side_is_the_one_to_update() {
         assert_eq!(updates_needed(PROTOCOL_MINOR), "");
-        assert!(updates_needed(PROTOCOL_MINOR - 1).contains("ihd flash"));
-        assert!(updates_needed(PROTOCOL_MINOR + 1).contains("update ihd"));
+        assert!(between(1, 2).contains("ihd flash"));
+        assert!(between(2, 1).contains("update ihd"));
     }
 
     #[test]

@@ -43,8 +43,7 @@ impl<'a> Asking<'a> {
             Err(error) => error,
         };
         let check = match &error {
-            LinkError::TooOld { .. }
-            | LinkError::Refused {
+            LinkError::Refused {
                 outcome: Outcome::UnknownMessage,
                 ..
             } => Check::not_tested(name, error.to_string()).with_remedy("ihd flash"),

@@ -1,18 +1,19 @@
-//! The host's end of the link: handshake, commands, events.
+//! The host's end of the link: handshake, requests, events.
 
 use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::RESEND_MINOR;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
 use ihd_shared::wire::link_test::Received;
 use ihd_shared::wire::messages::{
     ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
-    Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, ResendWindow, ResetLookup, SetPower,
-    Status, Stream, Utilisation,
+    Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, Request, ResendWindow, ResetLookup,
+    SetPower, Status, Stream, Utilisation,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use serde::Deserialize;
 
 use super::incoming::{Answer, Event, Incoming};
 use super::off::GivingWay;
@@ -27,15 +28,11 @@ pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 /// [`HOST_UNHEARD_HALF_CYCLES`], 10 s at 50 Hz.
 pub const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
 
-/// Times that a command which may come twice is sent within its time-out: an answer is lost as any frame.
+/// Times that a request is sent within its time-out: an answer is lost as any frame.
 const TRIES: u32 = 3;
 
-/// How long a lookup that was taken may wait for its half-cycle.
-const ACTIVE_WITHIN: Duration = Duration::from_millis(200);
-
-/// After a time-out, or a repetition, the next command first discards replies for this long, so that a late one is not
-/// taken for its own.
-const LATE: Duration = Duration::from_millis(50);
+/// How long a command that gives way to an `off` still waits for its answer.
+const GRACE: Duration = Duration::from_millis(50);
 
 /// Events that may wait for [`Client::next_event`] while commands are answered; a window takes
 /// 70 kB.
@@ -53,19 +50,36 @@ pub struct Client {
     hello: Hello,
     front_end: FrontEnd,
     frame_seq: u16,
+    /// Of the last request.
+    number: Number,
+    awaited: Option<Awaited>,
+    /// What was awaited last, once it has come.
+    answer: Option<Answer>,
     timeout: Duration,
-    /// An answer stayed away and may still come.
-    owed: bool,
-    /// The last command was sent more than once.
-    repeated: bool,
     giving_way: GivingWay,
     tap: Tap,
     answers_stray: u32,
     events_dropped: u32,
     resend: Resend,
-    /// The device sends pieces of windows again.
-    resends: bool,
     pieces_asked: u32,
+}
+
+/// Which answer is waited for.
+#[derive(Clone, Copy)]
+struct Awaited {
+    id: u8,
+    number: Number,
+}
+
+impl Awaited {
+    /// The message asked for, or a refusal of it.
+    fn is(self, answer: &Answer) -> bool {
+        let is_refusal = || {
+            let reply: Option<Reply> = answer.decode();
+            reply.is_some_and(|reply| reply.outcome != Outcome::Ok)
+        };
+        answer.number() == self.number && (answer.id() == self.id || is_refusal())
+    }
 }
 
 impl Client {
@@ -90,46 +104,56 @@ impl Client {
                 bits: 0,
             },
             frame_seq: 0,
+            number: Number::NONE,
+            awaited: None,
+            answer: None,
             timeout: DEFAULT_TIMEOUT,
-            owed: false,
-            repeated: false,
             giving_way: GivingWay::default(),
             tap: Tap::default(),
             answers_stray: 0,
             events_dropped: 0,
             resend: Resend::default(),
-            resends: false,
             pieces_asked: 0,
         };
-        let theirs = client.ask_again(&ours, "Hello", |answer| match answer {
-            Answer::Hello(hello) => Some(printable_hello(hello)),
-            _ => None,
-        })?;
+        let greeted = Awaited {
+            id: Hello::ID,
+            number: Number::NONE,
+        };
+        let theirs: Hello = client.exchange(&ours, greeted, TRIES)?;
+        let theirs = printable_hello(theirs);
         check(&ours, &theirs).map_err(|why| LinkError::Mismatch {
             device: format!("{} ({})", client.transport.describe(), theirs.build),
             why,
         })?;
         // What came before the hello was for somebody else.
         client.incoming.events.clear();
-        client.resends = theirs.protocol_minor >= RESEND_MINOR;
         client.hello = theirs;
-        client.front_end = client.await_front_end()?;
+        client.front_end = client.request(&GetFrontEnd {})?;
         Ok(client)
     }
 
-    /// The device sends it behind its hello; asked for where that frame was lost.
-    fn await_front_end(&mut self) -> Result<FrontEnd, LinkError> {
-        let wanted = |answer| match answer {
-            Answer::FrontEnd(front_end) => Some(front_end),
-            _ => None,
+    /// Asks for what the table binds to the request. While the answer stays away the request is sent again under the same
+    /// number, within the time-out; an answer under any other number is not taken for it.
+    ///
+    /// # Errors
+    /// [`LinkError::Refused`] with the device's outcome, [`LinkError::NoAnswer`], [`LinkError::Unsendable`] for more bytes
+    /// than a frame holds, and what the transport reports.
+    pub fn request<R: Request>(&mut self, request: &R) -> Result<R::Answer<'_>, LinkError> {
+        self.number = self.number.next();
+        let awaited = Awaited {
+            id: <R::Answer<'_> as Message>::ID,
+            number: self.number,
         };
-        let before = self.incoming.counters();
-        match self.await_answer(GetFrontEnd::ID, "GetFrontEnd", LATE, &before, wanted) {
-            Err(LinkError::NoAnswer { .. }) => {
-                self.ask_again(&GetFrontEnd {}, "GetFrontEnd", wanted)
-            }
-            answer => answer,
-        }
+        let tries = if R::IS_SENT_ONCE { 1 } else { TRIES };
+        self.exchange(request, awaited, tries)
+    }
+
+    /// As [`Client::request`], where the answer is only that it was done.
+    pub(super) fn order<R>(&mut self, order: &R) -> Result<(), LinkError>
+    where
+        R: for<'a> Request<Answer<'a> = Reply>,
+    {
+        self.request(order).map(|_: Reply| ())
     }
 
     /// What the codes of the device's channels stand for.
@@ -186,7 +210,7 @@ impl Client {
     /// [`LinkError::Refused`] above the rating or while a fault is active, else as every command:
     /// [`LinkError::NoAnswer`] or what the transport reports.
     pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
-        self.order_again(&SetPower { power_w }, "SetPower")
+        self.order(&SetPower { power_w })
     }
 
     /// Chooses a telemetry and a window every so many half-cycles; 0 for none.
@@ -198,7 +222,7 @@ impl Client {
             telemetry_every,
             windows_every,
         };
-        self.order_again(&stream, "Stream")
+        self.order(&stream)
     }
 
     /// The controller now.
@@ -206,10 +230,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn status(&mut self) -> Result<Status, LinkError> {
-        self.ask_again(&GetStatus {}, "GetStatus", |answer| match answer {
-            Answer::Status(status) => Some(status),
-            _ => None,
-        })
+        self.request(&GetStatus {})
     }
 
     /// How busy the controller was since this was asked last.
@@ -217,14 +238,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn utilisation(&mut self) -> Result<Utilisation, LinkError> {
-        self.ask_again(
-            &GetUtilisation {},
-            "GetUtilisation",
-            |answer| match answer {
-                Answer::Utilisation(utilisation) => Some(utilisation),
-                _ => None,
-            },
-        )
+        self.request(&GetUtilisation {})
     }
 
     /// Offers a lookup. Taken, it becomes active at the next half-cycle boundary, which
@@ -236,16 +250,12 @@ impl Client {
         self.push_lookup_bytes(&lookup.to_bytes())
     }
 
-    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges. Where the answer
-    /// stays away the push is repeated; a repetition that is refused because the first was taken is a success.
+    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges.
     ///
     /// # Errors
     /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
     pub fn push_lookup_bytes(&mut self, blob: &[u8]) -> Result<(), LinkError> {
-        let pushed = self.order_again(&PushLookup { blob: Raw(blob) }, "PushLookup");
-        self.or_done_before(pushed, |client| {
-            client.lookup_bytes().is_ok_and(|active| active == blob)
-        })
+        self.order(&PushLookup { blob: Raw(blob) })
     }
 
     /// The active lookup.
@@ -253,18 +263,10 @@ impl Client {
     /// # Errors
     /// [`LinkError::DamagedLookup`] when it fails the checks, else as every command.
     pub fn read_lookup(&mut self) -> Result<RlLookup, LinkError> {
-        let blob = self.lookup_bytes()?;
-        RlLookup::from_bytes(&blob).map_err(|source| LinkError::DamagedLookup {
-            device: self.describe(),
-            source,
-        })
-    }
-
-    fn lookup_bytes(&mut self) -> Result<Vec<u8>, LinkError> {
-        self.ask_again(&ReadLookup {}, "ReadLookup", |answer| match answer {
-            Answer::Lookup(blob) => Some(blob),
-            _ => None,
-        })
+        let device = self.describe();
+        let read = self.request(&ReadLookup {})?;
+        RlLookup::from_bytes(read.blob.0)
+            .map_err(|source| LinkError::DamagedLookup { device, source })
     }
 
     /// Back to the built-in lookup, version 0, at the next half-cycle boundary.
@@ -272,36 +274,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn reset_lookup(&mut self) -> Result<(), LinkError> {
-        let reset = self.order_again(&ResetLookup {}, "ResetLookup");
-        self.or_done_before(reset, |client| {
-            client
-                .status()
-                .is_ok_and(|status| status.lookup_version == 0)
-        })
-    }
-
-    /// Whether a refusal only says that a repeated command had been done the first time, which `is_done` sees.
-    fn or_done_before(
-        &mut self,
-        outcome: Result<(), LinkError>,
-        mut is_done: impl FnMut(&mut Self) -> bool,
-    ) -> Result<(), LinkError> {
-        let (Err(LinkError::Refused { outcome: why, .. }), true) = (&outcome, self.repeated) else {
-            return outcome;
-        };
-        if !matches!(why, Outcome::LookupStale | Outcome::Busy) {
-            return outcome;
-        }
-        let deadline = self.transport.clock() + ACTIVE_WITHIN;
-        while !is_done(self) && !self.giving_way.is_wanted() {
-            let left = deadline.saturating_sub(self.transport.clock());
-            if left.is_zero() {
-                return outcome;
-            }
-            // Half a half-cycle.
-            self.receive(left.min(Duration::from_millis(5)))?;
-        }
-        Ok(())
+        self.order(&ResetLookup {})
     }
 
     /// Changes the device's settings until its next boot.
@@ -309,7 +282,7 @@ impl Client {
     /// # Errors
     /// [`LinkError::Refused`] when one is outside its range, else as every command.
     pub fn configure(&mut self, settings: &Configure) -> Result<(), LinkError> {
-        self.order_again(settings, "Configure")
+        self.order(settings)
     }
 
     /// Leaves the safe state after a fault; power must be asked for again.
@@ -317,7 +290,7 @@ impl Client {
     /// # Errors
     /// As every command.
     pub fn clear_fault(&mut self) -> Result<(), LinkError> {
-        self.order_again(&ClearFault {}, "ClearFault")
+        self.order(&ClearFault {})
     }
 
     /// The next event, in the order the device sent them; `None` when `timeout` has passed on the
@@ -343,7 +316,6 @@ impl Client {
                 return Ok(None);
             }
             let length = self.receive(left)?;
-            self.drop_answers();
             if length == 0 {
                 return Ok(self.incoming.events.pop_front());
             }
@@ -364,7 +336,6 @@ impl Client {
         }
         if self.incoming.events.len() < MAX_EVENTS / 2 {
             self.receive(timeout)?;
-            self.drop_answers();
         } else {
             std::thread::sleep(timeout);
         }
@@ -377,111 +348,64 @@ impl Client {
         self.events_dropped = self.events_dropped.wrapping_add(1);
     }
 
-    /// A command that is answered by a [`Reply`], and that may come twice.
-    pub(super) fn order_again<M: Message>(
-        &mut self,
+    /// Sends a message, so often within the time-out, until what is awaited is here.
+    fn exchange<'s, M: Message, A: Message + Deserialize<'s>>(
+        &'s mut self,
         message: &M,
-        command: &'static str,
-    ) -> Result<(), LinkError> {
-        self.ask_again(message, command, |answer| match answer {
-            Answer::Reply(Reply { to, .. }) if to == M::ID => Some(()),
-            _ => None,
+        awaited: Awaited,
+        tries: u32,
+    ) -> Result<A, LinkError> {
+        // Faults of the link seen so far do not explain a missing answer to this one.
+        let before = self.incoming.counters();
+        self.giving_way.is_told = false;
+        self.answer = None;
+        self.awaited = Some(awaited);
+        let came = self.send_until_answered(message, awaited.number, tries);
+        // What comes later comes too late.
+        self.awaited = None;
+        came?;
+        let answer = self.answer.as_ref();
+        if let Some(Reply { outcome, detail }) = answer.and_then(|answer| answer.decode())
+            && outcome != Outcome::Ok
+        {
+            return Err(LinkError::Refused {
+                command: M::NAME,
+                outcome,
+                detail,
+            });
+        }
+        let answer = answer.and_then(|answer| answer.decode());
+        answer.ok_or_else(|| match self.giving_way.is_told {
+            true => LinkError::GaveWay { command: M::NAME },
+            false => self.no_answer(M::NAME, &before),
         })
     }
 
-    /// A command that may come twice: it is sent several times within the time-out if need be.
-    pub(super) fn ask_again<M: Message, T>(
+    fn send_until_answered<M: Message>(
         &mut self,
         message: &M,
-        command: &'static str,
-        wanted: impl Fn(Answer) -> Option<T>,
-    ) -> Result<T, LinkError> {
-        self.ask_times(TRIES, message, command, wanted)
-    }
-
-    /// A command that is sent once.
-    pub(super) fn ask<M: Message, T>(
-        &mut self,
-        message: &M,
-        command: &'static str,
-        wanted: impl Fn(Answer) -> Option<T>,
-    ) -> Result<T, LinkError> {
-        self.ask_times(1, message, command, wanted)
-    }
-
-    fn ask_times<M: Message, T>(
-        &mut self,
+        number: Number,
         tries: u32,
-        message: &M,
-        command: &'static str,
-        wanted: impl Fn(Answer) -> Option<T>,
-    ) -> Result<T, LinkError> {
-        self.forget_answers()?;
-        self.repeated = false;
-        self.giving_way.is_told = false;
-        // Faults of the link seen so far do not explain a missing answer to this command.
-        let before = self.incoming.counters();
-        let mut left = tries;
-        loop {
-            left -= 1;
-            let mut frame = [0; MAX_ENCODED];
-            let length = self.framed(message, command, &mut frame)?;
-            self.transport.send(&frame[..length])?;
-            self.tap.give(self.transport.clock(), &frame[..length]);
-            let answer = self.await_answer(M::ID, command, self.timeout / tries, &before, &wanted);
-            // All that were sent may be answered in the end.
-            self.owed |= self.repeated;
-            match answer {
-                Err(LinkError::NoAnswer { .. }) if self.giving_way.is_told => {
-                    return Err(LinkError::GaveWay { command });
+    ) -> Result<(), LinkError> {
+        for _ in 0..tries {
+            self.send(message, number)?;
+            let mut deadline = self.transport.clock() + self.timeout / tries;
+            while self.answer.is_none() {
+                let now = self.transport.clock();
+                if let Some(grace) = self.give_way(M::ID)? {
+                    deadline = deadline.min(now + grace);
                 }
-                Err(LinkError::NoAnswer { .. }) if left > 0 => self.repeated = true,
-                answer => return answer,
+                let left = deadline.saturating_sub(now);
+                let slice = left.min(self.giving_way.look_every());
+                if left.is_zero() || (self.receive(slice)? == 0 && slice == left) {
+                    break;
+                }
+            }
+            if self.answer.is_some() || self.giving_way.is_told {
+                break;
             }
         }
-    }
-
-    /// The answer to the command of number `id`, as `wanted` knows it.
-    fn await_answer<T>(
-        &mut self,
-        id: u8,
-        command: &'static str,
-        timeout: Duration,
-        before: &Counters,
-        wanted: impl Fn(Answer) -> Option<T>,
-    ) -> Result<T, LinkError> {
-        let start = self.transport.clock();
-        let mut timeout = timeout;
-        loop {
-            while let Some(answer) = self.incoming.answers.pop_front() {
-                if let Answer::Reply(reply) = &answer
-                    && reply.to == id
-                    && reply.outcome != Outcome::Ok
-                    // A device that refuses our hello sends its own first, which shows why.
-                    && id != Hello::ID
-                {
-                    return Err(LinkError::Refused {
-                        command,
-                        outcome: reply.outcome,
-                        detail: reply.detail,
-                    });
-                }
-                match wanted(answer) {
-                    Some(answer) => return Ok(answer),
-                    None => self.answers_stray = self.answers_stray.wrapping_add(1),
-                }
-            }
-            let waited = self.transport.clock().saturating_sub(start);
-            if let Some(grace) = self.give_way(id)? {
-                timeout = timeout.min(waited + grace);
-            }
-            let left = timeout.saturating_sub(waited);
-            let slice = left.min(self.giving_way.look_every());
-            if left.is_zero() || (self.receive(slice)? == 0 && slice == left) {
-                self.owed = true;
-                return Err(self.no_answer(command, before));
-            }
-        }
+        Ok(())
     }
 
     /// Sees whether somebody waits to switch off, and tells the device at once. Returns how long the command of number `id` still
@@ -491,25 +415,13 @@ impl Client {
             return Ok(None);
         }
         self.giving_way.is_told = true;
-        self.tell_off()?;
-        // Two answers to one kind of command cannot be told apart, and this one's repetition would heat.
-        let grace = if id == SetPower::ID {
-            Duration::ZERO
-        } else {
-            LATE
-        };
-        Ok(Some(grace))
-    }
-
-    /// Tells the device to switch off, and does not wait for its answer.
-    pub(super) fn tell_off(&mut self) -> Result<(), LinkError> {
-        self.owed = true;
-        self.send_unanswered(&SetPower { power_w: 0 }, "SetPower")
-    }
-
-    /// Returns `true` if an answer stayed away and may still come.
-    pub(super) fn is_owed(&self) -> bool {
-        self.owed
+        self.number = self.number.next();
+        self.send(&SetPower { power_w: 0 }, self.number)?;
+        // Whoever asked for power gets none.
+        Ok(Some(match id {
+            SetPower::ID => Duration::ZERO,
+            _ => GRACE,
+        }))
     }
 
     pub(super) fn giving_way(&mut self) -> &mut GivingWay {
@@ -532,29 +444,6 @@ impl Client {
             after: self.timeout,
             seen,
         }
-    }
-
-    /// Answers that come without a command, or after it was given up, are not the next one's.
-    fn forget_answers(&mut self) -> Result<(), LinkError> {
-        if self.owed {
-            self.owed = false;
-            let deadline = self.transport.clock() + LATE;
-            loop {
-                let left = deadline.saturating_sub(self.transport.clock());
-                if left.is_zero() || self.receive(left)? == 0 {
-                    break;
-                }
-                self.drop_answers();
-            }
-        }
-        self.drop_answers();
-        Ok(())
-    }
-
-    fn drop_answers(&mut self) {
-        let stray = self.incoming.answers.len() as u32;
-        self.answers_stray = self.answers_stray.wrapping_add(stray);
-        self.incoming.answers.clear();
     }
 
     /// Takes what comes within `timeout`, and asks for the missing pieces of windows meanwhile; returns
@@ -585,38 +474,26 @@ impl Client {
             let _ = self.incoming.push(byte);
         }
         self.tap.take(self.transport.clock(), bytes);
-        self.take_refusals();
+        self.take_answers();
         self.let_go_of_windows(known)?;
         self.limit_events();
         Ok(length)
     }
 
-    /// What the device answers to requests that no command waits for.
-    fn take_refusals(&mut self) {
-        let (mut gone, mut unknown) = (None, false);
-        self.incoming.answers.retain(|answer| match answer {
-            Answer::Reply(reply) if reply.to == ResendWindow::ID => {
-                match reply.outcome {
-                    Outcome::OutOfRange => gone = Some(reply.detail),
-                    _ => unknown = true,
-                }
-                false
+    /// Picks the answer that is awaited; no other is anybody's.
+    fn take_answers(&mut self) {
+        while let Some(answer) = self.incoming.answers.pop_front() {
+            if self.awaited.is_some_and(|awaited| awaited.is(&answer)) {
+                self.answer = Some(answer);
+                self.awaited = None;
+            } else {
+                self.answers_stray = self.answers_stray.wrapping_add(1);
             }
-            _ => true,
-        });
-        if let Some(seq) = gone {
-            self.incoming.give_up(seq);
-        }
-        if unknown {
-            self.resends = false;
         }
     }
 
     /// Lets the device forget the windows that have been given out or rejected since there were `known` events.
     fn let_go_of_windows(&mut self, known: usize) -> Result<(), LinkError> {
-        if !self.resends {
-            return Ok(());
-        }
         let newest = self.incoming.events.iter().skip(known).rev();
         let seq = newest.into_iter().find_map(|event| match event {
             Event::Window(window) => Some(window.seq),
@@ -637,7 +514,7 @@ impl Client {
         loop {
             let now = self.transport.clock();
             let window = self.incoming.unfinished();
-            match self.resend.step(now, window.as_ref(), self.resends) {
+            match self.resend.step(now, window.as_ref()) {
                 Step::Wait(pause) => return Ok(pause),
                 Step::GiveUp(seq) => self.incoming.give_up(seq),
                 Step::Ask(pieces) => {
@@ -652,7 +529,7 @@ impl Client {
         let mut frames = Vec::new();
         for request in requests {
             let mut frame = [0; MAX_ENCODED];
-            let length = self.framed(request, "ResendWindow", &mut frame)?;
+            let length = self.framed(request, Number::NONE, &mut frame)?;
             self.tap.give(self.transport.clock(), &frame[..length]);
             frames.extend_from_slice(&frame[..length]);
         }
@@ -679,16 +556,17 @@ impl Client {
         self.events_dropped = self.events_dropped.wrapping_add(excess as u32);
     }
 
-    /// Sends a message that nobody answers.
-    pub(super) fn send_unanswered<M: Message>(
+    /// Sends a message.
+    pub(super) fn send<M: Message>(
         &mut self,
         message: &M,
-        command: &'static str,
+        number: Number,
     ) -> Result<(), LinkError> {
         let mut frame = [0; MAX_ENCODED];
-        let length = self.framed(message, command, &mut frame)?;
+        let length = self.framed(message, number, &mut frame)?;
+        self.transport.send(&frame[..length])?;
         self.tap.give(self.transport.clock(), &frame[..length]);
-        self.transport.send(&frame[..length])
+        Ok(())
     }
 
     /// Forgets the bytes of a test of the link that have come.
@@ -704,11 +582,13 @@ impl Client {
     fn framed<M: Message>(
         &mut self,
         message: &M,
-        command: &'static str,
+        number: Number,
         frame: &mut [u8; MAX_ENCODED],
     ) -> Result<usize, LinkError> {
-        let length = encode(message, self.frame_seq, frame)
-            .map_err(|source| LinkError::Unsendable { command, source })?;
+        let length = encode_numbered(message, number, self.frame_seq, frame).map_err(|source| {
+            let command = M::NAME;
+            LinkError::Unsendable { command, source }
+        })?;
         self.frame_seq = self.frame_seq.wrapping_add(1);
         Ok(length)
     }
@@ -716,3 +596,5 @@ impl Client {
 
 #[cfg(test)]
 mod hostile_tests;
+#[cfg(test)]
+mod pairing_tests;

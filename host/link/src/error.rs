@@ -93,8 +93,8 @@ pub enum LinkError {
     },
     /// The device has replayed other blocks than were sent.
     #[error(
-        "{device} has replayed {taken} blocks where {sent} were sent: the link repeats or loses \
-         frames, and its firmware is too old to notice"
+        "{device} has replayed {taken} blocks where {sent} were sent: it does not carry out each \
+         request once"
     )]
     OutOfStep {
         /// The device.
@@ -103,23 +103,6 @@ pub enum LinkError {
         taken: u32,
         /// Blocks that were sent and answered.
         sent: u32,
-    },
-    /// The device's firmware is of a minor version that does not know the command.
-    #[error(
-        "{device} does not know {command}: its firmware speaks protocol {major}.{has}, which takes {major}.{needs}; \
-         `ihd flash` brings it up to date"
-    )]
-    TooOld {
-        /// The device, with its build.
-        device: String,
-        /// Name of the command.
-        command: &'static str,
-        /// Major version of both.
-        major: u16,
-        /// The device's minor version.
-        has: u16,
-        /// The minor version that knows the command.
-        needs: u16,
     },
     /// A command does not fit a frame.
     #[error("{command} cannot be sent: {source}")]
@@ -142,7 +125,10 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
     match outcome {
         Outcome::Ok => "done".into(),
         Outcome::Malformed => "it could not decode the message".into(),
-        Outcome::UnknownMessage => "it does not know this message (older firmware?)".into(),
+        Outcome::UnknownMessage => {
+            "it does not know this request: its firmware is older; `ihd flash` brings it up to date"
+                .into()
+        }
         Outcome::NotPaired => {
             "it has not accepted our hello: protocol versions differ, or it was reset; \
              connect again"
@@ -198,6 +184,7 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
                 .into()
         }
         Outcome::NotIdle => "its inverter is on, or power is asked for; switch it off first".into(),
+        Outcome::NotReplaying => "it is not in replay mode".into(),
         Outcome::Unavailable => {
             "it has not what that takes (a simulated hob has no ROM bootloader, no comparators and no log)".into()
         }

@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello, Message, Outcome, Reply};
+use ihd_shared::wire::number::Number;
 
 use super::{LinkError, Transport};
 
@@ -14,15 +15,18 @@ use super::{LinkError, Transport};
 pub struct Sent {
     bytes: Vec<u8>,
     frame_seq: u16,
+    /// Number that answers carry: the last request's, unless a test makes it another.
+    pub number: Number,
     /// The link ends once these bytes are received.
     pub closed: bool,
 }
 
 impl Sent {
-    /// Sends a message.
+    /// Sends a message; an answer is one to the last request.
     pub fn message<M: Message>(&mut self, message: &M) {
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, self.frame_seq, &mut frame).expect("fits a frame");
+        let length = encode_numbered(message, self.number, self.frame_seq, &mut frame)
+            .expect("fits a frame");
         self.frame_seq = self.frame_seq.wrapping_add(1);
         self.bytes.extend_from_slice(&frame[..length]);
     }
@@ -32,20 +36,19 @@ impl Sent {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Answers that a command is done.
-    pub fn done(&mut self, to: u8) {
-        let outcome = Outcome::Ok;
-        self.message(&Reply {
-            to,
-            outcome,
-            detail: 0,
-        });
+    /// Answers that the last request is done.
+    pub fn done(&mut self) {
+        self.reply(Outcome::Ok);
+    }
+
+    /// Answers the last request with an outcome.
+    pub fn reply(&mut self, outcome: Outcome) {
+        self.message(&Reply { outcome, detail: 0 });
     }
 
     /// Answers a hello as a device does that fits.
     pub fn greet(&mut self) {
         self.message(&hello());
-        self.message(&front_end());
     }
 }
 
@@ -68,7 +71,7 @@ pub fn front_end() -> FrontEnd {
 type OnMessage = dyn FnMut(&AnyMessage<'_>, &mut Sent) + Send;
 type OnWait = dyn FnMut(&mut Sent) + Send;
 
-/// The device. Its clock goes on with what is received and with what is waited for.
+/// The device, which says by itself what its codes stand for. Its clock goes on with what is received and with what is waited for.
 pub struct Fake {
     deframer: Deframer,
     sent: Sent,
@@ -96,10 +99,15 @@ impl Fake {
 impl Transport for Fake {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for &byte in bytes {
-            if let Some(Ok(frame)) = self.deframer.push(byte)
-                && let Ok(message) = AnyMessage::decode(frame.id, frame.payload)
-            {
-                (self.on_message)(&message, &mut self.sent);
+            let Some(Ok(frame)) = self.deframer.push(byte) else {
+                continue;
+            };
+            let (number, bytes) = frame.split();
+            self.sent.number = number;
+            match AnyMessage::decode(frame.id, bytes) {
+                Ok(AnyMessage::GetFrontEnd(_)) => self.sent.message(&front_end()),
+                Ok(message) => (self.on_message)(&message, &mut self.sent),
+                Err(_) => {}
             }
         }
         Ok(())

@@ -7,14 +7,14 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
 use ihd_shared::wire::link_test::Received;
 use ihd_shared::wire::messages::{
-    AnyMessage, Channels, Clocks, Comparators, DecodeError, FaultEvent, FrontEnd, Hello,
-    LinkTested, ReplayMode, Reply, Status, Telemetry, Utilisation,
+    AnyMessage, DecodeError, FaultEvent, Message, Telemetry, decode, is_numbered,
 };
+use ihd_shared::wire::number::Number;
+use serde::Deserialize;
 
 use super::Counters;
 use super::assembler::{Assembler, Rejected, Unfinished};
-use super::protocol_1;
-use super::service::BoardFacts;
+use super::older;
 use super::window::{Window, WindowDefect};
 
 /// What a device sends of its own accord.
@@ -44,35 +44,29 @@ pub enum Event {
     },
 }
 
-/// What a device answers to a command.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Answer {
-    /// The device's hello.
-    Hello(Hello),
-    /// Outcome of a command.
-    Reply(Reply),
-    /// The controller now.
-    Status(Status),
-    /// What the codes of the device's channels stand for.
-    FrontEnd(FrontEnd),
-    /// How busy the controller was.
-    Utilisation(Utilisation),
-    /// The active lookup's bytes.
-    Lookup(Vec<u8>),
-    /// Whether the device takes its samples from the link.
-    ReplayMode(ReplayMode),
-    /// Blocks replayed before, and the bytes of the estimates.
-    ReplayEstimates(u32, Vec<u8>),
-    /// What the device is.
-    Board(Box<BoardFacts>),
-    /// What the measuring channels show.
-    Channels(Channels),
-    /// Whether the trip in hardware works.
-    Comparators(Comparators),
-    /// The clocks against each other.
-    Clocks(Clocks),
-    /// What came of the bytes that were sent for a test of the link.
-    LinkTested(LinkTested),
+/// The answer to a request, or a hello. Its bytes are those of a message of its id.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Answer {
+    id: u8,
+    number: Number,
+    bytes: Vec<u8>,
+}
+
+impl Answer {
+    /// Id of the message.
+    pub fn id(&self) -> u8 {
+        self.id
+    }
+
+    /// Number of the request that it answers; [`Number::NONE`] for a hello.
+    pub fn number(&self) -> Number {
+        self.number
+    }
+
+    /// The message, if it is one of this kind.
+    pub fn decode<'a, M: Message + Deserialize<'a>>(&'a self) -> Option<M> {
+        (self.id == M::ID).then(|| decode(&self.bytes).ok())?
+    }
 }
 
 /// The receiving end of a link, or of a recording of one.
@@ -81,8 +75,8 @@ pub struct Incoming {
     deframer: Deframer,
     assembler: Assembler,
     counters: Counters,
-    /// What comes is of protocol 1.x.
-    from_protocol_1: bool,
+    /// What comes is of this older major version.
+    older: Option<u16>,
     /// Bytes of a test of the link.
     pub(super) link_data: Received,
     /// Events in the order of their last byte.
@@ -104,9 +98,9 @@ impl Incoming {
         }
     }
 
-    /// What comes from now on is of another major version: of [`protocol_1::MAJOR`], or else of ours.
+    /// What comes from now on is of an older major version, or else of ours.
     pub fn set_major(&mut self, major: u16) {
-        self.from_protocol_1 = major == protocol_1::MAJOR;
+        self.older = older::is_older(major).then_some(major);
     }
 
     /// Takes one byte; what it completes is found in `events` and `answers`.
@@ -121,39 +115,43 @@ impl Incoming {
         };
         let frame = frame?;
         let counters = &mut self.counters;
-        let payload = if self.from_protocol_1 {
-            protocol_1::completed(frame.id, frame.payload)
-        } else {
-            Cow::Borrowed(frame.payload)
+        let (number, payload) = match self.older {
+            Some(_) if is_numbered(frame.id) => return Ok(()),
+            Some(major) => (
+                Number::NONE,
+                older::completed(major, frame.id, frame.payload),
+            ),
+            None => {
+                let (number, bytes) = frame.split();
+                (number, Cow::Borrowed(bytes))
+            }
         };
         match AnyMessage::decode(frame.id, &payload) {
-            Ok(AnyMessage::Hello(m)) => self.answers.push_back(Answer::Hello(m)),
-            Ok(AnyMessage::Reply(m)) => self.answers.push_back(Answer::Reply(m)),
-            Ok(AnyMessage::Status(m)) => self.answers.push_back(Answer::Status(m)),
-            Ok(AnyMessage::FrontEnd(m)) => self.answers.push_back(Answer::FrontEnd(m)),
-            Ok(AnyMessage::Utilisation(m)) => self.answers.push_back(Answer::Utilisation(m)),
-            Ok(AnyMessage::LookupBlob(m)) => {
-                self.answers.push_back(Answer::Lookup(m.blob.0.to_vec()));
-            }
-            Ok(AnyMessage::ReplayMode(m)) => self.answers.push_back(Answer::ReplayMode(m)),
-            Ok(AnyMessage::ReplayEstimates(m)) => {
-                let bytes = m.data.0.to_vec();
-                self.answers
-                    .push_back(Answer::ReplayEstimates(m.first, bytes));
-            }
+            Ok(
+                AnyMessage::Hello(_)
+                | AnyMessage::Reply(_)
+                | AnyMessage::Status(_)
+                | AnyMessage::FrontEnd(_)
+                | AnyMessage::Utilisation(_)
+                | AnyMessage::LookupBlob(_)
+                | AnyMessage::ReplayMode(_)
+                | AnyMessage::ReplayEstimates(_)
+                | AnyMessage::Board(_)
+                | AnyMessage::Channels(_)
+                | AnyMessage::Comparators(_)
+                | AnyMessage::Clocks(_)
+                | AnyMessage::LinkTested(_),
+            ) => self.answers.push_back(Answer {
+                id: frame.id,
+                number,
+                bytes: payload.into_owned(),
+            }),
             Ok(AnyMessage::Telemetry(m)) => {
                 counters.telemetry.see(m.seq);
                 counters.telemetry.dropped_by_device = m.dropped;
                 counters.telemetry.received += 1;
                 self.events.push_back(Event::Telemetry(m));
             }
-            Ok(AnyMessage::Board(m)) => {
-                self.answers.push_back(Answer::Board(Box::new((&m).into())));
-            }
-            Ok(AnyMessage::Channels(m)) => self.answers.push_back(Answer::Channels(m)),
-            Ok(AnyMessage::Comparators(m)) => self.answers.push_back(Answer::Comparators(m)),
-            Ok(AnyMessage::Clocks(m)) => self.answers.push_back(Answer::Clocks(m)),
-            Ok(AnyMessage::LinkTested(m)) => self.answers.push_back(Answer::LinkTested(m)),
             Ok(AnyMessage::LinkData(m)) => self.link_data.take(&m),
             Ok(AnyMessage::Log(m)) => self.events.push_back(Event::Log {
                 seq: m.seq,
@@ -161,6 +159,7 @@ impl Incoming {
                 data: m.data.0.to_vec(),
             }),
             Ok(AnyMessage::FaultEvent(m)) => self.events.push_back(Event::Fault(m)),
+            Ok(AnyMessage::WindowGone(m)) => self.give_up(m.seq),
             Ok(
                 ref m @ (AnyMessage::WindowStart(_)
                 | AnyMessage::WindowChunk(_)
@@ -195,7 +194,9 @@ impl Incoming {
                 | AnyMessage::ReplayEnd(_)
                 | AnyMessage::Restart(_)
                 | AnyMessage::GetBoard(_)
-                | AnyMessage::TestBoard(_)
+                | AnyMessage::TestChannels(_)
+                | AnyMessage::TestComparators(_)
+                | AnyMessage::TestClocks(_)
                 | AnyMessage::TestLink(_)
                 | AnyMessage::StreamLog(_),
             )

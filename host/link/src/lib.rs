@@ -1,7 +1,7 @@
 //! The link to a controller: the same frames over a simulated hob, TCP, USB and serial.
 //!
 //! ```text
-//!  Client ── commands ──► Transport ──► device
+//!  Client ── requests ──► Transport ──► device
 //!    ▲ answers, events      │ bytes ──► FrameSink (a recording)
 //!    └── Incoming ◄─────────┘
 //!        deframer, decoding, window assembler, counters
@@ -21,9 +21,9 @@ pub mod error;
 mod fake;
 pub mod incoming;
 mod off;
+pub mod older;
 mod pieces;
 mod printable;
-pub mod protocol_1;
 pub mod protocol_doc;
 pub mod replay;
 mod resend;

@@ -43,19 +43,13 @@ impl Client {
         self.giving_way().waits = Some(Box::new(waits));
     }
 
-    /// Switches off. Where the answer to an earlier command may still come, the device is told before that is waited for.
+    /// Switches off; it gives way to nothing.
     ///
     /// # Errors
     /// As every command.
     pub fn off(&mut self) -> Result<(), LinkError> {
         self.giving_way().is_off = true;
-        // The command that gave way to this has told it.
-        let is_told = self.giving_way().is_told;
-        let told = match self.is_owed() && !is_told {
-            true => self.tell_off(),
-            false => Ok(()),
-        };
-        let off = told.and_then(|()| self.set_power(0));
+        let off = self.set_power(0);
         self.giving_way().is_off = false;
         off
     }

@@ -10,22 +10,23 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, MAX_TRAJECTORY};
 use ihd_shared::wire::frame::{MAX_BODY, MAX_ENCODED, MAX_PAYLOAD};
 use ihd_shared::wire::messages::{ENUMS, MESSAGES, SCHEMA_HASH};
-use ihd_shared::wire::schema::Entry;
+use ihd_shared::wire::schema::{Entry, Part};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 /// The whole document, as Markdown.
 pub fn markdown() -> String {
     let mut doc = introduction();
-    doc.push_str("\n## Messages\n\n| id | name | direction |\n|---|---|---|\n");
+    doc.push_str("\n## Messages\n\n| id | name | sent as | answered by |\n|---|---|---|---|\n");
     for m in MESSAGES {
+        let (id, name, anchor) = (m.id.unwrap_or_default(), m.name, m.name.to_lowercase());
+        let answer = m.answer.map_or_else(String::new, |answer| {
+            format!("[{answer}](#{})", answer.to_lowercase())
+        });
         line(
             &mut doc,
             &format!(
-                "| {:#04x} | [{}](#{}) | {} |",
-                m.id.unwrap_or_default(),
-                m.name,
-                m.name.to_lowercase(),
-                m.direction
+                "| {id:#04x} | [{name}](#{anchor}) | {} | {answer} |",
+                sent_as(m)
             ),
         );
     }
@@ -62,6 +63,9 @@ the wire. The CRC is CRC-32/ISO-HDLC (zlib's) over id, seq and payload. `seq` co
 one end sends, so that the other sees what got lost. A receiver splits at zeros, drops runs that are
 no frame, counts them, and is in step again at the next zero.
 
+The payload of a request or an answer is the request's number, `u16` LE, and then the message; that of any other message is the
+message alone.
+
 | type | on the wire |
 |---|---|
 | `u8`, enumeration | one byte |
@@ -75,36 +79,41 @@ no frame, counts them, and is in step again at the next zero.
 
 The host sends `Hello`, the device answers with its own, and both check: the magic word, opposite
 roles, the same major version, and the same schema hash where the minor version agrees. A device that
-does not fit answers `Reply` to `Hello` with `NotPaired`, and so to every later command; the host ends
-with the reason. A device that fits sends `FrontEnd` behind its hello. A hello makes the device silent: it forgets what was queued, and streams nothing until
-`Stream` asks for it.
+does not fit answers every later request with `NotPaired`; the host ends with the reason. A hello makes the device silent: it
+forgets what was queued and asked for, and streams nothing until `Stream` asks for it.
+
+## Requests and answers
+
+The host numbers its requests from 1 on, 65535 is followed by 1, and the answer repeats the number. One request is under way at a
+time. Each row of the table below binds a request to its answer; a request that is not carried out, and one that has nothing to
+tell, is answered by `Reply`. An answer under any other number is nobody's: late ones, and those that come twice, are counted and dropped.
+
+Answers get lost as other frames do. While one stays away the host sends the request again under its number, twice within its
+time-out. A device carries each request out once:
+
+| number | the device |
+|---|---|
+| after that of the last request, by less than half of all numbers | carries it out, and keeps the answer |
+| of the last request | sends the answer that it kept, once there is one |
+| before that of the last request | does nothing: it was overtaken, and its host has given it up |
+| 0 | answers `Malformed` under 0 |
+
+So a request that comes again does no harm, whatever it asks for. Two are sent once all the same: `Restart`, which would meet the next
+program, and `ReplayBlocks`, after which a host that is in doubt asks for the last estimates.
 
 ## Evolution
 
 A new message or a new fault raises the minor version. So does a new value of `Outcome`, provided that a device
-answers with it to new messages alone: a host that does not know the message never asks, and so never meets the value. Any
+answers with it to new messages alone: a host that does not know the message never asks, and so never meets the value. A device
+answers a request that it does not know with `UnknownMessage` under its number. Any
 other change of a message or an enumeration, an appended field included, raises the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every
 message's bytes.
 
 The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
 given another meaning: an older host keeps the whole message and shows the number.
 
-What 2.0 changed: windows carry their scales and the device tells those of its channels (`FrontEnd`),
-where 1.x meant ±400 V and ±80 A; states, `Limit`, temperatures and panel; a lookup can be reset, and a
-version steps by at most {LOOKUP_VERSION_STEP}. A recording of 1.x is still read.
-
-What 2.1 added: pieces of windows are sent again (`ResendWindow`). Neither end of 2.1 uses it with one of 2.0.
-
-What 2.2 added: service. A host restarts the device, also into its chip's ROM bootloader (`Restart`), asks what it is
-(`GetBoard`), has parts of the board tested (`TestBoard`), tests the link (`TestLink`, `LinkData`) and reads the
-firmware's log (`StreamLog`, `Log`); the outcomes `NotIdle` and `Unavailable`. A host asks none of it of a device of 2.1.
-
-## Commands that are repeated
-
-Answers get lost as other frames do. A host repeats what may come twice, twice within its time-out: `Hello`,
-`SetPower`, `Stream`, `StreamLog`, `Configure`, `ClearFault`, and all that only asks. `Restart` and `TestLink` are sent once. `PushLookup` too: a device that answers a
-repetition with `LookupStale` or `Busy` may have taken the first, and the host reads the lookup back.
-`ResetLookup` likewise. `ReplayBlocks` is repeated as its own description says.
+Recordings of 1.x and 2.x are still read: what a device sends of its own accord has changed by appended fields alone, and
+requests and answers mean nothing to a reader.
 
 ## Windows
 
@@ -120,7 +129,7 @@ buffer is claimed: a gap is a window that was dropped.
 
 Chunks leave the device without gap or overlap. What is lost of them the host asks for again with `ResendWindow`,
 a few pieces at a time, when the window's end has come or nothing more of the window comes (100 ms, or
-longer on a slow link), and six times at the most without success. A receiver takes pieces in any order and more than once;
+longer on a slow link), and six times at the most without success; `WindowGone` ends it. A receiver takes pieces in any order and more than once;
 those that overlap must agree.
 
 ## Log
@@ -146,12 +155,23 @@ fn message(doc: &mut String, m: &Entry) {
     section(doc, m.name, m.doc);
     line(
         doc,
-        &format!("Id {:#04x}, {}.", m.id.unwrap_or_default(), m.direction),
+        &format!("Id {:#04x}, {}.", m.id.unwrap_or_default(), sent_as(m)),
     );
+    if let Some(answer) = m.answer {
+        let repetition = match m.is_sent_once {
+            true => " Sent once.",
+            false => "",
+        };
+        line(doc, &format!("\nAnswered by `{answer}`.{repetition}"));
+    }
     if !m.items.is_empty() {
         doc.push('\n');
         table(doc, "type", m);
     }
+}
+
+fn sent_as(m: &Entry) -> &'static str {
+    m.part.map_or("", Part::text)
 }
 
 fn section(doc: &mut String, name: &str, text: &str) {

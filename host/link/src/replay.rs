@@ -2,16 +2,14 @@
 //!
 //! Every block is replayed exactly once and every estimate comes back, whatever the link loses,
 //! repeats or cuts, or an error reports that it could not be had: one message is under way at a time,
-//! an answer counts only with the number of blocks before it, and after silence the device is asked
-//! which message was its last.
+//! and after silence the device is asked which message was its last.
 
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::{TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
-use ihd_shared::wire::messages::{Raw, ReplayBlocks, ReplayEnd, ReplayMode, ReplayStart};
+use ihd_shared::wire::messages::{Outcome, Raw, ReplayBlocks, ReplayEnd, ReplayStart};
 
-use super::incoming::Answer;
 use super::{Client, LinkError};
 
 /// Pairs of a full message.
@@ -19,6 +17,13 @@ pub const PAIRS_PER_MESSAGE: usize = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
 
 /// Times that a message is sent, or asked after, before the link is given up.
 const TRIES: u32 = 8;
+
+/// Asks for the last estimates again.
+const LAST: ReplayBlocks<'static> = ReplayBlocks {
+    zero_crossing: NO_CROSSING,
+    bus_dv: 0,
+    data: Raw(&[]),
+};
 
 /// A device in replay mode: its power outputs are locked off until [`Replay::end`].
 pub struct Replay<'a> {
@@ -55,8 +60,7 @@ impl Client {
         l: PicoHenry,
     ) -> Result<Replay<'_>, LinkError> {
         let start = ReplayStart { f_sw_hz, r, l };
-        let entered = |m: &ReplayMode| m.active && m.blocks == 0;
-        persist(|| self.ask(&start, "ReplayStart", |a| mode(a).filter(entered)))?;
+        persist(|| self.request(&start))?;
         Ok(self.continue_replay(0))
     }
 
@@ -143,9 +147,9 @@ impl Replay<'_> {
         let answer = loop {
             tries += 1;
             let asked = if self.unsure {
-                self.ask_last(wanted)
+                self.ask(&LAST, wanted)
             } else {
-                self.ask_blocks(&blocks, wanted)
+                self.ask(&blocks, wanted)
             };
             match asked {
                 Ok(Last::Same(bytes)) => break bytes,
@@ -170,46 +174,27 @@ impl Replay<'_> {
             .collect())
     }
 
-    /// Sends a message; only an answer to these very blocks counts.
-    fn ask_blocks(&mut self, blocks: &ReplayBlocks<'_>, wanted: usize) -> Result<Last, LinkError> {
-        let taken = self.taken;
-        self.client
-            .ask(blocks, "ReplayBlocks", |answer| match answer {
-                Answer::ReplayEstimates(first, bytes)
-                    if first == taken && bytes.len() == wanted =>
-                {
-                    Some(Last::Same(bytes))
-                }
-                Answer::ReplayMode(ReplayMode { active: false, .. }) => Some(Last::Left),
-                _ => None,
-            })
-    }
-
-    /// Asks which message was the last: the one under way, or the one before it. Anything else is
-    /// an answer that comes late.
-    fn ask_last(&mut self, wanted: usize) -> Result<Last, LinkError> {
-        let taken = self.taken;
-        let question = ReplayBlocks {
-            zero_crossing: NO_CROSSING,
-            bus_dv: 0,
-            data: Raw(&[]),
+    /// Sends blocks, or asks which message was the last: the one under way, or the one before it.
+    fn ask(&mut self, blocks: &ReplayBlocks<'_>, wanted: usize) -> Result<Last, LinkError> {
+        let (taken, device) = (self.taken, self.client.describe());
+        let last = match self.client.request(blocks) {
+            Err(LinkError::Refused {
+                outcome: Outcome::NotReplaying,
+                ..
+            }) => return Ok(Last::Left),
+            last => last?,
         };
-        self.client
-            .ask(&question, "ReplayBlocks", |answer| match answer {
-                Answer::ReplayEstimates(first, bytes)
-                    if first == taken && bytes.len() == wanted =>
-                {
-                    Some(Last::Same(bytes))
-                }
-                Answer::ReplayEstimates(first, bytes)
-                    if first.wrapping_add((bytes.len() / TRAJECTORY_ENTRY_BYTES) as u32)
-                        == taken =>
-                {
-                    Some(Last::Before)
-                }
-                Answer::ReplayMode(ReplayMode { active: false, .. }) => Some(Last::Left),
-                _ => None,
-            })
+        let (first, bytes) = (last.first, last.data.0);
+        let behind = first.wrapping_add((bytes.len() / TRAJECTORY_ENTRY_BYTES) as u32);
+        match (first == taken && bytes.len() == wanted, behind == taken) {
+            (true, _) => Ok(Last::Same(bytes.to_vec())),
+            (false, true) => Ok(Last::Before),
+            (false, false) => Err(LinkError::OutOfStep {
+                device,
+                taken: behind,
+                sent: taken,
+            }),
+        }
     }
 
     /// Blocks whose estimates have come back.
@@ -232,11 +217,7 @@ impl Replay<'_> {
     /// # Errors
     /// [`LinkError::OutOfStep`] when these are not the blocks that were sent, else as every command.
     pub fn end(self) -> Result<u32, LinkError> {
-        let mode = persist(|| {
-            let left = |m: &ReplayMode| !m.active;
-            self.client
-                .ask(&ReplayEnd {}, "ReplayEnd", |a| mode(a).filter(left))
-        })?;
+        let mode = persist(|| self.client.request(&ReplayEnd {}))?;
         if mode.blocks != self.taken {
             return Err(LinkError::OutOfStep {
                 device: self.client.describe(),
@@ -245,13 +226,6 @@ impl Replay<'_> {
             });
         }
         Ok(mode.blocks)
-    }
-}
-
-fn mode(answer: Answer) -> Option<ReplayMode> {
-    match answer {
-        Answer::ReplayMode(mode) => Some(mode),
-        _ => None,
     }
 }
 

@@ -66,8 +66,8 @@ struct Asked {
 }
 
 impl Resend {
-    /// The next step, now. `asks` tells whether the device can be asked.
-    pub fn step(&mut self, now: Duration, window: Option<&Unfinished<'_>>, asks: bool) -> Step {
+    /// The next step, now.
+    pub fn step(&mut self, now: Duration, window: Option<&Unfinished<'_>>) -> Step {
         let Some(window) = window else {
             self.window = None;
             return Step::Wait(Duration::MAX);
@@ -77,9 +77,6 @@ impl Resend {
             return Step::GiveUp(asked.seq);
         }
         let left = (asked.moved + GIVE_UP).saturating_sub(now);
-        if !asks {
-            return Step::Wait(left);
-        }
         let answered = match asked.pieces.as_slice() {
             [] => window.has_ended(),
             pieces => !pieces.iter().any(|piece| window.misses(piece)),

@@ -1,17 +1,16 @@
 //! What a host asks of a device besides heating: what it is, whether it is sound, what it has logged, and to
-//! begin anew. Since protocol 2.2.
+//! begin anew.
 
 use std::time::Duration;
 
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::link_test::fill;
 use ihd_shared::wire::messages::{
-    Board, BoardTest, Channels, Clocks, Comparators, GetBoard, LinkData, LinkTested, Message,
-    Program, Raw, Reply, Restart, StreamLog, TestBoard, TestLink,
+    Board, Channels, Clocks, Comparators, GetBoard, LinkData, LinkTested, Program, Raw, Restart,
+    StreamLog, TestChannels, TestClocks, TestComparators, TestLink,
 };
-use ihd_shared::wire::{PROTOCOL_MAJOR, SERVICE_MINOR};
+use ihd_shared::wire::number::Number;
 
-use super::incoming::Answer;
 use super::{Client, LinkError};
 
 /// How long the next of a test's bytes may stay away before the rest counts as lost.
@@ -77,38 +76,25 @@ impl Client {
     ///
     /// # Errors
     /// [`LinkError::Refused`] while the inverter is on or power is asked for, or where the device has no such
-    /// program; [`LinkError::TooOld`]; else as every command.
+    /// program; else as every command.
     pub fn restart(&mut self, into: Program) -> Result<(), LinkError> {
-        self.knows_service("Restart")?;
-        // Once: a repetition would meet the next program.
-        self.ask(&Restart { into }, "Restart", |answer| match answer {
-            Answer::Reply(Reply { to, .. }) if to == Restart::ID => Some(()),
-            _ => None,
-        })
+        self.order(&Restart { into })
     }
 
     /// What the device is.
     ///
     /// # Errors
-    /// [`LinkError::TooOld`], else as every command.
+    /// As every command.
     pub fn board(&mut self) -> Result<BoardFacts, LinkError> {
-        self.knows_service("GetBoard")?;
-        self.ask_again(&GetBoard {}, "GetBoard", |answer| match answer {
-            Answer::Board(facts) => Some(*facts),
-            _ => None,
-        })
+        Ok((&self.request(&GetBoard {})?).into())
     }
 
     /// Offset and noise of the measuring channels, and the supply, with the bridge open.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] while the inverter is on or power is asked for; [`LinkError::TooOld`]; else as every
-    /// command.
+    /// [`LinkError::Refused`] while the inverter is on or power is asked for; else as every command.
     pub fn channels(&mut self) -> Result<Channels, LinkError> {
-        self.test_board(BoardTest::Channels, |answer| match answer {
-            Answer::Channels(found) => Some(found),
-            _ => None,
-        })
+        self.request(&TestChannels {})
     }
 
     /// Trips both comparators by their thresholds, with the bridge open.
@@ -116,10 +102,7 @@ impl Client {
     /// # Errors
     /// As [`Client::channels`]; [`LinkError::Refused`] with `Unavailable` by a simulated hob, which has none.
     pub fn comparators(&mut self) -> Result<Comparators, LinkError> {
-        self.test_board(BoardTest::Comparators, |answer| match answer {
-            Answer::Comparators(found) => Some(found),
-            _ => None,
-        })
+        self.request(&TestComparators {})
     }
 
     /// Counts the clocks against each other.
@@ -127,19 +110,15 @@ impl Client {
     /// # Errors
     /// As [`Client::comparators`].
     pub fn clocks(&mut self) -> Result<Clocks, LinkError> {
-        self.test_board(BoardTest::Clocks, |answer| match answer {
-            Answer::Clocks(found) => Some(found),
-            _ => None,
-        })
+        self.request(&TestClocks {})
     }
 
     /// Sends `frames` frames with `bytes` bytes of data each to the device, then has it send as many.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] with `OutOfRange` for more than [`CHUNK_BYTES`] bytes; [`LinkError::TooOld`]; else as
-    /// every command. Losses are no error.
+    /// [`LinkError::Refused`] with `OutOfRange` for more than [`CHUNK_BYTES`] bytes; else as every command. Losses are
+    /// no error.
     pub fn test_link(&mut self, frames: u16, bytes: u16) -> Result<LinkTest, LinkError> {
-        self.knows_service("TestLink")?;
         // Both ends begin to count.
         self.end_link_test(0, bytes)?;
         let begin = self.clock();
@@ -160,35 +139,15 @@ impl Client {
     /// [`super::Event::Log`]; or no more.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] with `Unavailable` by a device without a log; [`LinkError::TooOld`]; else as every
-    /// command.
+    /// [`LinkError::Refused`] with `Unavailable` by a device without a log; else as every command.
     pub fn stream_log(&mut self, on: bool) -> Result<(), LinkError> {
-        self.knows_service("StreamLog")?;
-        self.order_again(&StreamLog { on }, "StreamLog")
-    }
-
-    fn test_board<T>(
-        &mut self,
-        test: BoardTest,
-        wanted: impl Fn(Answer) -> Option<T>,
-    ) -> Result<T, LinkError> {
-        self.knows_service("TestBoard")?;
-        // Once: a test takes as long as a repetition would wait.
-        self.ask(&TestBoard { test }, "TestBoard", wanted)
+        self.order(&StreamLog { on })
     }
 
     /// What the device has received since it was asked last; then it sends.
     fn end_link_test(&mut self, frames: u16, bytes: u16) -> Result<LinkTested, LinkError> {
         self.forget_link_data();
-        // Once: a repetition would ask for the count of nothing.
-        self.ask(
-            &TestLink { frames, bytes },
-            "TestLink",
-            |answer| match answer {
-                Answer::LinkTested(tested) => Some(tested),
-                _ => None,
-            },
-        )
+        self.request(&TestLink { frames, bytes })
     }
 
     fn send_link_data(&mut self, frames: u16, bytes: u16) -> Result<(), LinkError> {
@@ -196,7 +155,7 @@ impl Client {
         for seq in 0..u32::from(frames) {
             fill(seq, &mut data);
             let data = Raw(&data);
-            self.send_unanswered(&LinkData { seq, data }, "LinkData")?;
+            self.send(&LinkData { seq, data }, Number::NONE)?;
         }
         Ok(())
     }
@@ -216,20 +175,6 @@ impl Client {
         }
         let counts = with_the_last(self.link_data().counts(), frames);
         Ok((counts, last.saturating_sub(begin)))
-    }
-
-    fn knows_service(&self, command: &'static str) -> Result<(), LinkError> {
-        let hello = self.hello();
-        if hello.protocol_minor >= SERVICE_MINOR {
-            return Ok(());
-        }
-        Err(LinkError::TooOld {
-            device: format!("{} ({})", self.describe(), hello.build),
-            command,
-            major: PROTOCOL_MAJOR,
-            has: hello.protocol_minor,
-            needs: SERVICE_MINOR,
-        })
     }
 }
 

@@ -6,12 +6,13 @@ use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     ClearFault, Configure, GetStatus, Message, PushLookup, Raw, ReplayEnd, ReplayStart,
     ResetLookup, SetPower, State, Stream,
 };
+use ihd_shared::wire::number::Number;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::recording::settings::LoadKind;
@@ -57,6 +58,7 @@ fn conversation() -> impl Strategy<Value = Vec<(Sent, u16)>> {
 struct Bench {
     hob: SimHob,
     seq: u16,
+    number: Number,
     version: u32,
     on_since_s: Option<f64>,
     longest_on_s: f64,
@@ -73,6 +75,7 @@ impl Bench {
         let mut bench = Self {
             hob: SimHob::new(&config),
             seq: 0,
+            number: Number::NONE,
             version: 0,
             on_since_s: None,
             longest_on_s: 0.0,
@@ -83,8 +86,9 @@ impl Bench {
     }
 
     fn frame(&mut self, message: &impl Message) {
+        self.number = self.number.next();
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, self.seq, &mut frame).expect("it fits");
+        let length = encode_numbered(message, self.number, self.seq, &mut frame).expect("it fits");
         self.seq = self.seq.wrapping_add(1);
         self.hob.send(&frame[..length]);
     }

@@ -100,15 +100,16 @@ impl Deframer {
 
 #[cfg(test)]
 mod tests {
-    use super::super::frame::{encode, encode_raw};
+    use super::super::frame::{encode_numbered, encode_raw};
     use super::super::messages::{GetStatus, Message, SetPower};
+    use super::super::number::Number;
     use super::*;
     use proptest::prelude::*;
     use std::vec::Vec;
 
     fn framed(power_w: u16, seq: u16) -> Vec<u8> {
         let mut out = [0; MAX_ENCODED];
-        let n = encode(&SetPower { power_w }, seq, &mut out).unwrap();
+        let n = encode_numbered(&SetPower { power_w }, Number::FIRST, seq, &mut out).unwrap();
         out[..n].to_vec()
     }
 
@@ -163,8 +164,11 @@ mod tests {
     #[test]
     fn an_empty_message_and_the_longest_one_fit() {
         let mut out = [0; MAX_ENCODED];
-        let n = encode(&GetStatus {}, 3, &mut out).unwrap();
-        assert_eq!(good(&out[..n]), [(GetStatus::ID, 3, Vec::new())]);
+        let n = encode_numbered(&GetStatus {}, Number::FIRST, 3, &mut out).unwrap();
+        let number = Number::FIRST.to_le_bytes().to_vec();
+        assert_eq!(good(&out[..n]), [(GetStatus::ID, 3, number)]);
+        let n = encode_raw(GetStatus::ID, 4, &[], &mut out).unwrap();
+        assert_eq!(good(&out[..n]), [(GetStatus::ID, 4, Vec::new())]);
         let longest = [0xA5; super::super::frame::MAX_PAYLOAD];
         let n = encode_raw(0x7f, 4, &longest, &mut out).unwrap();
         assert_eq!(good(&out[..n]), [(0x7f, 4, longest.to_vec())]);

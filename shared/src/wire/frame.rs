@@ -2,11 +2,13 @@
 //!
 //! The leading zero costs a byte and buys that a frame cut short cannot swallow the next one.
 //! The CRC-32 (ISO-HDLC, as in zlib) covers id, sequence number and payload. The sequence number
-//! counts the frames one end sends, per direction, so that the other sees what got lost.
+//! counts the frames one end sends, per direction, so that the other sees what got lost. The payload of a request or an
+//! answer begins with the request's [`Number`], two bytes.
 
 use core::fmt;
 
-use super::messages::Message;
+use super::messages::{Message, is_numbered};
+use super::number::Number;
 
 /// Longest frame before stuffing: id, sequence number, payload and CRC.
 pub const MAX_BODY: usize = 1024;
@@ -17,7 +19,7 @@ pub const HEADER: usize = 3;
 /// Bytes of the CRC.
 pub const TRAILER: usize = 4;
 
-/// Longest payload.
+/// Longest payload, the number of a request included.
 pub const MAX_PAYLOAD: usize = MAX_BODY - HEADER - TRAILER;
 
 /// Longest frame on the wire: stuffing adds a byte per 254, and the two zeros.
@@ -51,17 +53,53 @@ impl fmt::Display for EncodeError {
 
 impl core::error::Error for EncodeError {}
 
-/// Writes one frame into `out`; returns its length, at most [`MAX_ENCODED`].
+/// Writes the frame of a message that is neither request nor answer into `out`; returns its length, at most
+/// [`MAX_ENCODED`].
 ///
 /// # Errors
 /// [`EncodeError`] when the message or the frame does not fit; `out` is then undefined.
 pub fn encode<M: Message>(message: &M, seq: u16, out: &mut [u8]) -> Result<usize, EncodeError> {
+    const {
+        assert!(
+            !M::PART.is_numbered(),
+            "a request and its answer have a number"
+        )
+    };
+    encode_message(message, &[], seq, out)
+}
+
+/// As [`encode`], for any message: a request and the answer to it carry the number, and no other does.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_numbered<M: Message>(
+    message: &M,
+    number: Number,
+    seq: u16,
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let number = number.to_le_bytes();
+    let number = if M::PART.is_numbered() {
+        &number[..]
+    } else {
+        &[]
+    };
+    encode_message(message, number, seq, out)
+}
+
+fn encode_message<M: Message>(
+    message: &M,
+    number: &[u8],
+    seq: u16,
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
     let mut body = [0u8; MAX_BODY];
-    let payload_end = MAX_BODY - TRAILER;
-    let used = postcard::to_slice(message, &mut body[HEADER..payload_end])
+    let (begin, payload_end) = (HEADER + number.len(), MAX_BODY - TRAILER);
+    body[HEADER..begin].copy_from_slice(number);
+    let used = postcard::to_slice(message, &mut body[begin..payload_end])
         .map_err(|_| EncodeError::TooLong)?
         .len();
-    encode_body(M::ID, seq, used, &mut body, out)
+    encode_body(M::ID, seq, number.len() + used, &mut body, out)
 }
 
 /// As [`encode`], for a payload that is already bytes. For tests and tools that send what no
@@ -107,8 +145,20 @@ pub struct Frame<'a> {
     pub id: u8,
     /// The sender's frame counter.
     pub seq: u16,
-    /// postcard bytes.
+    /// Number of a request or an answer, then postcard bytes.
     pub payload: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// The number and the message's bytes; [`Number::NONE`] where the message has none.
+    pub fn split(&self) -> (Number, &'a [u8]) {
+        match self.payload {
+            [low, high, message @ ..] if is_numbered(self.id) => {
+                (Number::from_le_bytes([*low, *high]), message)
+            }
+            message => (Number::NONE, message),
+        }
+    }
 }
 
 /// Why bytes between two zeros are not a frame.

@@ -5,7 +5,7 @@ use core::ops::RangeInclusive;
 use heapless::String;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::schema::{Entry, FNV_BASIS, Item, fold_entry, wire_enum};
+use super::schema::{Entry, FNV_BASIS, Item, Part, fold_entry, wire_enum};
 use crate::fault::Fault;
 use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
@@ -30,6 +30,19 @@ impl<'de: 'a, 'a> Deserialize<'de> for Raw<'a> {
 pub trait Message: Serialize {
     /// Number of the message; never reused.
     const ID: u8;
+    /// Name in the table.
+    const NAME: &'static str;
+    /// Part that it plays.
+    const PART: Part;
+}
+
+/// A request, bound to its answer.
+pub trait Request: Message {
+    /// Answer where the request is carried out; [`Reply`] where it is not.
+    type Answer<'a>: Message + Deserialize<'a>;
+    /// Whether it is sent once only. Any other is sent again, under its number, while its answer stays away: a device
+    /// carries it out once.
+    const IS_SENT_ONCE: bool;
 }
 
 wire_enum! {
@@ -98,9 +111,9 @@ wire_enum! {
     pub enum Outcome {
         /// Done.
         Ok = 0,
-        /// The payload is not a message of that id.
+        /// The payload is not a message of that id, or has no number.
         Malformed = 1,
-        /// No message of that id, or one that only the device sends.
+        /// No message of that id, or one that only a device sends.
         UnknownMessage = 2,
         /// No compatible `Hello` has been exchanged.
         NotPaired = 3,
@@ -134,12 +147,12 @@ wire_enum! {
         /// A setting outside its range, and none was changed; `detail` is the field's place in its
         /// message, from 0.
         OutOfRange = 17,
-        /// The inverter must be off for this: power is asked for, or flows. Only `Restart` and `TestBoard`
-        /// are answered so.
+        /// The inverter must be off for this: power is asked for, or flows.
         NotIdle = 18,
-        /// This device has not what it takes: a simulated hob has no ROM bootloader, no comparators and no log. Only
-        /// messages of 2.2 are answered so.
+        /// This device has not what it takes: a simulated hob has no ROM bootloader, no comparators and no log.
         Unavailable = 19,
+        /// The device is not in replay mode.
+        NotReplaying = 20,
     }
 }
 
@@ -170,22 +183,30 @@ wire_enum! {
     }
 }
 
-wire_enum! {
-    /// What a `TestBoard` is to look at.
-    pub enum BoardTest {
-        /// Offset and noise of the measuring channels, and the supply. Answered by `Channels`.
-        Channels = 0,
-        /// The trip of both comparators, by moving their thresholds. Answered by `Comparators`.
-        Comparators = 1,
-        /// The clocks against each other. Answered by `Clocks`.
-        Clocks = 2,
-    }
+/// Implements [`Request`] for a row with an answer.
+macro_rules! bind_answer {
+    ([$($request:tt)+] [$($generics:tt)*]) => {};
+    ([$($request:tt)+] [$($generics:tt)*] $answer:ident $($once:ident)?) => {
+        impl $($generics)* Request for $($request)+ {
+            type Answer<'answer> = $answer;
+            const IS_SENT_ONCE: bool = bind_answer!(@once $($once)?);
+        }
+    };
+    ([$($request:tt)+] [$($generics:tt)*] $answer:ident<$lt:lifetime> $($once:ident)?) => {
+        impl $($generics)* Request for $($request)+ {
+            type Answer<'answer> = $answer<'answer>;
+            const IS_SENT_ONCE: bool = bind_answer!(@once $($once)?);
+        }
+    };
+    (@once once) => { true };
+    (@once) => { false };
 }
 
 macro_rules! message_table {
     ($lt:lifetime; $(
         $(#[doc = $doc:literal])+
-        $id:literal $direction:literal $name:ident $(<$l:lifetime>)? {
+        $id:literal $part:ident $name:ident $(<$l:lifetime>)?
+        $(-> $answer:ident $(<$al:lifetime>)? $($once:ident)?)? {
             $($(#[doc = $fdoc:literal])+ $(#[serde($attr:ident)])? $field:ident : $ty:ty,)*
         }
     )+) => {
@@ -197,7 +218,10 @@ macro_rules! message_table {
             }
             impl $(<$l>)? Message for $name $(<$l>)? {
                 const ID: u8 = $id;
+                const NAME: &'static str = stringify!($name);
+                const PART: Part = Part::$part;
             }
+            bind_answer!([$name $(<$l>)?] [$(<$l>)?] $($answer $(<$al>)? $($once)?)?);
         )+
 
         /// Any message of the table, borrowed from the bytes it was decoded from.
@@ -210,31 +234,37 @@ macro_rules! message_table {
         }
 
         impl<$lt> AnyMessage<$lt> {
-            /// Decodes the payload of message `id`; the payload must be used up.
-            pub fn decode(id: u8, payload: &$lt [u8]) -> Result<Self, DecodeError> {
+            /// Decodes the bytes of message `id` behind its number; they must be used up.
+            pub fn decode(id: u8, bytes: &$lt [u8]) -> Result<Self, DecodeError> {
                 match id {
-                    $($id => match postcard::take_from_bytes::<$name>(payload) {
-                        Ok((message, [])) => Ok(Self::$name(message)),
-                        Ok((_, rest)) => Err(DecodeError::Trailing { id, bytes: rest.len() }),
-                        Err(_) => Err(DecodeError::Malformed { id }),
-                    },)+
+                    $($id => decode::<$name>(bytes).map(Self::$name),)+
                     _ => Err(DecodeError::UnknownId { id }),
                 }
             }
 
-            /// The message's number, and its payload written to the front of `out`; `None` where that
+            /// The message's id, and its bytes behind the number written to the front of `out`; `None` where that
             /// is too small.
-            pub fn payload<'o>(&self, out: &'o mut [u8]) -> Option<(u8, &'o [u8])> {
+            pub fn bytes<'o>(&self, out: &'o mut [u8]) -> Option<(u8, &'o [u8])> {
                 match self {
                     $(Self::$name(m) => Some(($id, &*postcard::to_slice(m, out).ok()?)),)+
                 }
             }
         }
 
+        /// Part that message `id` plays; `None` for one that is not in the table.
+        pub const fn part_of(id: u8) -> Option<Part> {
+            match id {
+                $($id => Some(Part::$part),)+
+                _ => None,
+            }
+        }
+
         /// Every message, in table order.
         pub const MESSAGES: &[Entry] = &[$(Entry {
             id: Some($id),
-            direction: $direction,
+            part: Some(Part::$part),
+            answer: message_table!(@answer $($answer)?),
+            is_sent_once: message_table!(@once $($($once)?)?),
             name: stringify!($name),
             doc: concat!($($doc),+),
             items: &[$(Item {
@@ -244,11 +274,39 @@ macro_rules! message_table {
             }),*],
         }),+];
     };
+    (@answer) => { None };
+    (@answer $answer:ident) => { Some(stringify!($answer)) };
+    (@once) => { false };
+    (@once once) => { true };
+}
+
+/// Whether a frame of this id begins with a request's number: any that is not known does, as it may be a newer request.
+pub const fn is_numbered(id: u8) -> bool {
+    match part_of(id) {
+        Some(part) => part.is_numbered(),
+        None => true,
+    }
+}
+
+/// Decodes a message from its bytes behind the number; they must be used up.
+///
+/// # Errors
+/// [`DecodeError::Malformed`], [`DecodeError::Trailing`].
+pub fn decode<'a, M: Message + Deserialize<'a>>(bytes: &'a [u8]) -> Result<M, DecodeError> {
+    let id = M::ID;
+    match postcard::take_from_bytes(bytes) {
+        Ok((message, [])) => Ok(message),
+        Ok((_, rest)) => Err(DecodeError::Trailing {
+            id,
+            bytes: rest.len(),
+        }),
+        Err(_) => Err(DecodeError::Malformed { id }),
+    }
 }
 
 message_table! { 'a;
     /// First message in both directions. Frozen for ever: same id, same layout, whatever the version.
-    0x01 "both" Hello {
+    0x01 Both Hello {
         /// [`super::hello::MAGIC`].
         magic: u32,
         /// 0 host, 1 device.
@@ -273,33 +331,33 @@ message_table! { 'a;
         board: String<32>,
     }
     /// Asks for power; 0 switches off. A device that hears no frame but `ResendWindow` for 10 s switches off by itself.
-    0x02 "to device" SetPower {
+    0x02 Request SetPower -> Reply {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
     }
     /// Chooses what the device streams.
-    0x03 "to device" Stream {
+    0x03 Request Stream -> Reply {
         /// A `Telemetry` every this many half-cycles; 0 for none.
         telemetry_every: u8,
         /// A window every this many half-cycles; 0 for none.
         windows_every: u8,
     }
     /// Asks for a `Status`.
-    0x04 "to device" GetStatus {}
-    /// Offers a lookup ([`crate::lookup::RlLookup::to_bytes`]). Answered by `Reply`; it becomes
-    /// active at the next half-cycle boundary, seen in `Status`.
-    0x05 "to device" PushLookup<'a> {
+    0x04 Request GetStatus -> Status {}
+    /// Offers a lookup ([`crate::lookup::RlLookup::to_bytes`]). It becomes active at the next half-cycle boundary, seen in
+    /// `Status`.
+    0x05 Request PushLookup<'a> -> Reply {
         /// The lookup's bytes, its own CRC included.
         #[serde(borrow)]
         blob: Raw<'a>,
     }
     /// Asks for the active lookup.
-    0x06 "to device" ReadLookup {}
+    0x06 Request ReadLookup -> LookupBlob<'a> {}
     /// Leaves the safe state after a fault; power must be asked for again.
-    0x07 "to device" ClearFault {}
+    0x07 Request ClearFault -> Reply {}
     /// Enters replay mode: samples come from `ReplayBlocks`, those of the ADC are ignored, and the
-    /// power outputs are locked off. The estimator begins anew. Answered by `ReplayMode`.
-    0x08 "to device" ReplayStart {
+    /// power outputs are locked off. The estimator begins anew.
+    0x08 Request ReplayStart -> ReplayMode {
         /// Switching frequency of the recording, in hertz, 34 000 to 80 000.
         f_sw_hz: u32,
         /// R that the estimator starts from.
@@ -307,10 +365,9 @@ message_table! { 'a;
         /// L that the estimator starts from.
         l: PicoHenry,
     }
-    /// Up to four blocks of 61 pairs for the sampling path. Answered by `ReplayEstimates`, or by
-    /// `ReplayMode` when the device is not in replay mode. A frame that comes twice is replayed
-    /// once; without blocks it asks for the last `ReplayEstimates` again.
-    0x09 "to device" ReplayBlocks<'a> {
+    /// Up to four blocks of 61 pairs for the sampling path. `NotReplaying` when the device is not in replay mode. Without
+    /// blocks it asks for the last `ReplayEstimates` again, which a host does that has lost them, or the link.
+    0x09 Request ReplayBlocks<'a> -> ReplayEstimates<'a> once {
         /// Index of the first pair after a mains zero crossing; 65535 for none.
         zero_crossing: u16,
         /// Bus voltage, in decivolt.
@@ -319,15 +376,15 @@ message_table! { 'a;
         #[serde(borrow)]
         data: Raw<'a>,
     }
-    /// Leaves replay mode; power must be asked for again. Answered by `ReplayMode`.
-    0x0a "to device" ReplayEnd {}
+    /// Leaves replay mode; power must be asked for again.
+    0x0a Request ReplayEnd -> ReplayMode {}
     /// Asks for a `Utilisation`.
-    0x0b "to device" GetUtilisation {}
-    /// Back to the built-in lookup, version 0, which is kept like any other. Answered by `Reply`; it
-    /// becomes active at the next half-cycle boundary, seen in `Status`.
-    0x0c "to device" ResetLookup {}
-    /// Settings, kept until the next boot. Answered by `Reply`.
-    0x0d "to device" Configure {
+    0x0b Request GetUtilisation -> Utilisation {}
+    /// Back to the built-in lookup, version 0, which is kept like any other. It becomes active at the next
+    /// half-cycle boundary, seen in `Status`.
+    0x0c Request ResetLookup -> Reply {}
+    /// Settings, kept until the next boot.
+    0x0d Request Configure -> Reply {
         /// How long the device looks for a pot before it gives up, in seconds: 60 to 600.
         give_up_s: u16,
         /// How far the switching frequency is moved to either side from half-cycle to half-cycle, in
@@ -335,13 +392,12 @@ message_table! { 'a;
         dither_permille: u8,
     }
     /// Asks for a `FrontEnd`.
-    0x0e "to device" GetFrontEnd {}
-    /// Asks for a piece of a window again, or lets go of the window. A device keeps a window that it has
-    /// sent to a host of this minor version or a newer one until the host lets go of it, or has said nothing
-    /// of it for [`super::timing::WINDOW_KEPT_HALF_CYCLES`]; meanwhile windows that are due are dropped and counted. Answered
-    /// by the piece, a chunk being as long as any; by `Reply` with `OutOfRange` and the window's number as its detail
-    /// where the device has no such window or piece; not at all for `Nothing`. Keeps no power on.
-    0x0f "to device" ResendWindow {
+    0x0e Request GetFrontEnd -> FrontEnd {}
+    /// Asks for a piece of a window again, or lets go of the window. A device keeps a window that it has sent until the host
+    /// lets go of it, or has said nothing of it for [`super::timing::WINDOW_KEPT_HALF_CYCLES`]; meanwhile windows that are due
+    /// are dropped and counted. The piece comes, a chunk being as long as any, or `WindowGone`; nothing on `Nothing`. Keeps
+    /// no power on.
+    0x0f Notice ResendWindow {
         /// Window.
         seq: u32,
         /// What is asked for.
@@ -350,53 +406,51 @@ message_table! { 'a;
         offset: u16,
     }
     /// Ends the program that runs, for one that begins anew. Only with the inverter off and no power asked for,
-    /// else `Reply` with `NotIdle`. After a `Reply` with `Ok` the device goes, [`super::timing::RESTART_AFTER_MS`] later.
-    0x10 "to device" Restart {
+    /// else `NotIdle`. After `Ok` the device goes, [`super::timing::RESTART_AFTER_MS`] later; sent again, it would meet the
+    /// next program.
+    0x10 Request Restart -> Reply once {
         /// What runs next.
         into: Program,
     }
     /// Asks for a `Board`.
-    0x11 "to device" GetBoard {}
-    /// Looks at a part of the board. Only with the inverter off and no power asked for, else `Reply` with `NotIdle`.
-    /// Answered within a second by the test's own message. While one runs, another is answered by `Busy`; the same one
-    /// asked for again is answered once.
-    0x12 "to device" TestBoard {
-        /// Which part.
-        test: BoardTest,
-    }
-    /// Bytes that are known beforehand: a device counts those that come, and sends those that `TestLink` asks for. Never answered.
-    0x13 "both" LinkData<'a> {
+    0x11 Request GetBoard -> Board<'a> {}
+    /// Bytes that are known beforehand: a device counts those that come, and sends those that `TestLink` asks for. Not answered.
+    0x13 Both LinkData<'a> {
         /// Frames of `LinkData` that this end has sent before this one since the last `TestLink`.
         seq: u32,
         /// At most [`crate::window::CHUNK_BYTES`]; byte k is the lowest byte of `seq` + k.
         #[serde(borrow)]
         data: Raw<'a>,
     }
-    /// Ends one test of the link and begins another: answered by `LinkTested`, then by so many `LinkData`, behind
-    /// all else that the device has to send. `OutOfRange` for more bytes than a `LinkData` takes.
-    0x14 "to device" TestLink {
+    /// Ends one test of the link and begins another: behind the answer so many `LinkData` come, after all else that the
+    /// device has to send. `OutOfRange` for more bytes than a `LinkData` takes.
+    0x14 Request TestLink -> LinkTested {
         /// `LinkData` to send; 0 for none.
         frames: u16,
         /// Bytes of data in each.
         bytes: u16,
     }
     /// Sends what the firmware logs, from the oldest that is still kept on, in `Log`s; or no more. A `Hello` ends it.
-    /// Answered by `Reply`.
-    0x15 "to device" StreamLog {
+    0x15 Request StreamLog -> Reply {
         /// Whether.
         on: bool,
     }
-    /// Answer to every command that has no answer of its own.
-    0x80 "from device" Reply {
-        /// Id of the command.
-        to: u8,
+    /// Looks at the measuring channels. Only with the inverter off and no power asked for, else `Reply` with `NotIdle`; with
+    /// `Busy` while another test of the board runs. Answered within a second.
+    0x16 Request TestChannels -> Channels {}
+    /// Trips both comparators by moving their thresholds. As `TestChannels`.
+    0x17 Request TestComparators -> Comparators {}
+    /// Counts the clocks against each other. As `TestChannels`.
+    0x18 Request TestClocks -> Clocks {}
+    /// Answer to a request that has no other, and to any that is not carried out.
+    0x80 Answer Reply {
         /// What became of it.
         outcome: Outcome,
         /// See the outcome.
         detail: u32,
     }
     /// The controller now, and everything it has counted since boot.
-    0x81 "from device" Status {
+    0x81 Answer Status {
         /// What the controller is doing.
         state: State,
         /// Active fault.
@@ -443,7 +497,7 @@ message_table! { 'a;
         key_locked: bool,
     }
     /// One half-cycle in numbers.
-    0x82 "from device" Telemetry {
+    0x82 Event Telemetry {
         /// Counts every telemetry that was due, sent or not.
         seq: u32,
         /// Telemetry messages dropped since boot.
@@ -484,7 +538,7 @@ message_table! { 'a;
         i_turn_off_min_ma: i32,
     }
     /// Begins a window ([`crate::window`]).
-    0x83 "from device" WindowStart {
+    0x83 Event WindowStart {
         /// Counts every window that was due, recorded or not.
         seq: u32,
         /// Windows dropped since boot.
@@ -513,7 +567,7 @@ message_table! { 'a;
         i_full_scale_ma: u32,
     }
     /// A run of a window's pairs.
-    0x84 "from device" WindowChunk<'a> {
+    0x84 Event WindowChunk<'a> {
         /// Window.
         seq: u32,
         /// Index of the first pair.
@@ -523,7 +577,7 @@ message_table! { 'a;
         data: Raw<'a>,
     }
     /// A run of a window's trajectory.
-    0x85 "from device" TrajectoryChunk<'a> {
+    0x85 Event TrajectoryChunk<'a> {
         /// Window.
         seq: u32,
         /// Index of the first entry.
@@ -533,34 +587,34 @@ message_table! { 'a;
         data: Raw<'a>,
     }
     /// Ends a window.
-    0x86 "from device" WindowEnd {
+    0x86 Event WindowEnd {
         /// Window.
         seq: u32,
         /// CRC-32 of all pair bytes, then all trajectory bytes.
         crc32: u32,
     }
     /// The active lookup.
-    0x87 "from device" LookupBlob<'a> {
+    0x87 Answer LookupBlob<'a> {
         /// The lookup's bytes, its own CRC included.
         #[serde(borrow)]
         blob: Raw<'a>,
     }
     /// Sent when a fault trips, and with [`Fault::NONE`] when it is cleared.
-    0x88 "from device" FaultEvent {
+    0x88 Event FaultEvent {
         /// Half-cycle since boot in which the fault tripped, or was cleared.
         half_cycle: u32,
         /// The fault.
         fault: Fault,
     }
     /// Whether samples come from a host; the power outputs are locked off while they do.
-    0x89 "from device" ReplayMode {
+    0x89 Answer ReplayMode {
         /// Replay mode.
         active: bool,
         /// Blocks replayed since it was entered.
         blocks: u32,
     }
     /// What the estimator made of the blocks of one `ReplayBlocks`.
-    0x8a "from device" ReplayEstimates<'a> {
+    0x8a Answer ReplayEstimates<'a> {
         /// Blocks replayed before these.
         first: u32,
         /// One [`crate::window::TrajectoryEntry::to_le_bytes`] a block; zeros where a block gave no
@@ -569,7 +623,7 @@ message_table! { 'a;
         data: Raw<'a>,
     }
     /// How busy the controller was since `GetUtilisation` was asked last.
-    0x8b "from device" Utilisation {
+    0x8b Answer Utilisation {
         /// Blocks of samples whose processing was measured; 0 on a board that cannot measure it.
         blocks: u32,
         /// Share of the processor's time that they took, in permille.
@@ -580,9 +634,8 @@ message_table! { 'a;
         /// watchdog, in microseconds.
         longest_gap_us: u32,
     }
-    /// What the codes of the device's channels stand for. Sent on `GetFrontEnd`, and by itself after each
-    /// `Hello` of a host that fits.
-    0x8c "from device" FrontEnd {
+    /// What the codes of the device's channels stand for.
+    0x8c Answer FrontEnd {
         /// Half the input range of the coil voltage's channel, in millivolt.
         v_full_scale_mv: u32,
         /// Half the input range of the coil current's channel, in milliampere.
@@ -596,7 +649,7 @@ message_table! { 'a;
     }
     /// What the device is, as far as its chip and its program know. A simulated hob has no chip: its numbers are 0, its
     /// option bytes as they should be.
-    0x8d "from device" Board<'a> {
+    0x8d Answer Board<'a> {
         /// DBGMCU_IDCODE: which chip, and its revision.
         id_code: u32,
         /// Flash, in KiB, as the chip says (FLASHSIZE).
@@ -621,7 +674,7 @@ message_table! { 'a;
         chip: Raw<'a>,
     }
     /// What the measuring channels show with the bridge open. Codes are in 1/256, those of the pairs from mid-scale on.
-    0x8e "from device" Channels {
+    0x8e Answer Channels {
         /// Pairs of coil voltage and current that were looked at.
         samples: u32,
         /// Mean of the coil voltage's codes.
@@ -648,7 +701,7 @@ message_table! { 'a;
         vdda_mv: u16,
     }
     /// Whether the trip in hardware works, from the thresholds to the fault inputs, with the bridge open.
-    0x8f "from device" Comparators {
+    0x8f Answer Comparators {
         /// With its threshold at 0 V the comparator of positive current reached its fault input.
         positive_tripped: bool,
         /// With its threshold back it is quiet.
@@ -659,7 +712,7 @@ message_table! { 'a;
         negative_quiet: bool,
     }
     /// The clocks, counted against each other.
-    0x90 "from device" Clocks {
+    0x90 Answer Clocks {
         /// What the main clock's frequency should be, in hertz.
         main_hz: u32,
         /// Periods of the low-speed oscillator that were counted; 0 where it stands still.
@@ -676,7 +729,7 @@ message_table! { 'a;
         hsi48_trim: u8,
     }
     /// What has come of a test of the link.
-    0x91 "from device" LinkTested {
+    0x91 Answer LinkTested {
         /// `LinkData` received since the last `TestLink`.
         frames: u32,
         /// Bytes of their data.
@@ -687,7 +740,7 @@ message_table! { 'a;
         lost: u32,
     }
     /// What the firmware has logged.
-    0x92 "from device" Log<'a> {
+    0x92 Event Log<'a> {
         /// Bytes sent in `Log`s before this one, since boot: a gap was lost on the way.
         seq: u32,
         /// Of the firmware's log frames, those that found no room, since boot.
@@ -695,6 +748,11 @@ message_table! { 'a;
         /// Whole log frames of defmt as they leave over RTT: rzCOBS, each ends with 0. The image's own table decodes them.
         #[serde(borrow)]
         data: Raw<'a>,
+    }
+    /// The device has no such window any more, or no such piece of it: answers `ResendWindow`.
+    0x93 Event WindowGone {
+        /// Window.
+        seq: u32,
     }
 }
 
@@ -760,7 +818,6 @@ pub const ENUMS: &[Entry] = &[
     Outcome::ENTRY,
     Piece::ENTRY,
     Program::ENTRY,
-    BoardTest::ENTRY,
 ];
 
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they

@@ -11,18 +11,12 @@ pub mod frame;
 pub mod hello;
 pub mod link_test;
 pub mod messages;
+pub mod number;
 pub mod schema;
 pub mod timing;
 
 /// Raised by any change of an existing message.
-pub const PROTOCOL_MAJOR: u16 = 2;
+pub const PROTOCOL_MAJOR: u16 = 3;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 2;
-
-/// The minor version that knows [`messages::ResendWindow`].
-pub const RESEND_MINOR: u16 = 1;
-
-/// The minor version that knows [`messages::Restart`], [`messages::GetBoard`], [`messages::TestBoard`],
-/// [`messages::TestLink`] and [`messages::StreamLog`].
-pub const SERVICE_MINOR: u16 = 2;
+pub const PROTOCOL_MINOR: u16 = 0;

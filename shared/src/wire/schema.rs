@@ -12,13 +12,50 @@ pub struct Item {
     pub doc: &'static str,
 }
 
+/// Part that a message plays in a conversation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Sent by both ends.
+    Both,
+    /// Asks the device for its answer.
+    Request,
+    /// Tells the device something that is not answered.
+    Notice,
+    /// Answers a request.
+    Answer,
+    /// Sent by the device of its own accord.
+    Event,
+}
+
+impl Part {
+    /// Whether the message carries a request's number.
+    pub const fn is_numbered(self) -> bool {
+        matches!(self, Self::Request | Self::Answer)
+    }
+
+    /// Part in words.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Both => "both ends",
+            Self::Request => "request to the device",
+            Self::Notice => "notice to the device",
+            Self::Answer => "answer of the device",
+            Self::Event => "event from the device",
+        }
+    }
+}
+
 /// A message or an enumeration, as documentation sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Message id; `None` for an enumeration.
     pub id: Option<u8>,
-    /// Who sends it; empty for an enumeration.
-    pub direction: &'static str,
+    /// Part that the message plays; `None` for an enumeration.
+    pub part: Option<Part>,
+    /// Answer that a request gets where it is carried out.
+    pub answer: Option<&'static str>,
+    /// Whether the request is sent once only.
+    pub is_sent_once: bool,
     /// Type name.
     pub name: &'static str,
     /// Its documentation.
@@ -48,6 +85,12 @@ pub const fn fold_entry(hash: u64, entry: &Entry) -> u64 {
     let mut h = fnv1a(hash, entry.name);
     if let Some(id) = entry.id {
         h = (h ^ id as u64).wrapping_mul(0x0000_0100_0000_01b3);
+    }
+    if let Some(part) = entry.part {
+        h = fnv1a(h, part.text());
+    }
+    if let Some(answer) = entry.answer {
+        h = fnv1a(h, answer);
     }
     let mut k = 0;
     while k < entry.items.len() {
@@ -86,7 +129,9 @@ macro_rules! wire_enum {
             /// The entry in the protocol's documentation and schema hash.
             pub const ENTRY: $crate::wire::schema::Entry = $crate::wire::schema::Entry {
                 id: None,
-                direction: "",
+                part: None,
+                answer: None,
+                is_sent_once: false,
                 name: stringify!($name),
                 doc: concat!($($doc),+),
                 items: &[$($crate::wire::schema::Item {

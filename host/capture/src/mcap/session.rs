@@ -11,13 +11,13 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
-use ihd_link::incoming::{Answer, Incoming};
-use ihd_link::{Counters, Event, FrameSink, Window, protocol_1};
+use ihd_link::incoming::Incoming;
+use ihd_link::{Counters, Event, FrameSink, Window, older};
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{FrameError, MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ROLE_HOST, check, ours};
-use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello};
+use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello, LookupBlob};
 use ihd_signal::TimeBase;
 
 use super::McapFileError;
@@ -199,8 +199,8 @@ impl Recording {
             let _ = self.incoming.push(byte);
         }
         while let Some(answer) = self.incoming.answers.pop_front() {
-            if let Answer::Lookup(blob) = answer
-                && let Some(note) = notes::lookup("active", &blob)
+            if let Some(LookupBlob { blob }) = answer.decode()
+                && let Some(note) = notes::lookup("active", blob.0)
             {
                 self.writer.json(Topic::Lookup, t_s, &note)?;
             }
@@ -223,7 +223,7 @@ impl Recording {
         for &byte in bytes {
             if let Some(Ok(frame)) = self.outgoing.push(byte)
                 && let Ok(AnyMessage::PushLookup(push)) =
-                    AnyMessage::decode(frame.id, frame.payload)
+                    AnyMessage::decode(frame.id, frame.split().1)
                 && let Some(note) = notes::lookup("pushed", push.blob.0)
             {
                 self.writer.json(Topic::Lookup, t_s, &note)?;
@@ -394,7 +394,7 @@ impl SessionReader {
     ///
     /// # Errors
     /// [`McapFileError`] when the file cannot be read, holds no session, or comes from a device of
-    /// another major protocol version than ours and 1.
+    /// a newer major protocol version than ours.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let us = ours(ROLE_HOST, 0, 0, "", "");
         let mut session = Self {
@@ -418,13 +418,14 @@ impl SessionReader {
                 return Err(none());
             }
         }
-        match session.incoming.answers.pop_front() {
-            Some(Answer::Hello(hello)) if hello.role == ROLE_DEVICE => session.hello = hello,
+        let first = session.incoming.answers.pop_front();
+        match first.and_then(|answer| answer.decode::<Hello>()) {
+            Some(hello) if hello.role == ROLE_DEVICE => session.hello = hello,
             _ => return Err(none()),
         }
         let mut readable = session.hello.clone();
-        if readable.protocol_major == protocol_1::MAJOR {
-            session.incoming.set_major(protocol_1::MAJOR);
+        if older::is_older(readable.protocol_major) {
+            session.incoming.set_major(readable.protocol_major);
             (readable.protocol_major, readable.schema_hash) = (PROTOCOL_MAJOR, us.schema_hash);
         }
         check(&us, &readable).map_err(|why| McapFileError::Mismatch {

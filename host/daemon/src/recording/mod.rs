@@ -524,7 +524,7 @@ impl State {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
-            let cause = match AnyMessage::decode(frame.id, frame.payload) {
+            let cause = match AnyMessage::decode(frame.id, frame.split().1) {
                 Ok(AnyMessage::Telemetry(t)) => self.known.telemetry(t, trigger),
                 Ok(AnyMessage::FaultEvent(event)) => self.known.fault(&event, trigger),
                 _ => None,

@@ -3,19 +3,20 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use ihd_firmware::conversation::{Conversation, Turn};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup, prior::prior};
 use ihd_shared::sampling::{I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
-use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, check, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, ClearFault, FaultEvent, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot,
-    PushLookup, Raw, Reply, ResetLookup, SetPower, State, Status, Stream, Telemetry,
-    TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, FaultEvent, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot, Raw, Reply,
+    State, Status, Telemetry, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
+use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 /// One half-cycle at 50 Hz.
@@ -48,6 +49,10 @@ pub struct Hob {
     fault: Fault,
     pending: Option<RlLookup>,
     frame_seq: u16,
+    conversation: Conversation,
+    /// The request that is carried out, and the frame that answers it.
+    number: Number,
+    answer: Option<Vec<u8>>,
     /// Frames for the host, each with the time at which it leaves.
     sent: VecDeque<(Duration, Vec<u8>)>,
 }
@@ -70,6 +75,9 @@ impl Hob {
             fault: Fault::NONE,
             pending: None,
             frame_seq: 0,
+            conversation: Conversation::default(),
+            number: Number::NONE,
+            answer: None,
             sent: VecDeque::new(),
         }
     }
@@ -108,18 +116,19 @@ impl Hob {
 
     fn say<M: Message>(&mut self, message: &M) {
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, self.frame_seq, &mut frame).expect("it fits a frame");
+        let length = encode_numbered(message, self.number, self.frame_seq, &mut frame)
+            .expect("it fits a frame");
         self.frame_seq = self.frame_seq.wrapping_add(1);
+        let frame = frame[..length].to_vec();
+        if M::PART.is_numbered() {
+            self.answer = Some(frame.clone());
+        }
         let at = self.now();
-        self.sent.push_back((at, frame[..length].to_vec()));
+        self.sent.push_back((at, frame));
     }
 
-    fn reply(&mut self, to: u8, outcome: Outcome, detail: u32) {
-        self.say(&Reply {
-            to,
-            outcome,
-            detail,
-        });
+    fn reply(&mut self, outcome: Outcome, detail: u32) {
+        self.say(&Reply { outcome, detail });
     }
 
     /// Lives until `now`.
@@ -227,7 +236,7 @@ impl Hob {
     }
 
     /// Hears a frame of the host.
-    pub fn hear(&mut self, message: &AnyMessage<'_>) {
+    pub fn hear(&mut self, number: Number, message: &AnyMessage<'_>) {
         if !matches!(message, AnyMessage::ResendWindow(_)) {
             self.unheard = 0;
         }
@@ -237,11 +246,24 @@ impl Hob {
         if !self.is_paired {
             return;
         }
+        match self.conversation.turn(number) {
+            Turn::New => self.carry_out(number, message),
+            Turn::Again => {
+                let at = self.now();
+                self.sent
+                    .extend(self.answer.clone().map(|frame| (at, frame)));
+            }
+            Turn::Past | Turn::Unnumbered => {}
+        }
+    }
+
+    fn carry_out(&mut self, number: Number, message: &AnyMessage<'_>) {
+        (self.number, self.answer) = (number, None);
         match message {
             AnyMessage::SetPower(m) => self.set_power(m.power_w),
             AnyMessage::Stream(m) => {
                 self.streams = m.telemetry_every > 0;
-                self.reply(Stream::ID, Outcome::Ok, 0);
+                self.reply(Outcome::Ok, 0);
             }
             AnyMessage::GetStatus(_) => self.say_status(),
             AnyMessage::GetFrontEnd(_) => self.say_front_end(),
@@ -251,23 +273,15 @@ impl Hob {
             }
             AnyMessage::PushLookup(m) => {
                 let (outcome, detail) = self.accept(m.blob.0);
-                self.reply(PushLookup::ID, outcome, detail);
+                self.reply(outcome, detail);
             }
             AnyMessage::ResetLookup(_) => {
                 self.pending = Some(prior());
-                self.reply(ResetLookup::ID, Outcome::Ok, 0);
+                self.reply(Outcome::Ok, 0);
             }
             AnyMessage::ClearFault(_) => {
                 self.fault = Fault::NONE;
-                self.reply(ClearFault::ID, Outcome::Ok, 0);
-            }
-            // No piece of a window is kept.
-            AnyMessage::ResendWindow(m) => {
-                self.reply(
-                    ihd_shared::wire::messages::ResendWindow::ID,
-                    Outcome::OutOfRange,
-                    m.seq,
-                );
+                self.reply(Outcome::Ok, 0);
             }
             _ => {}
         }
@@ -277,25 +291,22 @@ impl Hob {
         self.is_paired = check(&self.hello, theirs).is_ok();
         self.streams = false;
         self.forget_sent();
+        self.conversation = Conversation::default();
+        (self.number, self.answer) = (Number::NONE, None);
         let hello = self.hello.clone();
         self.say(&hello);
-        self.say_front_end();
     }
 
     fn set_power(&mut self, power_w: u16) {
         if power_w > RATED_POWER_W {
-            return self.reply(
-                SetPower::ID,
-                Outcome::PowerOutOfRange,
-                u32::from(RATED_POWER_W),
-            );
+            return self.reply(Outcome::PowerOutOfRange, u32::from(RATED_POWER_W));
         }
         if power_w > 0 && self.fault != Fault::NONE {
             let number = u32::from(self.fault.number());
-            return self.reply(SetPower::ID, Outcome::FaultActive, number);
+            return self.reply(Outcome::FaultActive, number);
         }
         self.asked_w = power_w;
-        self.reply(SetPower::ID, Outcome::Ok, 0);
+        self.reply(Outcome::Ok, 0);
     }
 
     fn accept(&mut self, blob: &[u8]) -> (Outcome, u32) {

@@ -102,7 +102,8 @@ impl Transport for Link {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
-            let Ok(message) = AnyMessage::decode(frame.id, frame.payload) else {
+            let (number, payload) = frame.split();
+            let Ok(message) = AnyMessage::decode(frame.id, payload) else {
                 continue;
             };
             let times = {
@@ -119,7 +120,7 @@ impl Transport for Link {
                 }
             };
             for _ in 0..times {
-                self.world.hears(self.socket, &message);
+                self.world.hears(self.socket, number, &message);
             }
         }
         Ok(())

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use ihd_shared::wire::messages::AnyMessage;
+use ihd_shared::wire::number::Number;
 use tokio::time::Instant;
 
 use super::world::{HOBS, World};
@@ -82,14 +83,14 @@ impl World {
     }
 
     /// A hob hears a frame of the daemon.
-    pub fn hears(&self, hob: usize, message: &AnyMessage<'_>) {
+    pub fn hears(&self, hob: usize, number: Number, message: &AnyMessage<'_>) {
         if let AnyMessage::SetPower(m) = message {
             self.note(&format!("{} hears {} W", HOBS[hob], m.power_w));
             if m.power_w > 0 {
                 self.check_power(hob, m.power_w);
             }
         }
-        self.lock().sockets[hob].hob.hear(message);
+        self.lock().sockets[hob].hob.hear(number, message);
     }
 
     fn check_power(&self, hob: usize, power_w: u16) {

@@ -159,12 +159,16 @@ async fn a_daemon_that_died_leaves_a_hob_that_the_next_one_switches_off() {
     daemon.stop().await;
 }
 
+/// A hello, and a request for power.
 fn set_power(power_w: u16) -> Vec<u8> {
-    use ihd_shared::wire::frame::{MAX_ENCODED, encode};
-    let mut frame = [0; MAX_ENCODED];
+    use ihd_shared::wire::frame::{MAX_ENCODED, encode, encode_numbered};
+    use ihd_shared::wire::hello::{ROLE_HOST, ours};
+    use ihd_shared::wire::number::Number;
+    let (mut hello, mut frame) = ([0; MAX_ENCODED], [0; MAX_ENCODED]);
+    let greeting = encode(&ours(ROLE_HOST, 0, 0, "test", "host"), 0, &mut hello).unwrap();
     let message = ihd_shared::wire::messages::SetPower { power_w };
-    let length = encode(&message, 0, &mut frame).unwrap();
-    frame[..length].to_vec()
+    let length = encode_numbered(&message, Number::FIRST, 1, &mut frame).unwrap();
+    [&hello[..greeting], &frame[..length]].concat()
 }
 
 /// The daemon's clock is slow: a sweep does not wait for ever, and on a busy machine a simulated hob takes long.

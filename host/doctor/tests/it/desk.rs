@@ -84,7 +84,7 @@ impl Transport for Watched {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for &byte in bytes {
             if let Some(Ok(frame)) = self.deframer.push(byte)
-                && let Ok(AnyMessage::SetPower(set)) = AnyMessage::decode(frame.id, frame.payload)
+                && let Ok(AnyMessage::SetPower(set)) = AnyMessage::decode(frame.id, frame.split().1)
             {
                 self.asked_w.lock().unwrap().push(set.power_w);
             }

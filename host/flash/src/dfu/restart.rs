@@ -83,7 +83,7 @@ fn not_seen(device: &DeviceSpec) -> String {
 /// Asks the firmware to make place for the bootloader.
 ///
 /// # Errors
-/// [`LinkError::Refused`] while it heats, [`LinkError::TooOld`], and as every command.
+/// [`LinkError::Refused`] while it heats, and as every command.
 pub fn send_into_bootloader(transport: Box<dyn Transport>) -> Result<(), LinkError> {
     let mut client = Client::connect(transport)?;
     client.restart(Program::Bootloader)

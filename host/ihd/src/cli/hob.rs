@@ -169,8 +169,6 @@ fn tell(speed: f64, event: ServerEvent) {
             match why {
                 Ended::Left => "",
                 Ended::NoHello => ": no hello that fits within 5 s",
-                Ended::Idle => ": no frame for 30 s",
-                Ended::Replaced => ": no frame for 10 s, and another host is there",
             }
         ),
         ServerEvent::Impossible(why) => {

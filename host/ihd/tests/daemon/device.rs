@@ -14,21 +14,23 @@ use ihd_shared::sampling::{I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::{CHUNK_BYTES, TrajectoryEntry};
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_raw};
-use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, check, ours};
+use ihd_shared::wire::frame::{CRC32, Frame, MAX_ENCODED, encode_numbered, encode_raw};
+use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot, PushLookup, Raw, Reply,
-    SetPower, State, Status, Stream, Telemetry, TrajectoryChunk, Utilisation, WindowChunk,
-    WindowEnd, WindowStart,
+    AnyMessage, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot, Raw, Reply, State,
+    Status, Stream, Telemetry, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
 };
+use ihd_shared::wire::number::Number;
 
 /// One host's connection, in frames.
 pub struct Wire {
     stream: TcpStream,
     seq: u16,
+    /// Number of the request that was taken last: what is sent answers it.
+    pub number: Number,
     deframer: Deframer,
-    /// Frames that came and were not taken yet: id and payload.
-    came: Vec<(u8, Vec<u8>)>,
+    /// Frames that came and were not taken yet: id, number and message.
+    came: Vec<(u8, Number, Vec<u8>)>,
     stop: Arc<AtomicBool>,
 }
 
@@ -40,6 +42,7 @@ impl Wire {
         Ok(Self {
             stream,
             seq: 0,
+            number: Number::NONE,
             deframer: Deframer::new(),
             came: Vec::new(),
             stop,
@@ -71,10 +74,10 @@ impl Wire {
         self.bytes(&bytes)
     }
 
-    /// A message's frame, under the next number.
+    /// A message's frame; an answer is one to the last request.
     pub fn framed<M: Message>(&mut self, message: &M) -> Vec<u8> {
         let mut out = [0; MAX_ENCODED];
-        let n = encode(message, self.seq, &mut out).expect("it fits");
+        let n = encode_numbered(message, self.number, self.seq, &mut out).expect("it fits");
         self.seq = self.seq.wrapping_add(1);
         out[..n].to_vec()
     }
@@ -99,7 +102,7 @@ impl Wire {
                 Ok(n) => {
                     for &byte in &buf[..n] {
                         if let Some(Ok(frame)) = self.deframer.push(byte) {
-                            self.came.push((frame.id, frame.payload.to_vec()));
+                            self.came.push(taken(&frame));
                         }
                     }
                 }
@@ -107,7 +110,12 @@ impl Wire {
                 Err(e) => return Err(e),
             }
         }
-        Ok((!self.came.is_empty()).then(|| self.came.remove(0)))
+        if self.came.is_empty() {
+            return Ok(None);
+        }
+        let (id, number, message) = self.came.remove(0);
+        self.number = number;
+        Ok(Some((id, message)))
     }
 
     /// Sends a window whole.
@@ -138,6 +146,11 @@ impl Wire {
         }));
         self.bytes(&out)
     }
+}
+
+fn taken(frame: &Frame<'_>) -> (u8, Number, Vec<u8>) {
+    let (number, message) = frame.split();
+    (frame.id, number, message.to_vec())
 }
 
 fn is_timeout(e: &io::Error) -> bool {
@@ -253,16 +266,12 @@ impl Polite {
     /// Answers one frame.
     pub fn answer(&mut self, wire: &mut Wire, id: u8, payload: &[u8]) -> io::Result<()> {
         let Ok(message) = AnyMessage::decode(id, payload) else {
-            return self.reply(wire, id, (Outcome::UnknownMessage, 0));
+            return self.reply(wire, (Outcome::UnknownMessage, 0));
         };
         match message {
-            AnyMessage::Hello(theirs) => {
-                wire.send(&self.hello)?;
-                if check(&self.hello, &theirs).is_ok() {
-                    wire.send(&self.front_end)?;
-                }
-                Ok(())
-            }
+            AnyMessage::Hello(_) => wire.send(&self.hello),
+            // It keeps no window.
+            AnyMessage::ResendWindow(_) => Ok(()),
             AnyMessage::GetFrontEnd(_) => wire.send(&self.front_end),
             AnyMessage::GetStatus(_) => wire.send(&self.status),
             AnyMessage::ReadLookup(_) => wire.send(&LookupBlob {
@@ -276,29 +285,27 @@ impl Polite {
             }),
             AnyMessage::Stream(stream) => {
                 self.stream = stream;
-                self.reply(wire, Stream::ID, self.outcome)
+                self.reply(wire, self.outcome)
             }
             AnyMessage::SetPower(power) => {
                 if self.outcome.0 == Outcome::Ok {
                     self.status.asked_w = power.power_w;
                 }
-                self.reply(wire, SetPower::ID, self.outcome)
+                self.reply(wire, self.outcome)
             }
             AnyMessage::PushLookup(push) => {
                 let outcome = self.take_lookup(push.blob.0);
-                self.reply(wire, PushLookup::ID, outcome)
+                self.reply(wire, outcome)
             }
             AnyMessage::ResetLookup(_) => {
                 if self.outcome.0 == Outcome::Ok && self.activates {
                     self.lookup = prior().to_bytes().to_vec();
                     self.status.lookup_version = 0;
                 }
-                self.reply(wire, id, self.outcome)
+                self.reply(wire, self.outcome)
             }
-            AnyMessage::ClearFault(_) | AnyMessage::Configure(_) => {
-                self.reply(wire, id, self.outcome)
-            }
-            _ => self.reply(wire, id, (Outcome::UnknownMessage, 0)),
+            AnyMessage::ClearFault(_) | AnyMessage::Configure(_) => self.reply(wire, self.outcome),
+            _ => self.reply(wire, (Outcome::UnknownMessage, 0)),
         }
     }
 
@@ -321,12 +328,8 @@ impl Polite {
         }
     }
 
-    fn reply(&self, wire: &mut Wire, to: u8, (outcome, detail): (Outcome, u32)) -> io::Result<()> {
-        wire.send(&Reply {
-            to,
-            outcome,
-            detail,
-        })
+    fn reply(&self, wire: &mut Wire, (outcome, detail): (Outcome, u32)) -> io::Result<()> {
+        wire.send(&Reply { outcome, detail })
     }
 }
 

@@ -7,16 +7,17 @@ use std::time::{Duration, Instant};
 
 use ihd_link::Client;
 use ihd_link::tcp::TcpTransport;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{GetStatus, Message, Stream};
+use ihd_shared::wire::number::Number;
 
 use crate::chance::Chance;
 use crate::process::{Hob, PATIENCE};
 
-fn framed<M: Message>(message: &M) -> Vec<u8> {
+fn framed<M: Message>(message: &M, number: Number) -> Vec<u8> {
     let mut out = [0; MAX_ENCODED];
-    let n = encode(message, 0, &mut out).unwrap();
+    let n = encode_numbered(message, number, 0, &mut out).unwrap();
     out[..n].to_vec()
 }
 
@@ -32,14 +33,20 @@ fn a_host_that_reads_nothing_and_floods_costs_no_memory() {
         .set_write_timeout(Some(Duration::from_millis(200)))
         .unwrap();
     stream
-        .write_all(&framed(&ours(ROLE_HOST, 0, 0, "test", "test")))
+        .write_all(&framed(
+            &ours(ROLE_HOST, 0, 0, "test", "test"),
+            Number::NONE,
+        ))
         .unwrap();
     let stream_all = Stream {
         telemetry_every: 1,
         windows_every: 1,
     };
-    stream.write_all(&framed(&stream_all)).unwrap();
-    let status = framed(&GetStatus {}).repeat(1_000);
+    stream
+        .write_all(&framed(&stream_all, Number::FIRST))
+        .unwrap();
+    // One request a thousand times: each is answered.
+    let status = framed(&GetStatus {}, Number::FIRST.next()).repeat(1_000);
     let mut chance = Chance::new(1);
     let garbage: Vec<u8> = (0..64 * 1024).map(|_| chance.next() as u8).collect();
     // The hob takes no more than the firmware does: before long every write blocks.

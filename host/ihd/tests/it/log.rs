@@ -9,26 +9,36 @@ use std::thread::{self, JoinHandle};
 use ihd_flash::fake::SampleImage;
 use ihd_flash::log::sample::Sample;
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{
     AnyMessage, Board, FrontEnd, Log, Message, Outcome, Raw, Reply, StreamLog,
 };
+use ihd_shared::wire::number::Number;
 use serde_json::Value;
 
 /// Bytes of log before these, dropped messages, bytes.
 type Logged = (u32, u32, Vec<u8>);
 
-fn framed<M: Message>(message: &M, frames: &mut u16) -> Vec<u8> {
+/// Number of the request that is answered, and frames sent so far.
+struct Sent {
+    number: Number,
+    frames: u16,
+}
+
+fn framed<M: Message>(message: &M, sent: &mut Sent) -> Vec<u8> {
     let mut frame = [0; MAX_ENCODED];
-    let length = encode(message, *frames, &mut frame).unwrap();
-    *frames = frames.wrapping_add(1);
+    let length = encode_numbered(message, sent.number, sent.frames, &mut frame).unwrap();
+    sent.frames = sent.frames.wrapping_add(1);
     frame[..length].to_vec()
 }
 
-fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], frames: &mut u16) -> Vec<u8> {
+fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], sent: &mut Sent) -> Vec<u8> {
     match message {
         AnyMessage::Hello(_) => {
+            framed(&ours(ROLE_DEVICE, 0, 7, "ihd-firmware 9.8.7", "fake"), sent)
+        }
+        AnyMessage::GetFrontEnd(_) => {
             let front_end = FrontEnd {
                 v_full_scale_mv: 1_000_000,
                 i_full_scale_ma: 100_000,
@@ -36,8 +46,7 @@ fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], frames: &mut
                 mains_full_scale_mv: 500_000,
                 bits: 12,
             };
-            let hello = ours(ROLE_DEVICE, 0, 7, "ihd-firmware 9.8.7", "fake");
-            [framed(&hello, frames), framed(&front_end, frames)].concat()
+            framed(&front_end, sent)
         }
         AnyMessage::GetBoard(_) => framed(
             &Board {
@@ -52,20 +61,19 @@ fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], frames: &mut
                 build_id: Raw(&[build_id; 20]),
                 chip: Raw(&[]),
             },
-            frames,
+            sent,
         ),
         AnyMessage::StreamLog(StreamLog { on }) => {
             let reply = Reply {
-                to: StreamLog::ID,
                 outcome: Outcome::Ok,
                 detail: 0,
             };
-            let mut sent = framed(&reply, frames);
+            let mut bytes = framed(&reply, sent);
             for (seq, dropped, data) in logs.iter().filter(|_| *on) {
                 let (seq, dropped, data) = (*seq, *dropped, Raw(data));
-                sent.extend(framed(&Log { seq, dropped, data }, frames));
+                bytes.extend(framed(&Log { seq, dropped, data }, sent));
             }
-            sent
+            bytes
         }
         _ => Vec::new(),
     }
@@ -73,17 +81,23 @@ fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], frames: &mut
 
 /// Talks until the host is gone, or, where the cable is `short`, until it has logged.
 fn talk(mut stream: TcpStream, build_id: u8, logs: &[Logged], short: bool) {
-    let (mut deframer, mut frames) = (Deframer::new(), 0);
+    let mut deframer = Deframer::new();
+    let mut sent = Sent {
+        number: Number::NONE,
+        frames: 0,
+    };
     let mut byte = [0];
     while stream.read(&mut byte).is_ok_and(|n| n == 1) {
         let Some(Ok(frame)) = deframer.push(byte[0]) else {
             continue;
         };
-        let Ok(message) = AnyMessage::decode(frame.id, frame.payload) else {
+        let (number, payload) = frame.split();
+        sent.number = number;
+        let Ok(message) = AnyMessage::decode(frame.id, payload) else {
             continue;
         };
         if stream
-            .write_all(&answers(&message, build_id, logs, &mut frames))
+            .write_all(&answers(&message, build_id, logs, &mut sent))
             .is_err()
         {
             return;

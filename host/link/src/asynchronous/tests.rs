@@ -1,6 +1,6 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ihd_shared::wire::messages::{AnyMessage, FaultEvent, SetPower, Telemetry};
+use ihd_shared::wire::messages::{AnyMessage, FaultEvent, Telemetry};
 
 use super::super::fake::{Fake, Sent, hello};
 use super::*;
@@ -9,10 +9,7 @@ use super::*;
 fn obedient(message: &AnyMessage<'_>, sent: &mut Sent) {
     match message {
         AnyMessage::Hello(_) => sent.greet(),
-        AnyMessage::SetPower(_) => {
-            use ihd_shared::wire::messages::Message;
-            sent.done(SetPower::ID);
-        }
+        AnyMessage::SetPower(_) => sent.done(),
         _ => {}
     }
 }

@@ -1,8 +1,10 @@
 //! Devices that flood, stall and lie: no command and no wait outlasts its time, nothing grows without bound.
 
-use ihd_shared::wire::messages::{AnyMessage, Raw, Telemetry, WindowChunk, WindowEnd, WindowStart};
+use ihd_shared::wire::messages::{
+    AnyMessage, Raw, Telemetry, WindowChunk, WindowEnd, WindowGone, WindowStart,
+};
 
-use super::super::fake::{Fake, Sent};
+use super::super::fake::{Fake, Sent, front_end};
 use super::*;
 
 /// Greets, and answers nothing else.
@@ -66,7 +68,17 @@ fn floods() -> Vec<(&'static str, Flood)> {
         ("a byte at a time", counted(|_, sent| sent.raw(&[1]))),
         (
             "answers to nothing",
-            counted(|_, sent| (0..=255).for_each(|to| sent.done(to))),
+            counted(|_, sent| {
+                // Every number but that of a request that the host makes.
+                for number in (0x1000..0x1100u16).map(u16::to_le_bytes) {
+                    sent.number = Number::from_le_bytes(number);
+                    sent.done();
+                }
+            }),
+        ),
+        (
+            "what no request is answered with",
+            counted(|_, sent| (0..100).for_each(|_| sent.message(&front_end()))),
         ),
         (
             "greetings",
@@ -79,13 +91,7 @@ fn floods() -> Vec<(&'static str, Flood)> {
         (
             "refusals of pieces",
             counted(|_, sent| {
-                (0..200).for_each(|detail| {
-                    sent.message(&Reply {
-                        to: ResendWindow::ID,
-                        outcome: Outcome::OutOfRange,
-                        detail,
-                    });
-                });
+                (0..200).for_each(|seq| sent.message(&WindowGone { seq }));
             }),
         ),
         (
@@ -151,8 +157,7 @@ fn no_command_outlasts_its_time_whatever_comes() {
             let at = client.clock();
             let status = client.status();
             assert!(matches!(status, Err(LinkError::NoAnswer { .. })), "{what}");
-            // What may come late is waited for, too.
-            assert!(client.clock() - at < Duration::from_millis(1_200), "{what}");
+            assert!(client.clock() - at < Duration::from_millis(1_000), "{what}");
             check_bounds(&client, what);
         }
     }
@@ -198,7 +203,7 @@ fn what_may_come_twice_is_asked_again() {
             AnyMessage::SetPower(_) => {
                 asked += 1;
                 if asked > lost {
-                    sent.done(SetPower::ID);
+                    sent.done();
                 }
             }
             _ => {}
@@ -207,76 +212,11 @@ fn what_may_come_twice_is_asked_again() {
         let at = client.clock();
         let outcome = client.set_power(700);
         let took = client.clock() - at;
-        assert!(took <= DEFAULT_TIMEOUT + LATE, "{took:?}");
+        assert!(took <= DEFAULT_TIMEOUT, "{took:?}");
         match lost {
             0..3 => assert!(outcome.is_ok(), "{lost}: {outcome:?}"),
             _ => assert!(matches!(outcome, Err(LinkError::NoAnswer { .. }))),
         }
         assert!(took >= DEFAULT_TIMEOUT / 3 * lost.min(3));
     }
-}
-
-/// A device whose first answer to a push is lost: the second is a refusal because the first was taken.
-fn taken_but_unheard(refusal: Outcome, takes: bool) -> Result<(), LinkError> {
-    let mut pushes = 0;
-    let mut active = vec![0];
-    let device = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
-        AnyMessage::Hello(_) => sent.greet(),
-        AnyMessage::PushLookup(push) => {
-            pushes += 1;
-            if pushes > 1 {
-                sent.message(&Reply {
-                    to: PushLookup::ID,
-                    outcome: refusal,
-                    detail: 1,
-                });
-            } else if takes {
-                active = push.blob.0.to_vec();
-            }
-        }
-        AnyMessage::ReadLookup(_) => {
-            let blob = Raw(&active);
-            sent.message(&ihd_shared::wire::messages::LookupBlob { blob });
-        }
-        _ => {}
-    };
-    let mut client = Client::connect(Box::new(Fake::new(device, |_| {}))).unwrap();
-    client.push_lookup_bytes(&[1, 2, 3])
-}
-
-#[test]
-fn a_push_that_was_taken_unheard_is_a_success_and_no_other_is() {
-    for refusal in [Outcome::LookupStale, Outcome::Busy] {
-        assert!(taken_but_unheard(refusal, true).is_ok());
-        let refused = taken_but_unheard(refusal, false);
-        assert!(matches!(refused, Err(LinkError::Refused { outcome, .. }) if outcome == refusal));
-    }
-    let refused = taken_but_unheard(Outcome::LookupSlope, true);
-    assert!(matches!(refused, Err(LinkError::Refused { .. })));
-}
-
-#[test]
-fn a_device_whose_name_commands_terminals_is_shown_harmless() {
-    let evil = |message: &AnyMessage<'_>, sent: &mut Sent| {
-        if let AnyMessage::Hello(_) = message {
-            let build = "\u{1b}[2J\u{7}evil";
-            let mut hello = ours(
-                ihd_shared::wire::hello::ROLE_DEVICE,
-                0,
-                7,
-                build,
-                "\u{9b}31m",
-            );
-            hello.protocol_major = 1;
-            sent.message(&hello);
-        }
-    };
-    let error = Client::connect(Box::new(Fake::new(evil, |_| {})))
-        .err()
-        .unwrap();
-    let text = error.to_string();
-    assert!(
-        text.contains("evil") && !text.chars().any(char::is_control),
-        "{text}"
-    );
 }

@@ -1,11 +1,12 @@
 //! The host of a scenario: says hello, asks for power, keeps the link alive, and repeats itself if told so.
 
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     ClearFault, Configure, GetStatus, Message, PushLookup, Raw, ResetLookup, SetPower,
 };
+use ihd_shared::wire::number::Number;
 
 use super::timeline::Repeated;
 use crate::hob::SimHob;
@@ -25,6 +26,7 @@ struct Repeat {
 /// The host.
 pub(super) struct Host {
     seq: u16,
+    number: Number,
     silent: bool,
     keep_alive_s: f64,
     repeats: Vec<Repeat>,
@@ -36,6 +38,7 @@ impl Host {
     pub(super) fn new(hob: &mut SimHob) -> Self {
         let mut host = Self {
             seq: 0,
+            number: Number::NONE,
             silent: false,
             keep_alive_s: KEEP_ALIVE_S,
             repeats: Vec::new(),
@@ -52,8 +55,10 @@ impl Host {
 
     fn send<M: Message>(&mut self, hob: &mut SimHob, message: &M) {
         self.silent = false;
+        self.number = self.number.next();
         let mut frame = [0; MAX_ENCODED];
-        let n = encode(message, self.seq, &mut frame).expect("a host's messages fit a frame");
+        let n = encode_numbered(message, self.number, self.seq, &mut frame)
+            .expect("a host's messages fit a frame");
         self.seq = self.seq.wrapping_add(1);
         hob.send(&frame[..n]);
     }

@@ -1,4 +1,4 @@
-//! The host at the port: bytes both ways without waiting, and how long it may be silent.
+//! The host at the port: bytes both ways without waiting. It stays for as long as it is there, as on a board's USB.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -7,18 +7,21 @@ use std::time::{Duration, Instant};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::hello::{ROLE_DEVICE, check, ours};
 use ihd_shared::wire::messages::{AnyMessage, Hello};
+use socket2::{SockRef, TcpKeepalive};
 
 use crate::hob::SimHob;
 
 /// How long a host may take to say hello.
 const HANDSHAKE: Duration = Duration::from_secs(5);
 
-/// After so long without a frame the host is gone.
-const IDLE: Duration = Duration::from_secs(30);
+/// After so long without anything from the host's machine the operating system asks whether it is there, so often.
+const KEEP_ALIVE: Duration = Duration::from_secs(10);
+const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(5);
 
-/// After so long without a frame another host may have its place: by then the firmware has switched off what
-/// it had asked for.
-const REPLACEABLE: Duration = Duration::from_secs(10);
+/// After so long without an answer, or without acknowledgement of what was sent, the machine is gone. Shorter, and a host that is
+/// stopped for a while and reads nothing would be cut off, which no board does.
+#[cfg(target_os = "linux")]
+pub(super) const GONE: Duration = Duration::from_secs(120);
 
 /// Bytes from the host that may wait for the firmware; the rest waits in the operating system, and then at
 /// the host.
@@ -27,14 +30,10 @@ const INBOUND: usize = 16 * 1024;
 /// Why a host is let go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// It went away.
+    /// It went away, or its machine is not there any more.
     Left,
     /// It did not say hello in time, or spoke another protocol.
     NoHello,
-    /// It sent no frame for too long.
-    Idle,
-    /// It was silent, and another one came.
-    Replaced,
 }
 
 /// A connected host.
@@ -46,7 +45,6 @@ pub(super) struct Guest {
     deframer: Deframer,
     shaken: bool,
     since: Instant,
-    heard: Instant,
 }
 
 impl Guest {
@@ -54,35 +52,33 @@ impl Guest {
     pub(super) fn new(stream: TcpStream, now: Instant) -> io::Result<Self> {
         stream.set_nonblocking(true)?;
         stream.set_nodelay(true)?;
+        watch_for_the_machine(&stream)?;
         Ok(Self {
             stream,
             unsent: Vec::new(),
             deframer: Deframer::new(),
             shaken: false,
             since: now,
-            heard: now,
         })
     }
 
-    /// Whether another host may have its place.
-    pub(super) fn is_replaceable(&self, now: Instant) -> bool {
-        now.saturating_duration_since(self.heard) >= REPLACEABLE
+    /// Its connection.
+    #[cfg(test)]
+    pub(super) fn stream(&self) -> &TcpStream {
+        &self.stream
     }
 
     /// Moves bytes both ways without waiting.
     pub(super) fn exchange(&mut self, hob: &mut SimHob, now: Instant) -> Result<(), Ended> {
-        self.take(hob, now).map_err(|_| Ended::Left)?;
+        self.take(hob).map_err(|_| Ended::Left)?;
         self.give(hob).map_err(|_| Ended::Left)?;
         if !self.shaken && now.saturating_duration_since(self.since) >= HANDSHAKE {
             return Err(Ended::NoHello);
         }
-        if now.saturating_duration_since(self.heard) >= IDLE {
-            return Err(Ended::Idle);
-        }
         Ok(())
     }
 
-    fn take(&mut self, hob: &mut SimHob, now: Instant) -> io::Result<()> {
+    fn take(&mut self, hob: &mut SimHob) -> io::Result<()> {
         let mut buf = [0; INBOUND];
         loop {
             let room = INBOUND.saturating_sub(hob.unread());
@@ -92,7 +88,7 @@ impl Guest {
             match self.stream.read(&mut buf[..room]) {
                 Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
                 Ok(n) => {
-                    self.listen(&buf[..n], now);
+                    self.listen(&buf[..n]);
                     hob.send(&buf[..n]);
                 }
                 Err(e) if would_wait(&e) => return Ok(()),
@@ -101,12 +97,11 @@ impl Guest {
         }
     }
 
-    fn listen(&mut self, bytes: &[u8], now: Instant) {
+    fn listen(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
-            self.heard = now;
             if let Ok(AnyMessage::Hello(theirs)) = AnyMessage::decode(frame.id, frame.payload) {
                 self.shaken = fits(&theirs);
             }
@@ -130,6 +125,19 @@ impl Guest {
             }
         }
     }
+}
+
+/// A machine that lost its power, or its network, says nothing: the operating system finds it out.
+fn watch_for_the_machine(stream: &TcpStream) -> io::Result<()> {
+    let socket = SockRef::from(stream);
+    let keep_alive = TcpKeepalive::new()
+        .with_time(KEEP_ALIVE)
+        .with_interval(KEEP_ALIVE_EVERY);
+    socket.set_tcp_keepalive(&keep_alive)?;
+    // Nothing is asked while bytes are under way.
+    #[cfg(target_os = "linux")]
+    socket.set_tcp_user_timeout(Some(GONE))?;
+    Ok(())
 }
 
 fn fits(theirs: &Hello) -> bool {

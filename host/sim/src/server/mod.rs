@@ -213,11 +213,8 @@ impl Server {
         now: Instant,
         watch: &mut impl FnMut(ServerEvent),
     ) {
-        if let Some(guest) = &self.guest {
-            if !guest.is_replaceable(now) {
-                return watch(ServerEvent::TurnedAway(from));
-            }
-            watch(ServerEvent::Disconnected(Ended::Replaced));
+        if self.guest.is_some() {
+            return watch(ServerEvent::TurnedAway(from));
         }
         self.guest = Guest::new(stream, now).ok();
         self.discard();

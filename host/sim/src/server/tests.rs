@@ -1,11 +1,12 @@
-//! How long a host may be silent, by a clock that the tests move: it is the `now` of each turn.
+//! Hosts that say no hello, and hosts that say nothing more, by a clock that the tests move: it is the `now` of each turn.
 
 use std::io::{Read, Write};
 
 use ihd_link::Client;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{GetStatus, Message};
+use ihd_shared::wire::number::Number;
 
 use super::*;
 use crate::hob::HobConfig;
@@ -63,7 +64,7 @@ impl Port {
     /// Sends a message that the port takes in `at_s` seconds after the beginning.
     fn say(&mut self, stream: &mut TcpStream, message: &impl Message, at_s: f64) {
         let mut frame = [0; MAX_ENCODED];
-        let length = encode(message, 0, &mut frame).unwrap();
+        let length = encode_numbered(message, Number::FIRST, 0, &mut frame).unwrap();
         stream.write_all(&frame[..length]).unwrap();
         let unread = self.server.hob().unread();
         let deadline = Instant::now() + PATIENCE;
@@ -97,24 +98,50 @@ fn a_host_that_says_no_hello_is_let_go_after_five_seconds() {
     assert_eq!(port.turn(15.0), ["NoHello"]);
 }
 
+/// A host reads an idle hob's telemetry and has nothing to ask: a board on USB lets it, for as long as it is there.
 #[test]
-fn a_silent_host_gives_way_after_ten_seconds_and_goes_after_thirty() {
+fn three_idle_hosts_stay_for_a_day_and_nobody_gets_their_place() {
     let hello = ours(ROLE_HOST, 0, 0, "test", "test");
+    let mut ports = [(); 3].map(|()| Port::open());
+    let mut hosts = ports.each_mut().map(|port| {
+        let (mut host, events) = port.connect(0.0);
+        assert_eq!(events, ["connected"]);
+        port.say(&mut host, &hello, 1.0);
+        host
+    });
+    for minute in 1..=24 * 60 {
+        for port in &mut ports {
+            let at_s = 60.0 * f64::from(minute);
+            assert_eq!(port.turn(at_s), [""; 0], "minute {minute}");
+            if minute % 60 == 0 {
+                let (other, events) = port.connect(at_s + 1.0);
+                assert_eq!(events, ["turned away"], "minute {minute}");
+                is_let_go(other);
+            }
+        }
+    }
+    // What they say then is still taken in, and once one has left the next one may come.
+    for (port, host) in ports.iter_mut().zip(hosts.each_mut()) {
+        port.say(host, &GetStatus {}, 86_402.0);
+    }
+    drop(hosts);
+    let (_next, mut events) = ports[0].connect(86_403.0);
+    while events.len() < 2 {
+        events.extend(ports[0].turn(86_403.0));
+    }
+    assert_eq!(events, ["Left", "connected"]);
+}
+
+/// A machine that is gone says nothing either: the operating system has to ask for it.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_machine_that_is_gone_is_found_out_by_the_operating_system() {
     let mut port = Port::open();
-    let (mut first, _) = port.connect(0.0);
-    port.say(&mut first, &hello, 1.0);
-    // A second one is turned away, without a word.
-    let (second, events) = port.connect(10.99);
-    assert_eq!(events, ["turned away"]);
-    is_let_go(second);
-    // Later it gets the place.
-    let (mut third, events) = port.connect(11.0);
-    assert_eq!(events, ["Replaced", "connected"]);
-    is_let_go(first);
-    port.say(&mut third, &hello, 12.0);
-    assert_eq!(port.turn(41.99), [""; 0]);
-    assert_eq!(port.turn(42.0), ["Idle"]);
-    is_let_go(third);
+    let (_host, _) = port.connect(0.0);
+    let guest = port.server.guest.as_ref().unwrap();
+    let socket = socket2::SockRef::from(guest.stream());
+    assert!(socket.keepalive().unwrap());
+    assert_eq!(socket.tcp_user_timeout().unwrap(), Some(guest::GONE));
 }
 
 #[test]

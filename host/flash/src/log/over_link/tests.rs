@@ -1,11 +1,12 @@
 //! The log over a link, from a device that says what it is told to say.
 
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{
     AnyMessage, Board, FrontEnd, Log, Message, Outcome, Raw, Reply, StreamLog,
 };
+use ihd_shared::wire::number::Number;
 
 use super::*;
 
@@ -15,8 +16,8 @@ type Logged = (u32, u32, &'static [u8]);
 /// A device that answers what belongs to a log, and nothing else. Its clock goes on with what is waited for.
 struct Device {
     deframer: Deframer,
-    sent: Vec<u8>,
-    frames: u16,
+    bytes: Vec<u8>,
+    sent: Sent,
     time: Duration,
     logs: &'static [Logged],
 }
@@ -25,25 +26,35 @@ impl Device {
     fn boxed(logs: &'static [Logged]) -> Box<dyn Transport> {
         Box::new(Self {
             deframer: Deframer::new(),
-            sent: Vec::new(),
-            frames: 0,
+            bytes: Vec::new(),
+            sent: Sent {
+                number: Number::NONE,
+                frames: 0,
+            },
             time: Duration::ZERO,
             logs,
         })
     }
 }
 
-fn framed<M: Message>(message: &M, frames: &mut u16) -> Vec<u8> {
+/// Number of the request that is answered, and frames sent so far.
+struct Sent {
+    number: Number,
+    frames: u16,
+}
+
+fn framed<M: Message>(message: &M, sent: &mut Sent) -> Vec<u8> {
     let mut frame = [0; MAX_ENCODED];
-    let length = encode(message, *frames, &mut frame).unwrap();
-    *frames += 1;
+    let length = encode_numbered(message, sent.number, sent.frames, &mut frame).unwrap();
+    sent.frames = sent.frames.wrapping_add(1);
     frame[..length].to_vec()
 }
 
 /// The answers to a message, as frames.
-fn answers(message: &AnyMessage<'_>, logs: &[Logged], frames: &mut u16) -> Vec<u8> {
+fn answers(message: &AnyMessage<'_>, logs: &[Logged], sent: &mut Sent) -> Vec<u8> {
     match message {
-        AnyMessage::Hello(_) => {
+        AnyMessage::Hello(_) => framed(&ours(ROLE_DEVICE, 0, 7, "fake 1.0", "fake"), sent),
+        AnyMessage::GetFrontEnd(_) => {
             let front_end = FrontEnd {
                 v_full_scale_mv: 1_000_000,
                 i_full_scale_ma: 100_000,
@@ -51,8 +62,7 @@ fn answers(message: &AnyMessage<'_>, logs: &[Logged], frames: &mut u16) -> Vec<u
                 mains_full_scale_mv: 500_000,
                 bits: 12,
             };
-            let hello = ours(ROLE_DEVICE, 0, 7, "fake 1.0", "fake");
-            [framed(&hello, frames), framed(&front_end, frames)].concat()
+            framed(&front_end, sent)
         }
         AnyMessage::GetBoard(_) => framed(
             &Board {
@@ -67,20 +77,19 @@ fn answers(message: &AnyMessage<'_>, logs: &[Logged], frames: &mut u16) -> Vec<u
                 build_id: Raw(&[7; 20]),
                 chip: Raw(&[]),
             },
-            frames,
+            sent,
         ),
         AnyMessage::StreamLog(StreamLog { on }) => {
             let reply = Reply {
-                to: StreamLog::ID,
                 outcome: Outcome::Ok,
                 detail: 0,
             };
-            let mut sent = framed(&reply, frames);
+            let mut bytes = framed(&reply, sent);
             for &(seq, dropped, data) in logs.iter().filter(|_| *on) {
                 let data = Raw(data);
-                sent.extend(framed(&Log { seq, dropped, data }, frames));
+                bytes.extend(framed(&Log { seq, dropped, data }, sent));
             }
-            sent
+            bytes
         }
         _ => Vec::new(),
     }
@@ -89,20 +98,23 @@ fn answers(message: &AnyMessage<'_>, logs: &[Logged], frames: &mut u16) -> Vec<u
 impl Transport for Device {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for &byte in bytes {
-            if let Some(Ok(frame)) = self.deframer.push(byte)
-                && let Ok(message) = AnyMessage::decode(frame.id, frame.payload)
-            {
-                self.sent
-                    .extend(answers(&message, self.logs, &mut self.frames));
+            let Some(Ok(frame)) = self.deframer.push(byte) else {
+                continue;
+            };
+            let (number, payload) = frame.split();
+            self.sent.number = number;
+            if let Ok(message) = AnyMessage::decode(frame.id, payload) {
+                self.bytes
+                    .extend(answers(&message, self.logs, &mut self.sent));
             }
         }
         Ok(())
     }
 
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
-        let n = self.sent.len().min(buf.len());
-        buf[..n].copy_from_slice(&self.sent[..n]);
-        self.sent.drain(..n);
+        let n = self.bytes.len().min(buf.len());
+        buf[..n].copy_from_slice(&self.bytes[..n]);
+        self.bytes.drain(..n);
         if n == 0 {
             self.time += timeout;
         }

@@ -56,19 +56,14 @@ fn ask(spec: &DeviceSpec) -> Result<Heard, LinkError> {
     let mut client = Client::connect(transport)?;
     client.set_timeout(TIMEOUT);
     let status = client.status()?;
-    let facts = match client.board() {
-        Err(LinkError::TooOld { .. }) => None,
-        facts => Some(facts?),
-    };
+    let facts = client.board()?;
     let hello = client.hello();
     Ok(Heard {
         link: spec.to_string(),
         build: hello.build.to_string(),
-        build_id: facts
-            .as_ref()
-            .and_then(|facts| BuildId::of(&facts.build_id)),
+        build_id: BuildId::of(&facts.build_id),
         protocol: (hello.protocol_major, hello.protocol_minor),
-        chip: facts.and_then(|facts| facts.chip.try_into().ok()),
+        chip: facts.chip.try_into().ok(),
         heats: heats(&status),
         fault: (status.fault != Fault::NONE).then(|| {
             let name = status.fault.name().unwrap_or("unknown");
