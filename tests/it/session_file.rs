@@ -12,8 +12,9 @@ use ihd_link::{Client, Counters, Event, FrameSink, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{Scales, VOLT_PER_CODE};
 use ihd_shared::wire::PROTOCOL_MAJOR;
+use ihd_shared::wire::frame::{MAX_ENCODED, encode, encode_raw};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
-use ihd_shared::wire::messages::Limit;
+use ihd_shared::wire::messages::{FaultEvent, FrontEnd, Limit, Message, Reply};
 use ihd_signal::TimeBase;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use proptest::prelude::*;
@@ -183,6 +184,41 @@ fn a_session_of_protocol_1_gives_the_volts_that_it_gave_then() {
     assert_eq!(
         (last.fault, last.limit, last.asked_w),
         (Fault::NONE, Limit::None, 0)
+    );
+}
+
+/// Its answers had no number, and its `Reply` named the command; what the device sent of its own accord is as today.
+#[test]
+fn of_a_session_of_protocol_2_all_but_the_answers_is_read() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("protocol-2.2.mcap");
+    let mut hello = desk_hello();
+    (hello.protocol_major, hello.protocol_minor) = (2, 2);
+    let mut recorder = SessionRecorder::create(&path, &hello, &front_end()).unwrap();
+    let fault = FaultEvent {
+        half_cycle: 3_002,
+        fault: Fault::MAINS_LOST,
+    };
+    let mut out = [0; MAX_ENCODED];
+    // 12 bits, behind four scales; and that `SetPower` was done.
+    let answers = [
+        (FrontEnd::ID, &[1, 2, 3, 4, 12][..]),
+        (Reply::ID, &[2, 0, 0]),
+    ];
+    for (seq, (id, payload)) in (1..).zip(answers) {
+        let length = encode_raw(id, seq, payload, &mut out).unwrap();
+        recorder.received(Duration::ZERO, &out[..length]).unwrap();
+    }
+    let length = encode(&fault, 3, &mut out).unwrap();
+    recorder.received(Duration::ZERO, &out[..length]).unwrap();
+    Box::new(recorder).finish().unwrap();
+    let (events, reader) = read(&path);
+    assert_eq!(events, [Event::Fault(fault)]);
+    let counters = reader.counters();
+    let unread = counters.messages_malformed + counters.messages_unknown;
+    assert_eq!(
+        (unread, counters.frames_bad, counters.frames_lost),
+        (0, 0, 0)
     );
 }
 
