@@ -1,4 +1,4 @@
-//! What fails, and when.
+//! Faults of links, hobs, disk and clock, at random times.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use tokio::time::sleep;
 use super::disk::DiskState;
 use super::world::{HOBS, Socket, World};
 
-/// Lets something fail now and then, some of it for a while.
+/// Makes something fail now and then, some of it for a while.
 pub async fn fail_at_random(world: Arc<World>, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     if world.is_calm {
@@ -76,7 +76,7 @@ fn put_clock(world: &World, rng: &mut ChaCha8Rng) {
         false => rng.random_range(-90_000_000..90_000_000),
     };
     world.note(&format!("the clock is put on by {by_ms} ms"));
-    world.put_on(by_ms);
+    world.set_clock_forward(by_ms);
 }
 
 fn for_a_while(
@@ -105,8 +105,8 @@ fn for_disk(world: &Arc<World>, lasts: Duration, state: DiskState) {
     });
 }
 
-/// Nothing fails any more.
-pub fn mend(world: &World) {
+/// Ends all faults that last.
+pub fn end_all_faults(world: &World) {
     world.disk.set(DiskState::default());
     for socket in &mut world.lock().sockets {
         (socket.is_plugged, socket.is_mute) = (true, false);

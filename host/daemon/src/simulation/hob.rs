@@ -1,4 +1,4 @@
-//! A hob as a script: what the firmware does with frames and time, without the physics.
+//! A hob as a script: the firmware's handling of frames and time, without the physics.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -94,7 +94,7 @@ impl Hob {
         self.asked_w = 0;
         self.fault = Fault::from_number(1);
         let (half_cycle, fault) = (self.half_cycle, self.fault);
-        self.say(&FaultEvent { half_cycle, fault });
+        self.send(&FaultEvent { half_cycle, fault });
     }
 
     /// Frames that have left by `now`, one after the other.
@@ -105,7 +105,7 @@ impl Hob {
         }
     }
 
-    /// What is on its way to a host that is cut off.
+    /// Drops the frames on their way to a host that is cut off.
     pub fn forget_sent(&mut self) {
         self.sent.clear();
     }
@@ -114,7 +114,7 @@ impl Hob {
         self.began + HALF_CYCLE * self.half_cycle
     }
 
-    fn say<M: Message>(&mut self, message: &M) {
+    fn send<M: Message>(&mut self, message: &M) {
         let mut frame = [0; MAX_ENCODED];
         let length = encode_numbered(message, self.number, self.frame_seq, &mut frame)
             .expect("it fits a frame");
@@ -128,7 +128,7 @@ impl Hob {
     }
 
     fn reply(&mut self, outcome: Outcome, detail: u32) {
-        self.say(&Reply { outcome, detail });
+        self.send(&Reply { outcome, detail });
     }
 
     /// Lives until `now`.
@@ -144,10 +144,10 @@ impl Hob {
             }
             if self.is_paired && self.streams {
                 if self.half_cycle.is_multiple_of(TELEMETRY_EVERY) {
-                    self.say_telemetry();
+                    self.send_telemetry();
                 }
                 if self.half_cycle.is_multiple_of(WINDOW_EVERY) {
-                    self.say_window();
+                    self.send_window();
                 }
             }
         }
@@ -161,7 +161,7 @@ impl Hob {
         }
     }
 
-    fn say_telemetry(&mut self) {
+    fn send_telemetry(&mut self) {
         self.telemetries += 1;
         let telemetry = Telemetry {
             seq: self.telemetries,
@@ -183,11 +183,11 @@ impl Hob {
             v_coil_peak_dv: 4_000,
             i_turn_off_min_ma: 20_000,
         };
-        self.say(&telemetry);
+        self.send(&telemetry);
     }
 
     /// A window of one block.
-    fn say_window(&mut self) {
+    fn send_window(&mut self) {
         let seq = self.windows;
         self.windows += 1;
         let pair = |k: usize| {
@@ -202,7 +202,7 @@ impl Hob {
             l: PicoHenry(50_000_000),
         };
         let trajectory = entry.to_le_bytes();
-        self.say(&WindowStart {
+        self.send(&WindowStart {
             seq,
             dropped: 0,
             half_cycle: self.half_cycle,
@@ -218,12 +218,12 @@ impl Hob {
             i_full_scale_ma: I_FULL_SCALE_MA,
         });
         let offset = 0;
-        self.say(&WindowChunk {
+        self.send(&WindowChunk {
             seq,
             offset,
             data: Raw(&pairs),
         });
-        self.say(&TrajectoryChunk {
+        self.send(&TrajectoryChunk {
             seq,
             offset,
             data: Raw(&trajectory),
@@ -232,11 +232,11 @@ impl Hob {
         digest.update(&pairs);
         digest.update(&trajectory);
         let crc32 = digest.finalize();
-        self.say(&WindowEnd { seq, crc32 });
+        self.send(&WindowEnd { seq, crc32 });
     }
 
-    /// Hears a frame of the host.
-    pub fn hear(&mut self, number: Number, message: &AnyMessage<'_>) {
+    /// Takes a frame of the host.
+    pub fn receive(&mut self, number: Number, message: &AnyMessage<'_>) {
         if !matches!(message, AnyMessage::ResendWindow(_)) {
             self.unheard = 0;
         }
@@ -265,11 +265,11 @@ impl Hob {
                 self.streams = m.telemetry_every > 0;
                 self.reply(Outcome::Ok, 0);
             }
-            AnyMessage::GetStatus(_) => self.say_status(),
-            AnyMessage::GetFrontEnd(_) => self.say_front_end(),
+            AnyMessage::GetStatus(_) => self.send_status(),
+            AnyMessage::GetFrontEnd(_) => self.send_front_end(),
             AnyMessage::ReadLookup(_) => {
                 let blob = self.lookup.to_bytes();
-                self.say(&LookupBlob { blob: Raw(&blob) });
+                self.send(&LookupBlob { blob: Raw(&blob) });
             }
             AnyMessage::PushLookup(m) => {
                 let (outcome, detail) = self.accept(m.blob.0);
@@ -294,7 +294,7 @@ impl Hob {
         self.conversation = Conversation::default();
         (self.number, self.answer) = (Number::NONE, None);
         let hello = self.hello.clone();
-        self.say(&hello);
+        self.send(&hello);
     }
 
     fn set_power(&mut self, power_w: u16) {
@@ -324,8 +324,8 @@ impl Hob {
         }
     }
 
-    fn say_front_end(&mut self) {
-        self.say(&FrontEnd {
+    fn send_front_end(&mut self) {
+        self.send(&FrontEnd {
             v_full_scale_mv: V_FULL_SCALE_MV,
             i_full_scale_ma: I_FULL_SCALE_MA,
             bus_full_scale_mv: 500_000,
@@ -334,8 +334,8 @@ impl Hob {
         });
     }
 
-    fn say_status(&mut self) {
-        self.say(&Status {
+    fn send_status(&mut self) {
+        self.send(&Status {
             state: self.state(),
             fault: self.fault,
             pot: Pot::Ferromagnetic,

@@ -7,10 +7,12 @@ use std::time::Duration;
 use ihd_store::{Reader, ResultFilter, WindowFilter};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::sleep;
 
-use super::faults::{fail_at_random, mend};
+use super::faults::{end_all_faults, fail_at_random};
 use super::users::{User, ask_at_random};
 use super::world::{HOBS, World};
 use crate::config::Config;
@@ -31,7 +33,7 @@ const LEARN_EVERY: Duration = Duration::from_millis(100);
 /// hello and a silent device take, and what the store is asked again after.
 const MENDED_WITHIN: Duration = Duration::from_secs(40);
 
-/// What happened in a world.
+/// Course of events in a world.
 pub struct Course {
     lines: Vec<String>,
     broken: Option<String>,
@@ -49,15 +51,46 @@ impl Course {
     }
 }
 
-/// Runs one seed.
-pub fn run(seed: u64) -> Course {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+/// A folder for a store, in memory where the system has one there.
+fn memory() -> TempDir {
     let memory = Path::new("/dev/shm");
     let folder = match memory.is_dir() {
         true => tempfile::tempdir_in(memory),
         false => tempfile::tempdir(),
     };
-    let folder = folder.expect("a folder for the store");
+    folder.expect("a folder for the store")
+}
+
+fn paused_runtime() -> Runtime {
+    tokio::runtime::Builder::new_current_thread()
+        .enable_time()
+        .start_paused(true)
+        .build()
+        .expect("a runtime")
+}
+
+/// Runs a daemon for so long with hobs that nobody asks for anything. Returns the connections made to each.
+pub fn idle(time: Duration) -> [u64; HOBS.len()] {
+    // Calm.
+    let world = World::new(0);
+    let folder = memory();
+    paused_runtime().block_on(async {
+        world.begin_life();
+        let machine = machine_in(&world);
+        let daemon = Daemon::start_on(machine, configuration(folder.path()), open_in(&world));
+        let daemon = daemon.await.expect("it starts");
+        sleep(time).await;
+        daemon.stop().await;
+        world.end_life();
+    });
+    let state = world.lock();
+    std::array::from_fn(|hob| state.sockets[hob].connection)
+}
+
+/// Runs one seed.
+pub fn run(seed: u64) -> Course {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let folder = memory();
     let store = folder.path().join("store");
     let world = World::new(seed);
     let lives = if world.is_calm {
@@ -66,11 +99,7 @@ pub fn run(seed: u64) -> Course {
         rng.random_range(1..4)
     };
     for life in 1..=lives {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_time()
-            .start_paused(true)
-            .build()
-            .expect("a runtime");
+        let runtime = paused_runtime();
         let is_last = life == lives;
         runtime.block_on(async {
             live(&world, &store, rng.random(), is_last).await;
@@ -78,7 +107,7 @@ pub fn run(seed: u64) -> Course {
         });
         // Its tasks end wherever each of them is: killed, where it was not stopped.
         drop(runtime);
-        world.be_without(Duration::from_millis(rng.random_range(0..15_000)));
+        world.pass_without_daemon(Duration::from_millis(rng.random_range(0..15_000)));
         check_store(&world, &store);
         if world.lock().promises.broken.is_some() {
             break;
@@ -105,17 +134,13 @@ async fn live(world: &Arc<World>, store: &Path, seed: u64, is_last: bool) {
     world.begin_life();
     world.note("a daemon begins");
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let machine = {
-        let world = Arc::clone(world);
-        let disk = Arc::clone(&world.disk);
-        Machine::simulated(Arc::new(move || world.wall_ms()), disk)
-    };
+    let machine = machine_in(world);
     let open = open_in(world);
     let daemon = match Daemon::start_on(machine, configuration(store), open).await {
         Ok(daemon) => daemon,
-        Err(error) => return world.broke(format!("the daemon does not start: {error}")),
+        Err(error) => return world.note_broken(format!("the daemon does not start: {error}")),
     };
-    world.attach(daemon.clone());
+    world.set_daemon(daemon.clone());
     beside(world, &daemon);
     let users = tokio::spawn(ask_at_random(
         Arc::clone(world),
@@ -133,13 +158,18 @@ async fn live(world: &Arc<World>, store: &Path, seed: u64, is_last: bool) {
         }
         return world.note("the daemon is killed");
     }
-    mend(world);
+    end_all_faults(world);
     world.note("all is mended");
     sleep(MENDED_WITHIN).await;
     check_mended(world, &daemon).await;
     daemon.stop().await;
     world.note("the daemon has stopped");
     world.check_now();
+}
+
+fn machine_in(world: &Arc<World>) -> Machine {
+    let clock = Arc::clone(world);
+    Machine::simulated(Arc::new(move || clock.wall_ms()), Arc::clone(&world.disk))
 }
 
 fn open_in(world: &Arc<World>) -> Arc<OpenDevice> {
@@ -152,7 +182,7 @@ fn open_in(world: &Arc<World>) -> Arc<OpenDevice> {
     })
 }
 
-/// What runs beside the daemon: its learner, whoever hears its notices, and whoever looks at the promises.
+/// Starts what runs beside the daemon: its learner, a listener to its notices, and the check of the promises.
 fn beside(world: &Arc<World>, daemon: &Daemon) {
     let learner = daemon.learner().map(|learner| Arc::downgrade(&learner));
     tokio::spawn(async move {
@@ -166,7 +196,7 @@ fn beside(world: &Arc<World>, daemon: &Daemon) {
     tokio::spawn(async move {
         loop {
             match notices.recv().await {
-                Ok(notice) => hears.told(&notice),
+                Ok(notice) => hears.record_notice(&notice),
                 Err(RecvError::Lagged(_)) => {}
                 Err(RecvError::Closed) => return,
             }
@@ -181,7 +211,7 @@ fn beside(world: &Arc<World>, daemon: &Daemon) {
     });
 }
 
-/// All works that nothing keeps from it.
+/// Checks that all works, now that nothing fails.
 async fn check_mended(world: &Arc<World>, daemon: &Daemon) {
     for (hob, name) in HOBS.into_iter().enumerate() {
         let state = daemon.device(name).map(|report| report.state);
@@ -192,7 +222,7 @@ async fn check_mended(world: &Arc<World>, daemon: &Daemon) {
             )
         );
         if !works {
-            world.broke(format!("{name} is {state:?} though nothing fails any more"));
+            world.note_broken(format!("{name} is {state:?} though nothing fails any more"));
         }
         let eve = User {
             world: Arc::clone(world),
@@ -201,28 +231,28 @@ async fn check_mended(world: &Arc<World>, daemon: &Daemon) {
             name: "eve",
         };
         if let Err(error) = daemon.take_lease(name, "eve", true).await {
-            world.broke(format!("{name} cannot be taken over: {error}"));
+            world.note_broken(format!("{name} cannot be taken over: {error}"));
         }
         // What tripped is cleared first.
         let _ = daemon.command(name, "eve", Command::ClearFault).await;
-        world.may_heat(hob);
+        world.number_heating_request(hob);
         let power_w = 700;
         let heats = daemon
             .command(name, "eve", Command::Power { power_w })
             .await;
         let asked_w = world.lock().sockets[hob].hob.asked_w;
         if heats.is_err() || asked_w != power_w {
-            world.broke(format!("{name} has {asked_w} of {power_w} W: {heats:?}"));
+            world.note_broken(format!("{name} has {asked_w} of {power_w} W: {heats:?}"));
         }
         if !eve.off().await {
-            world.broke(format!("{name} cannot be switched off"));
+            world.note_broken(format!("{name} cannot be switched off"));
         }
         check_windows(world, daemon, name);
         check_lookup(world, daemon, hob).await;
     }
 }
 
-/// Each window that was announced is counted in one place.
+/// Checks that each window that was announced is counted in one place.
 fn check_windows(world: &World, daemon: &Daemon, name: &str) {
     let Some(report) = daemon.device(name) else {
         return;
@@ -231,11 +261,11 @@ fn check_windows(world: &World, daemon: &Daemon, name: &str) {
     let counted = w.stored + w.refused + w.dropped_by_device + w.lost + w.not_stored;
     // The one that is at the store.
     if w.announced.abs_diff(counted) > 1 {
-        world.broke(format!("{name}'s windows do not add up: {w:?}"));
+        world.note_broken(format!("{name}'s windows do not add up: {w:?}"));
     }
 }
 
-/// The lookup that a hob uses is one that the store knows.
+/// Checks that the lookup that a hob uses is one that the store knows.
 async fn check_lookup(world: &World, daemon: &Daemon, hob: usize) {
     let used = world.lock().sockets[hob].hob.lookup.clone();
     let rows = daemon.lookups(HOBS[hob]).await.unwrap_or_default();
@@ -245,18 +275,18 @@ async fn check_lookup(world: &World, daemon: &Daemon, hob: usize) {
         .any(|row| row.version == used.version && row.blob == blob);
     if used.version > 0 && !is_known {
         let name = HOBS[hob];
-        world.broke(format!(
+        world.note_broken(format!(
             "{name} uses lookup {} that the store does not know",
             used.version
         ));
     }
 }
 
-/// What was acknowledged is in the store.
+/// Checks that what was acknowledged is in the store.
 fn check_store(world: &World, folder: &Path) {
     let reader = match Reader::open(folder) {
         Ok(reader) => reader,
-        Err(error) => return world.broke(format!("the store cannot be read: {error}")),
+        Err(error) => return world.note_broken(format!("the store cannot be read: {error}")),
     };
     let windows = reader.windows(&WindowFilter::default());
     let limit = Some(u32::MAX);
@@ -268,7 +298,7 @@ fn check_store(world: &World, folder: &Path) {
         (Ok(windows), Ok(results)) => (windows, results),
         (windows, results) => {
             let why = format!("the store cannot be read: {windows:?} {results:?}");
-            return world.broke(why.chars().take(300).collect());
+            return world.note_broken(why.chars().take(300).collect());
         }
     };
     let state = &mut *world.lock();

@@ -120,7 +120,7 @@ impl Transport for Link {
                 }
             };
             for _ in 0..times {
-                self.world.hears(self.socket, number, &message);
+                self.world.deliver(self.socket, number, &message);
             }
         }
         Ok(())

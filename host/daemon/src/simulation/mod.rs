@@ -4,7 +4,7 @@
 //!  users ──► Daemon ──► link ──► hob        one runtime, one thread, a paused clock
 //!              │         faults.rs: cut, lost, doubled, late; reboots, trips; disk slow or full; clock put on and back; kills
 //!              └──► store (SQLite, in memory-backed files)
-//!  promises.rs looks at all of it at every frame that a hob hears, at every answer, and every 100 ms
+//!  promises.rs checks at every frame that a hob receives, at every answer, and every 100 ms
 //! ```
 //!
 //! The daemon is the product's own; only what blocks runs otherwise ([`crate::machine`]). `IHD_SEED=4711 cargo nextest run -p ihd-daemon
@@ -18,6 +18,8 @@ mod link;
 mod promises;
 mod users;
 mod world;
+
+use std::time::Duration;
 
 pub use disk::Disk;
 
@@ -78,4 +80,14 @@ fn one_seed_gives_one_course() {
         assert_eq!(differ, None, "seed {seed}");
         assert_eq!(first, second);
     }
+}
+
+#[test]
+fn idle_hobs_stay_connected() {
+    assert_eq!(life::idle(Duration::from_secs(600)), [1, 1]);
+}
+
+#[test]
+fn idle_hobs_stay_connected_for_a_day_at_length() {
+    assert_eq!(life::idle(Duration::from_secs(24 * 3_600)), [1, 1]);
 }

@@ -1,4 +1,4 @@
-//! What the daemon promises, looked at while it lives.
+//! Promises of the daemon, checked while it lives.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -19,7 +19,7 @@ const UNHELD_WHERE_CALM: Duration = Duration::from_millis(500);
 /// Orders that may wait for the store.
 const STORE_WAITING: usize = 128;
 
-/// What was seen so far.
+/// Record of what the promises are checked against.
 #[derive(Default)]
 pub struct Promises {
     /// The first promise that was broken.
@@ -33,7 +33,7 @@ pub struct Promises {
     places: [Place; HOBS.len()],
 }
 
-/// What was seen of one hob.
+/// The same of one hob.
 #[derive(Default)]
 struct Place {
     /// The last request that may heat.
@@ -45,28 +45,28 @@ struct Place {
 }
 
 impl Promises {
-    fn break_(&mut self, why: String) {
+    fn note_broken(&mut self, why: String) {
         self.broken.get_or_insert(why);
     }
 }
 
 impl World {
-    /// A user makes a request that may heat; its number.
-    pub fn may_heat(&self, hob: usize) -> u64 {
+    /// Counts a user's request that may heat; returns its number.
+    pub fn number_heating_request(&self, hob: usize) -> u64 {
         let promises = &mut self.lock().promises;
         promises.requests += 1;
         promises.places[hob].last_heating = promises.requests;
         promises.requests
     }
 
-    /// A user asks for `off`; its number.
-    pub fn asks_off(&self) -> u64 {
+    /// Counts a user's `off`; returns its number.
+    pub fn number_off_request(&self) -> u64 {
         let promises = &mut self.lock().promises;
         promises.requests += 1;
         promises.requests
     }
 
-    /// `off` was acknowledged: the hob is off, and stays so until somebody asks again.
+    /// Records an `off` that was acknowledged: the hob is off, and stays so until somebody asks again.
     pub fn off_acknowledged(&self, hob: usize, number: u64) {
         let state = &mut *self.lock();
         let (place, asked_w) = (
@@ -78,19 +78,19 @@ impl World {
             let name = HOBS[hob];
             state
                 .promises
-                .break_(format!("off was acknowledged and {name} has {asked_w} W"));
+                .note_broken(format!("off was acknowledged and {name} has {asked_w} W"));
         }
     }
 
-    /// A hob hears a frame of the daemon.
-    pub fn hears(&self, hob: usize, number: Number, message: &AnyMessage<'_>) {
+    /// Delivers a frame of the daemon to a hob.
+    pub fn deliver(&self, hob: usize, number: Number, message: &AnyMessage<'_>) {
         if let AnyMessage::SetPower(m) = message {
-            self.note(&format!("{} hears {} W", HOBS[hob], m.power_w));
+            self.note(&format!("{} is asked for {} W", HOBS[hob], m.power_w));
             if m.power_w > 0 {
                 self.check_power(hob, m.power_w);
             }
         }
-        self.lock().sockets[hob].hob.hear(number, message);
+        self.lock().sockets[hob].hob.receive(number, message);
     }
 
     fn check_power(&self, hob: usize, power_w: u16) {
@@ -105,17 +105,17 @@ impl World {
         let place = &promises.places[hob];
         let name = HOBS[hob];
         if place.off.is_some_and(|off| off > place.last_heating) {
-            promises.break_(format!(
+            promises.note_broken(format!(
                 "{name} is asked for {power_w} W after an off that was acknowledged"
             ));
         } else if !is_held {
-            promises.break_(format!(
+            promises.note_broken(format!(
                 "{name} is asked for {power_w} W that no living lease answers for"
             ));
         }
     }
 
-    /// Looks at what has to hold at any time.
+    /// Checks what has to hold at any time.
     pub fn check_now(&self) {
         let now = self.now();
         let daemon = self.daemon();
@@ -123,7 +123,7 @@ impl World {
             let waiting = daemon.figures().store_waiting;
             if waiting > STORE_WAITING {
                 let why = format!("{waiting} jobs wait for the store");
-                self.lock().promises.break_(why);
+                self.lock().promises.note_broken(why);
             }
         }
         for (hob, name) in HOBS.iter().enumerate() {
@@ -145,7 +145,7 @@ impl World {
             };
             if now - since > bound {
                 let asked_w = socket.hob.asked_w;
-                state.promises.break_(format!(
+                state.promises.note_broken(format!(
                     "{name} heats with {asked_w} W since {:.3} s, and no lease lives",
                     since.as_secs_f64()
                 ));
@@ -153,8 +153,8 @@ impl World {
         }
     }
 
-    /// A notice of the daemon.
-    pub fn told(&self, notice: &Notice) {
+    /// Records a notice of the daemon.
+    pub fn record_notice(&self, notice: &Notice) {
         let Some(hob) = HOBS.iter().position(|name| *name == notice.device) else {
             return;
         };
@@ -170,8 +170,8 @@ impl World {
         }
     }
 
-    /// Something promised was not kept.
-    pub fn broke(&self, why: String) {
-        self.lock().promises.break_(why);
+    /// Records that a promise was broken.
+    pub fn note_broken(&self, why: String) {
+        self.lock().promises.note_broken(why);
     }
 }

@@ -92,7 +92,7 @@ impl User {
     }
 
     async fn heat(self, command: Command, renewals: u32) {
-        self.world.may_heat(self.hob);
+        self.world.number_heating_request(self.hob);
         if self.carry_out(command).await {
             self.renew(renewals).await;
         }
@@ -100,7 +100,7 @@ impl User {
 
     /// Switches off; `true` where that was acknowledged.
     pub async fn off(&self) -> bool {
-        let number = self.world.asks_off();
+        let number = self.world.number_off_request();
         let is_off = self.carry_out(Command::Off).await;
         if is_off {
             self.world.off_acknowledged(self.hob, number);
@@ -135,7 +135,7 @@ impl User {
         }
     }
 
-    /// As the page does while it is open.
+    /// Renews the lease as an open page does.
     async fn renew(&self, times: u32) {
         for _ in 0..times {
             sleep(Duration::from_secs(3)).await;

@@ -29,7 +29,7 @@ pub struct World {
     before_us: AtomicU64,
     life_began: Mutex<Option<Instant>>,
     /// By how much the wall's clock was put on, in milliseconds.
-    put_on_ms: AtomicI64,
+    clock_offset_ms: AtomicI64,
     state: Mutex<State>,
     daemon: Mutex<Option<Daemon>>,
 }
@@ -82,7 +82,7 @@ impl World {
             is_calm,
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
-            put_on_ms: AtomicI64::new(0),
+            clock_offset_ms: AtomicI64::new(0),
             state: Mutex::new(State {
                 rng: ChaCha8Rng::seed_from_u64(seed),
                 sockets: [socket(0), socket(1)],
@@ -102,12 +102,12 @@ impl World {
 
     /// The wall's clock, in milliseconds since 1970.
     pub fn wall_ms(&self) -> i64 {
-        ORIGIN_MS + self.now().as_millis() as i64 + self.put_on_ms.load(Ordering::Relaxed)
+        ORIGIN_MS + self.now().as_millis() as i64 + self.clock_offset_ms.load(Ordering::Relaxed)
     }
 
     /// Puts the wall's clock on, or back.
-    pub fn put_on(&self, by_ms: i64) {
-        self.put_on_ms.fetch_add(by_ms, Ordering::Relaxed);
+    pub fn set_clock_forward(&self, by_ms: i64) {
+        self.clock_offset_ms.fetch_add(by_ms, Ordering::Relaxed);
     }
 
     /// A daemon begins its life on the runtime that calls.
@@ -116,7 +116,7 @@ impl World {
     }
 
     /// The daemon that lives.
-    pub fn attach(&self, daemon: Daemon) {
+    pub fn set_daemon(&self, daemon: Daemon) {
         *lock(&self.daemon) = Some(daemon);
     }
 
@@ -129,7 +129,7 @@ impl World {
     }
 
     /// It is gone, and for so long there is no other.
-    pub fn be_without(&self, dead_for: Duration) {
+    pub fn pass_without_daemon(&self, dead_for: Duration) {
         *lock(&self.daemon) = None;
         self.before_us
             .fetch_add(dead_for.as_micros() as u64, Ordering::Relaxed);
