@@ -20,7 +20,7 @@ pub const ALL_DEVICES: usize = 512;
 pub const GUARANTEED: usize = 4;
 
 /// Room of a lane for what is not a window: a flood of windows must not cost the fault that explains it.
-const RESERVE: usize = 8;
+pub const RESERVE: usize = 8;
 
 /// The owner of jobs that are done in order.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 use super::world::{HOBS, World};
 use crate::model::{Notice, What};
+use crate::store_queue::{DAEMON, DEVICE, RESERVE};
 
 /// A hob that nobody holds heats for so long at most: the host's time-out of its firmware, and a second.
 const UNHELD_AT_MOST: Duration = Duration::from_secs(11);
@@ -17,7 +18,7 @@ const UNHELD_AT_MOST: Duration = Duration::from_secs(11);
 const UNHELD_WHERE_CALM: Duration = Duration::from_millis(500);
 
 /// Orders that may wait for the store.
-const STORE_WAITING: usize = 128;
+const STORE_WAITING: usize = DAEMON + RESERVE + HOBS.len() * (DEVICE + RESERVE);
 
 /// Record of what the promises are checked against.
 #[derive(Default)]
