@@ -15,8 +15,8 @@ use ihd_stm32g474::usb::{Board, Cable};
 
 /// A board that runs freely, and its cable.
 fn powered() -> (Bench, Cable) {
-    let path =
-        std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask test --only board` names the image");
+    let path = std::env::var_os("IHD_STM32G474_IMAGE")
+        .expect("`cargo xtask test --only board` names the image");
     let plant = || {
         let adc = Adc::new(Noise::default(), 1).with_filter(500e3);
         Plant::new(Mains::new(50.0), PotKind::Ferromagnetic, adc)

@@ -24,7 +24,8 @@ const DEVICE: i32 = 3;
 const MINUTES: Duration = Duration::from_secs(180);
 
 fn image() -> PathBuf {
-    let path = std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask test --only usb` names the image");
+    let path = std::env::var_os("IHD_STM32G474_IMAGE")
+        .expect("`cargo xtask test --only usb` names the image");
     path.into()
 }
 

@@ -1,6 +1,6 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ihd_shared::wire::messages::{AnyMessage, FaultEvent, Telemetry};
+use ihd_shared::wire::messages::{AnyMessage, FaultEvent, SetPower, Telemetry};
 
 use super::super::fake::{Fake, Sent, hello};
 use super::*;
@@ -232,11 +232,10 @@ impl Stubborn {
         let (noted, off) = (Arc::clone(&told), Arc::clone(&is_off));
         let on_message = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
             AnyMessage::SetPower(SetPower { power_w }) => {
-                use ihd_shared::wire::messages::Message;
                 lock(&noted).push(("SetPower", *power_w));
                 if *power_w == 0 {
                     off.store(true, Ordering::Relaxed);
-                    sent.done(SetPower::ID);
+                    sent.done();
                 }
             }
             AnyMessage::GetStatus(_) => lock(&noted).push(("GetStatus", 0)),

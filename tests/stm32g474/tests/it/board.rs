@@ -19,8 +19,8 @@ pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
 
 /// The image under test.
 pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
-    let path =
-        std::env::var_os("IHD_STM32G474_IMAGE").expect("`cargo xtask test --only board` names the image");
+    let path = std::env::var_os("IHD_STM32G474_IMAGE")
+        .expect("`cargo xtask test --only board` names the image");
     PathBuf::from(path)
 });
 

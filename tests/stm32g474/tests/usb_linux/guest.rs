@@ -45,8 +45,8 @@ impl Answer {
 }
 
 fn variable(name: &str) -> anyhow::Result<PathBuf> {
-    let path =
-        env::var_os(name).with_context(|| format!("{name} is not set: `cargo xtask test --only usb`"))?;
+    let path = env::var_os(name)
+        .with_context(|| format!("{name} is not set: `cargo xtask test --only usb`"))?;
     Ok(path.into())
 }
 
