@@ -4,36 +4,38 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use crate::machine::Machine;
+
 /// A turn that comes this late was not merely busy: the machine slept, or this process was stopped.
 const SLEPT: Duration = Duration::from_secs(5);
 
 /// Watches the clocks for time in which nothing ran.
 pub struct Clocks {
-    turn: Instant,
+    uptime: Duration,
     wall_ms: i64,
 }
 
 impl Clocks {
-    /// From now on, at this time in milliseconds since 1970.
-    pub fn new(wall_ms: i64) -> Self {
+    /// From now on.
+    pub fn new(machine: &Machine) -> Self {
         Self {
-            turn: Instant::now(),
-            wall_ms,
+            uptime: machine.uptime(),
+            wall_ms: machine.now_ms(),
         }
     }
 
     /// To be called many times a second; how long nothing ran, where that was long.
-    pub fn turn(&mut self, wall_ms: i64) -> Option<Duration> {
-        self.turn_at(Instant::now(), wall_ms)
+    pub fn turn(&mut self, machine: &Machine) -> Option<Duration> {
+        self.turn_at(machine.uptime(), machine.now_ms())
     }
 
     /// The clock that counts turns stands still while most machines sleep, the wall's goes on; that of a
     /// process that was stopped goes on as well.
-    fn turn_at(&mut self, turn: Instant, wall_ms: i64) -> Option<Duration> {
-        let awake = turn.saturating_duration_since(self.turn);
+    fn turn_at(&mut self, uptime: Duration, wall_ms: i64) -> Option<Duration> {
+        let awake = uptime.saturating_sub(self.uptime);
         let passed_ms = wall_ms.saturating_sub(self.wall_ms).max(0);
         let passed = Duration::from_millis(passed_ms.unsigned_abs());
-        (self.turn, self.wall_ms) = (turn, wall_ms);
+        (self.uptime, self.wall_ms) = (uptime, wall_ms);
         if awake >= SLEPT {
             return Some(awake.max(passed));
         }
@@ -129,26 +131,20 @@ mod tests {
 
     #[test]
     fn sleep_and_stops_are_seen_and_a_clock_that_is_set_back_is_not() {
-        let (t, w) = (Instant::now(), 1_000_000);
         let s = Duration::from_secs;
-        for (turn_s, wall_s, slept) in [
+        let at = |uptime| Clocks { uptime, wall_ms: 0 };
+        for (awake_s, wall_s, slept) in [
             (1, 1, None),
             (4, 4, None),
             (1, 51, Some(s(51))),
             (50, 50, Some(s(50))),
             (50, 0, Some(s(50))),
+            (1, -3_600, None),
         ] {
-            let mut clocks = Clocks {
-                turn: t,
-                wall_ms: w,
-            };
-            assert_eq!(clocks.turn_at(t + s(turn_s), w + 1_000 * wall_s), slept);
+            let mut clocks = at(s(100));
+            let turn = clocks.turn_at(s(100 + awake_s), 1_000 * wall_s);
+            assert_eq!(turn, slept, "{awake_s} s awake, {wall_s} s by the wall");
         }
-        let mut clocks = Clocks {
-            turn: t,
-            wall_ms: w,
-        };
-        assert_eq!(clocks.turn_at(t + s(1), w - 3_600_000), None);
     }
 
     #[test]

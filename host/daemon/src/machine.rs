@@ -4,6 +4,7 @@
 //! gives one course of events (simulation/).
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use ihd_link::{AsyncClient, Event, LinkError, Transport};
 use ihd_store::clock::{Clock, of_the_machine};
@@ -17,8 +18,17 @@ use crate::simulation::Disk;
 #[derive(Clone)]
 pub struct Machine {
     clock: Clock,
+    began: Instant,
     #[cfg(test)]
-    disk: Option<Arc<Disk>>,
+    simulated: Option<Simulated>,
+}
+
+/// Parts of a simulated machine.
+#[cfg(test)]
+#[derive(Clone)]
+struct Simulated {
+    disk: Arc<Disk>,
+    began: tokio::time::Instant,
 }
 
 impl Default for Machine {
@@ -26,31 +36,45 @@ impl Default for Machine {
     fn default() -> Self {
         Self {
             clock: of_the_machine(),
+            began: Instant::now(),
             #[cfg(test)]
-            disk: None,
+            simulated: None,
         }
     }
 }
 
 impl Machine {
-    /// A machine without threads, with this clock and this disk.
+    /// A machine without threads, with this clock and this disk, on the runtime that calls.
     #[cfg(test)]
     pub fn simulated(clock: Clock, disk: Arc<Disk>) -> Self {
         Self {
             clock,
-            disk: Some(disk),
+            began: Instant::now(),
+            simulated: Some(Simulated {
+                disk,
+                began: tokio::time::Instant::now(),
+            }),
         }
     }
 
     /// The simulated disk, where the machine is simulated.
     #[cfg(test)]
     pub fn disk(&self) -> Option<&Arc<Disk>> {
-        self.disk.as_ref()
+        self.simulated.as_ref().map(|simulated| &simulated.disk)
     }
 
     /// Milliseconds since 1970, UTC.
     pub fn now_ms(&self) -> i64 {
         (self.clock)()
+    }
+
+    /// Time for which it was awake since the daemon began.
+    pub fn uptime(&self) -> Duration {
+        #[cfg(test)]
+        if let Some(simulated) = &self.simulated {
+            return simulated.began.elapsed();
+        }
+        self.began.elapsed()
     }
 
     /// The clock, for the store.
@@ -64,7 +88,7 @@ impl Machine {
         work: impl FnOnce() -> T + Send + 'static,
     ) -> JoinHandle<T> {
         #[cfg(test)]
-        if self.disk.is_some() {
+        if self.simulated.is_some() {
             return tokio::spawn(async move { work() });
         }
         tokio::task::spawn_blocking(work)
@@ -80,7 +104,7 @@ impl Machine {
         events: mpsc::Sender<Event>,
     ) -> Result<AsyncClient, LinkError> {
         #[cfg(test)]
-        if self.disk.is_some() {
+        if self.simulated.is_some() {
             return AsyncClient::connect_simulated(open, events).await;
         }
         AsyncClient::connect(open, events).await

@@ -152,7 +152,7 @@ impl<'a> Session<'a> {
             sweep: None,
             push: None,
             quiet_until: None,
-            clocks: Clocks::new(context.machine.now_ms()),
+            clocks: Clocks::new(&context.machine),
             heard: now,
             told: now,
             looked: now,
@@ -516,7 +516,7 @@ impl<'a> Session<'a> {
     }
 
     async fn on_tick(&mut self) -> Result<(), Ended> {
-        if let Some(slept) = self.clocks.turn(self.context.machine.now_ms()) {
+        if let Some(slept) = self.clocks.turn(&self.context.machine) {
             self.face.lock().lease.void();
             return Err(Ended::Slept(format!(
                 "nothing ran here for {:.0} s",
