@@ -263,13 +263,14 @@ test('a tab has one connection for events, paused or not', async (t) => {
   const fake = await Fake.start(t);
   const chromium = await browser(t);
   const { page, problems } = await open(chromium, 'about:blank');
-  const streams = [];
-  page.on('request', (request) => request.url().includes('/live?') && streams.push(request.url()));
-  for (const view of VIEWS) await show(page, fake.url, view);
-  await show(page, fake.url, 'live');
+  const watchers = async () => (await fake.do('watchers')).watchers;
+  for (const view of [...VIEWS, 'live']) {
+    await show(page, fake.url, view);
+    await until(`one connection at ${view}`, async () => (await watchers()) === 1);
+  }
   await page.getByRole('button', { name: 'Pause', exact: true }).click();
   await sleep(4500);
   assert.equal(await page.getByTestId('stale').isVisible(), false, 'what is paused is not stale');
-  assert.equal(streams.length, 1, streams.join());
+  assert.equal(await watchers(), 1);
   noProblems(problems);
 });
