@@ -13,7 +13,7 @@ use ihd_daemon::model::{
 };
 use ihd_sim::injection::{Injection, InjectionKind};
 
-use super::rig::{Rig, hear, lives, power, until, until_state};
+use super::rig::{Rig, hear, lives, nap, power, until, until_state};
 
 async fn start(daemon: &Daemon, settings: RecordSettings) -> Result<Done, CommandError> {
     let command = Command::RecordStart(settings);
@@ -154,6 +154,10 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     let under_way = until(&daemon, |r| r.recording.is_some()).await;
     let first = under_way.recording.unwrap();
     let windows = under_way.windows.stored;
+    // Its file is made on a thread of its own.
+    while daemon.recordings().await.unwrap().is_empty() {
+        nap().await;
+    }
     assert!(daemon.recordings().await.unwrap()[0].under_way);
     // Under way, it goes on in a second file.
     until(&daemon, |r| r.windows.stored >= windows + 2).await;
