@@ -197,7 +197,13 @@ impl<'a> Session<'a> {
                 biased;
                 () = self.context.stopping() => return Ended::Stopping,
                 // Neither a flood of events nor one of orders keeps a lease from running out.
-                _ = tick.tick() => self.on_tick().await,
+                _ = tick.tick() => {
+                    if !events.is_empty() {
+                        // It is not silent: its events wait here.
+                        self.heard = Instant::now();
+                    }
+                    self.on_tick().await
+                }
                 order = orders.recv() => match order {
                     Some(order) => self.on_order(order).await,
                     None => return Ended::Stopping,
