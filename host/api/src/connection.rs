@@ -100,7 +100,7 @@ async fn remains_a_stranger(place: &Place) {
     }
 }
 
-/// What each request of a connection brings along.
+/// Connection of a request, for its routes.
 #[derive(Clone)]
 struct Each {
     stalled: Stalled,

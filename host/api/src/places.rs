@@ -6,7 +6,7 @@
 //!   └────── STRANGERS ──────────────┘                           └ KNOWN: the reserve
 //! ```
 //!
-//! Whoever comes gets a place. Where all of the strangers' are taken, one of them gives way: the oldest of the silent, else the oldest
+//! Each new connection gets a place. Where all of the strangers' are taken, one of them gives way: the oldest of the silent, else the oldest
 //! that speaks. Where all of the reserve's are taken, one without a request under way gives way, the one that asked longest ago; where
 //! each has one, whoever is let in is served on its stranger's place.
 
@@ -195,7 +195,7 @@ mod tests {
         !*place.0.gives_way.borrow()
     }
 
-    /// As many as the reserve has places for.
+    /// Fills the reserve.
     fn let_in(places: &Places) -> Vec<Place> {
         let all: Vec<Place> = (0..KNOWN)
             .map(|_| {

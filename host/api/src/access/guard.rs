@@ -38,7 +38,7 @@ pub(crate) struct Access {
     pub(crate) hosts: AllowedHosts,
     /// None on loopback without a token file: there the machine is the fence.
     pub(crate) tokens: Option<Tokens>,
-    /// Of browsers that showed one.
+    /// Sessions of browsers that showed a token.
     pub(crate) sessions: Sessions,
 }
 

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::Role;
 use super::tokens::{TokenError, random_token};
 
-/// How long a session lasts that nobody uses.
+/// Life of a session that nobody uses.
 pub(crate) const LASTS: Duration = Duration::from_secs(12 * 3600);
 
 /// Sessions at a time; one more ends the one that was used longest ago.

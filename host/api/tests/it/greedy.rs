@@ -94,7 +94,7 @@ fn a_head_of_a_megabyte_is_refused() {
 /// Connections of those who are not let in, or idle: many times what there are places for. Ten thousand: host/ihd/tests/daemon/off_latency.rs.
 const HOSTILE: usize = 1_000;
 
-/// Of which so many are held open by the other end, too.
+/// Number of these that the other end holds open, too.
 const HELD: usize = 500;
 
 fn watch(client: &ApiClient) -> Events {

@@ -1,5 +1,6 @@
 //! The lives of a daemon in one world: begun, used, killed or stopped, and begun again on the same store.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -301,17 +302,14 @@ fn check_store(world: &World, folder: &Path) {
             return world.note_broken(why.chars().take(300).collect());
         }
     };
-    let state = &mut *world.lock();
-    let hob_of = |name: &str| HOBS.iter().position(|hob| *hob == name);
-    let stored: std::collections::BTreeSet<_> = windows
-        .iter()
-        .filter_map(|row| Some((hob_of(&row.device)?, row.boot, row.seq)))
-        .collect();
-    let kept: std::collections::BTreeSet<_> = results
-        .iter()
-        .filter_map(|row| Some((hob_of(&row.device)?, row.boot, row.seq)))
-        .collect();
-    let promises = &mut state.promises;
+    let key = |device: &str, boot, seq| {
+        let hob = HOBS.iter().position(|hob| *hob == device)?;
+        Some((hob, boot, seq))
+    };
+    let stored = windows.iter().filter_map(|w| key(&w.device, w.boot, w.seq));
+    let kept = results.iter().filter_map(|r| key(&r.device, r.boot, r.seq));
+    let (stored, kept): (BTreeSet<_>, BTreeSet<_>) = (stored.collect(), kept.collect());
+    let promises = &mut world.lock().promises;
     let lost = promises.stored.difference(&stored).next();
     let lost_result = promises.results.difference(&kept).next();
     if let Some(lost) = lost.or(lost_result) {

@@ -49,22 +49,23 @@ impl Promises {
     fn note_broken(&mut self, why: String) {
         self.broken.get_or_insert(why);
     }
+
+    fn next_request(&mut self) -> u64 {
+        self.requests += 1;
+        self.requests
+    }
 }
 
 impl World {
-    /// Counts a user's request that may heat; returns its number.
-    pub fn number_heating_request(&self, hob: usize) -> u64 {
+    /// Counts a user's request that may heat.
+    pub fn number_heating_request(&self, hob: usize) {
         let promises = &mut self.lock().promises;
-        promises.requests += 1;
-        promises.places[hob].last_heating = promises.requests;
-        promises.requests
+        promises.places[hob].last_heating = promises.next_request();
     }
 
     /// Counts a user's `off`; returns its number.
     pub fn number_off_request(&self) -> u64 {
-        let promises = &mut self.lock().promises;
-        promises.requests += 1;
-        promises.requests
+        self.lock().promises.next_request()
     }
 
     /// Records an `off` that was acknowledged: the hob is off, and stays so until somebody asks again.
