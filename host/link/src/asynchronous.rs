@@ -79,7 +79,7 @@ impl AsyncClient {
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         let serve = move || {
-            if let Some((mut served, lanes, _closing)) = serving.serve_behind(open) {
+            if let Some((mut served, lanes)) = serving.serve_behind(open) {
                 let reason = served.serve(lanes);
                 served.leave(reason);
             }
@@ -103,7 +103,7 @@ impl AsyncClient {
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         tokio::spawn(async move {
-            if let Some((mut served, lanes, _closing)) = serving.serve_behind(open) {
+            if let Some((mut served, lanes)) = serving.serve_behind(open) {
                 let reason = served.serve_simulated(lanes).await;
                 served.leave(reason);
             }
@@ -279,11 +279,11 @@ impl ServingSide {
         (serving, calling)
     }
 
-    /// Opens the transport and shakes hands; the last of what is returned is to be dropped last, when the transport is closed.
+    /// Opens the transport and shakes hands.
     fn serve_behind(
         self,
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError>,
-    ) -> Option<(Served, Lanes, oneshot::Sender<()>)> {
+    ) -> Option<(Served, Lanes)> {
         let mut client = match open().and_then(Client::connect) {
             Ok(client) => client,
             Err(error) => {
@@ -305,8 +305,9 @@ impl ServingSide {
             events: self.events,
             held: None,
             last_words: self.last_words,
+            _closing: self.closing,
         };
-        Some((served, self.lanes, self.closing))
+        Some((served, self.lanes))
     }
 }
 
@@ -339,6 +340,8 @@ struct Served {
     /// The next event, which found its channel full.
     held: Option<Event>,
     last_words: Arc<LastWords>,
+    /// The last field, so that it is dropped once the client has closed the transport.
+    _closing: oneshot::Sender<()>,
 }
 
 impl Drop for Served {
