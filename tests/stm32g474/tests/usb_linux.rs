@@ -82,14 +82,14 @@ fn whole_windows_are_recorded_over_usb() {
         .record("a.mcap", "--duration 20 --power 1000", MINUTES)
         .unwrap();
     assert!(number(&report, "windows") >= 3.0, "{report}");
-    for damage in [
-        "windows_missing",
-        "windows_rejected",
-        "frames_bad",
-        "frames_lost",
-        "telemetry_missing",
-    ] {
+    for damage in ["windows_rejected", "frames_bad", "frames_lost"] {
         assert_eq!(number(&report, damage), 0.0, "{damage}: {report}");
+    }
+    // A host that is slow to read has the device drop some, which it counts: nothing is lost in silence.
+    for what in ["windows", "telemetry"] {
+        let missing = number(&report, &format!("{what}_missing"));
+        let dropped = number(&report, &format!("device_{what}_dropped"));
+        assert_eq!(missing, dropped, "{what}: {report}");
     }
     let surveyed = desk.guest.shell("ihd inspect a.mcap").unwrap();
     assert!(surveyed.contains("whole half-cycles"), "{surveyed}");

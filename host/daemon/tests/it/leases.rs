@@ -33,7 +33,16 @@ async fn power_ends_with_the_lease_that_nobody_renews() {
             break;
         }
     }
-    assert_eq!(rig.bench().asked_w(), 0);
+    assert_eq!(daemon.device("bench").unwrap().asked_by_daemon_w, 0);
+    // The link's thread tells it.
+    let told = async {
+        while rig.bench().asked_w() != 0 {
+            nap().await;
+        }
+    };
+    clock.go_on();
+    let told = tokio::time::timeout(PATIENCE, told).await;
+    told.expect("the hob is told");
     hear(&mut notices, |what| match what {
         What::Lease { holder, .. } if holder.is_empty() => Some(()),
         _ => None,

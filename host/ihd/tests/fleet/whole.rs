@@ -47,9 +47,15 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         last_lookup(&url).is_some_and(|(_, in_use)| in_use)
     });
     let (first, _) = last_lookup(&url).expect("a lookup");
-    let by_worker = status(&url).expect("it answers");
-    assert_eq!(by_worker["edges"][0]["trusts_fleet"], true, "{by_worker}");
-    assert!(by_worker["workers"][0]["name"] == "w", "{by_worker}");
+    until(
+        "an edge that trusts the fleet, and its worker",
+        PATIENCE,
+        || {
+            status(&url).is_some_and(|s| {
+                s["edges"][0]["trusts_fleet"] == true && s["workers"][0]["name"] == "w"
+            })
+        },
+    );
 
     // Somebody wants an older one used: the edge pushes it, and says that it is in use.
     let (text, code) = fleet(&url, &["lookups", "rollback", &hob, &first.to_string()]);
