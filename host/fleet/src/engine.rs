@@ -108,7 +108,8 @@ fn failed<E: std::fmt::Display>(what: &str) -> impl FnOnce(E) -> EngineError + '
 
 impl Limits {
     fn streams(&self) -> [stream::Config; 4] {
-        let subject = |kind: &str| vec![format!("ihd.{}.*.{kind}", names::VERSION)];
+        // Of every version: what waits of an older one stays.
+        let subject = |kind: &str| vec![format!("ihd.*.*.{kind}")];
         let base = |name: &str, subjects: Vec<String>| stream::Config {
             name: name.to_owned(),
             subjects,
@@ -201,6 +202,7 @@ impl Limits {
     fn workers(&self) -> pull::Config {
         pull::Config {
             durable_name: Some(names::WORKERS.to_owned()),
+            filter_subject: names::window("*"),
             ack_policy: AckPolicy::Explicit,
             ack_wait: ACK_WAIT,
             max_deliver: -1,
@@ -248,6 +250,8 @@ pub async fn init(context: &Context, limits: &Limits) -> Result<(), EngineError>
     }
     let windows = context.get_stream_no_info(names::WINDOWS).await;
     let windows = windows.map_err(failed(names::WINDOWS))?;
+    // It overlaps with every other, and its workers would give up what they cannot read.
+    let _ = windows.delete_consumer(names::WORKERS_1).await;
     let workers = windows.create_consumer(limits.workers()).await;
     workers.map_err(failed(names::WORKERS))?;
     for config in limits.buckets() {

@@ -17,10 +17,10 @@ mod edge;
 pub mod engine;
 mod identity;
 pub mod lookups;
-pub mod messages;
 pub mod names;
 pub mod server_config;
 pub mod status;
+pub mod wire;
 pub mod worker;
 
 pub use access::{Access, AccessError};

@@ -2,8 +2,11 @@
 
 use std::fmt::Display;
 
-/// Version of the messages: the second token of every subject.
+/// Version of what is JSON: the second token of its subjects.
 pub const VERSION: &str = "v1";
+
+/// Version of windows and answers ([`crate::wire::VERSION`]): the second token of their subjects.
+pub const WIRE: &str = "v2";
 
 /// Windows that wait for a worker: a work queue.
 pub const WINDOWS: &str = "IHD_WINDOWS";
@@ -17,8 +20,11 @@ pub const EVENTS: &str = "IHD_EVENTS";
 /// Windows that were given up.
 pub const DEAD: &str = "IHD_DEAD";
 
-/// The consumer that all workers share.
-pub const WORKERS: &str = "workers";
+/// The consumer that all workers of this version share: windows of another version wait for workers of that.
+pub const WORKERS: &str = "workers-v2";
+
+/// The consumer of version 1, which took windows of every version.
+pub const WORKERS_1: &str = "workers";
 
 /// Bucket of lookups, one key a hob, with their history.
 pub const LOOKUPS: &str = "ihd_lookups";
@@ -46,22 +52,30 @@ pub const CAPTURES: &str = "ihd_captures";
 
 /// Subject of a hob's windows.
 pub fn window(hob: impl Display) -> String {
-    format!("ihd.{VERSION}.{hob}.window")
+    format!("ihd.{WIRE}.{hob}.window")
 }
 
 /// Subject of the result of one window: no other message may have it.
 pub fn result(hob: impl Display, boot: impl Display, seq: impl Display) -> String {
-    format!("ihd.{VERSION}.{hob}.result.{boot}.{seq}")
+    format!("ihd.{WIRE}.{hob}.result.{boot}.{seq}")
+}
+
+/// Hob, boot and number of the window that a result's subject names.
+pub fn window_of_result(subject: &str) -> Option<(String, u32, u32)> {
+    let mut tokens = subject.split('.').skip(2);
+    let (hob, kind) = (tokens.next()?, tokens.next()?);
+    let (boot, seq) = (tokens.next()?.parse().ok()?, tokens.next()?.parse().ok()?);
+    (kind == "result" && tokens.next().is_none()).then(|| (hob.to_owned(), boot, seq))
 }
 
 /// Subjects of all results of a hob.
 pub fn results(hob: impl Display) -> String {
-    format!("ihd.{VERSION}.{hob}.result.>")
+    format!("ihd.{WIRE}.{hob}.result.>")
 }
 
 /// Subject of a window that was given up.
 pub fn dead(hob: impl Display, boot: impl Display, seq: impl Display) -> String {
-    format!("ihd.{VERSION}.{hob}.dead.{boot}.{seq}")
+    format!("ihd.{WIRE}.{hob}.dead.{boot}.{seq}")
 }
 
 /// Subject of what happens to a hob.

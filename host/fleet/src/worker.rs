@@ -10,8 +10,10 @@ use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{self, AckKind, Context};
 use futures_util::StreamExt;
-use ihd_daemon::learning::{Numbers, Studied, study_alone};
+use ihd_daemon::learning::{Answer, Stated};
 use ihd_daemon::model::FleetWorker;
+use ihd_identify::{Method, Settings};
+use ihd_store::Curve;
 use ihd_train::NetworkConfig;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
@@ -19,8 +21,8 @@ use tokio::task::JoinSet;
 use crate::dead;
 use crate::edge::now_ms;
 use crate::engine::{self, ACK_WAIT, EngineError, MOST_DELIVERIES, PER_THREAD};
-use crate::messages::{ResultMessage, WindowMessage};
 use crate::names;
+use crate::wire::{AnswerMessage, WindowMessage};
 
 /// How long one request for windows waits.
 const ASK_FOR: Duration = Duration::from_secs(5);
@@ -30,6 +32,9 @@ const TRY_AGAIN: Duration = Duration::from_secs(2);
 
 /// When a window that could not be dealt with goes to the next worker.
 const AGAIN_AFTER: Duration = Duration::from_secs(1);
+
+/// Time for which a window is left to others whose edge does not believe this worker.
+const LEFT_FOR: Duration = Duration::from_secs(10);
 
 /// How often the worker tells how it does.
 const TELL_EVERY: Duration = Duration::from_secs(10);
@@ -60,6 +65,8 @@ pub struct Figures {
     pub failed: AtomicU64,
     /// Windows that it gave up for good.
     pub dead: AtomicU64,
+    /// Windows that it left to others, since their edge has refuted answers of it.
+    pub distrusted: AtomicU64,
 }
 
 struct Worker {
@@ -198,16 +205,20 @@ impl Worker {
             );
             return self.bury(message, Some(key), &why).await;
         }
-        let Some(studied) = self.study(&window, message).await? else {
+        if window.not_for.contains(&self.settings.name) {
+            self.leave_to_others(message, &window.hob).await;
+            return Ok(());
+        }
+        let Some(answer) = self.answer(&window, message).await? else {
             let _ = message.ack_with(AckKind::Nak(None)).await;
             return Ok(());
         };
-        let result = ResultMessage {
+        let result = AnswerMessage {
             boot: window.boot,
-            by: self.settings.name.clone(),
+            seq: window.window.seq,
             window_at_ms: window.at_ms,
             at_ms: now_ms(),
-            studied,
+            answer,
             hob: window.hob,
         };
         self.publish(&result).await?;
@@ -215,35 +226,46 @@ impl Worker {
         message.double_ack().await.map_err(|e| e.to_string())
     }
 
+    /// Leaves a window to others: the edge has refuted answers of this worker.
+    async fn leave_to_others(&self, message: &jetstream::Message, hob: &str) {
+        if self.figures.distrusted.fetch_add(1, Relaxed) == 0 {
+            tracing::error!(
+                hob,
+                "its edge has refuted answers of this worker: `ihd fleet status` says why; windows of it are left to others"
+            );
+        }
+        let _ = message.ack_with(AckKind::Nak(Some(LEFT_FOR))).await;
+    }
+
     /// Identifies on a thread of its own, and tells the server meanwhile that it goes on; none where the worker is ending.
-    async fn study(
+    async fn answer(
         &self,
         window: &WindowMessage,
         message: &jetstream::Message,
-    ) -> Result<Option<Studied>, String> {
+    ) -> Result<Option<Answer>, String> {
         let waiting = async {
             let permit = self.threads.acquire().await.ok()?;
-            let (skew_s, pretend) = (window.skew_s, self.settings.pretend);
+            let (skew_s, by) = (window.skew_s, self.settings.name.clone());
             let (window, network) = (window.window.clone(), self.settings.network.clone());
-            let studied = match pretend {
+            if let Some(time) = self.settings.pretend {
+                tokio::time::sleep(time).await;
+            }
+            let find = match self.settings.pretend {
                 None => {
-                    let study = move || study_alone(&window, skew_s, network);
-                    tokio::task::spawn_blocking(study).await
+                    tokio::task::spawn_blocking(move || Answer::find(by, &window, skew_s, network))
                 }
-                Some(time) => {
-                    tokio::time::sleep(time).await;
-                    Ok(pretended(&window))
-                }
+                Some(_) => tokio::task::spawn_blocking(move || pretended(by, &window)),
             };
+            let found = find.await;
             drop(permit);
-            Some(studied.map_err(|_| "identifying it panicked".to_owned()))
+            Some(found.map_err(|_| "identifying it panicked".to_owned()))
         };
         tokio::pin!(waiting);
         let mut progress = tokio::time::interval(ACK_WAIT / 3);
         progress.tick().await;
         loop {
             tokio::select! {
-                studied = &mut waiting => return studied.transpose(),
+                found = &mut waiting => return found.transpose(),
                 _ = progress.tick() => {
                     let _ = message.ack_with(AckKind::Progress).await;
                 }
@@ -251,12 +273,12 @@ impl Worker {
         }
     }
 
-    async fn publish(&self, result: &ResultMessage) -> Result<(), String> {
+    async fn publish(&self, result: &AnswerMessage) -> Result<(), String> {
         let payload = result.to_bytes().map_err(|e| e.to_string())?;
         let message = PublishMessage::build()
             .payload(payload.into())
             .expected_last_subject_sequence(0);
-        let subject = names::result(&result.hob, result.boot, result.studied.seq);
+        let subject = names::result(&result.hob, result.boot, result.seq);
         let sent = self.context.send_publish(subject, message).await;
         match sent.map_err(|e| e.to_string())?.await {
             Ok(_) => {
@@ -317,10 +339,29 @@ async fn tell(worker: Arc<Worker>) {
     }
 }
 
-fn pretended(window: &ihd_link::Window) -> Studied {
-    let of = (window.seq, window.half_cycle);
-    Studied {
-        refused: Some("pretended".to_owned()),
-        ..Studied::of_numbers(of, window.f_sw_hz, Numbers::NONE)
+/// The lock-in's R(t) and L(t), in place of the network's.
+fn pretended(by: String, window: &ihd_link::Window) -> Answer {
+    let segment = window.segment();
+    let estimate = ihd_identify::run(Method::Lockin, &segment, &Settings::default());
+    let found = estimate.map_err(|e| e.to_string()).map(|estimate| {
+        let curve = Curve {
+            t_s: estimate.t_s,
+            r_ohm: estimate.r_ohm,
+            l_h: estimate.l_h,
+            ..Curve::default()
+        };
+        let curve = curve.thinned();
+        Stated {
+            t_s: curve.t_s,
+            r_ohm: curve.r_ohm,
+            l_h: curve.l_h,
+            ..Stated::default()
+        }
+    });
+    Answer {
+        by,
+        skew_s: None,
+        found,
+        busy: Duration::ZERO,
     }
 }

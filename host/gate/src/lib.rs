@@ -9,6 +9,7 @@
 //!
 //! A finding of severity error refuses, and nothing else does. Every code stands in [`codes::CODES`].
 
+pub mod claim;
 pub mod codes;
 pub mod comparison;
 pub mod interference;

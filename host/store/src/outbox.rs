@@ -212,6 +212,27 @@ impl Store {
         Ok(None)
     }
 
+    /// A window of whatever day; none where its samples are not kept.
+    ///
+    /// # Errors
+    /// What the databases or the operating system report.
+    pub fn stored_window(
+        &mut self,
+        device: &str,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<Window>, StoreError> {
+        let mut days = folder::days(self.folder())?;
+        days.reverse();
+        for file in days {
+            let window = self.on_day(file, |day| day.window(device, boot, seq))?;
+            if window.is_some() {
+                return Ok(window);
+            }
+        }
+        Ok(None)
+    }
+
     /// Whether there is a result of this window.
     ///
     /// # Errors

@@ -5,16 +5,18 @@
 
 mod config;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
-use ihd_store::{Due, DueWindow, EventRow, FleetState, Sent};
+use ihd_store::{DeviceId, Due, DueWindow, EventRow, FleetState, Sent, SessionId};
 use tokio::sync::oneshot;
 
 pub use self::config::{FleetConfig, host_name};
 use crate::daemon::Daemon;
-use crate::learning::{Studied, Task, Work};
+use crate::learning::{Answer, Task, Work, WorkerFigures, power_w};
 use crate::store_thread::StoreTrouble;
 
 /// Whether windows are for a fleet, and whether it is there.
@@ -65,6 +67,13 @@ pub enum ReceiveError {
     /// The window is here, and the fleet has not acknowledged it yet.
     #[error("the fleet has not acknowledged its window yet")]
     NotSent,
+}
+
+/// A window that the fleet was asked for.
+struct Asked {
+    device_id: DeviceId,
+    session: SessionId,
+    window: Box<Window>,
 }
 
 impl Daemon {
@@ -165,8 +174,8 @@ impl Daemon {
         self.in_store(move |store| store.events_sent(up_to)).await
     }
 
-    /// Learns from what was found elsewhere, stores it, and pushes the lookup where it says something new. Once this has returned, it is
-    /// committed.
+    /// Learns from a worker's answer, if the window that it answers was sent, is in the store, and confirms it; else from the window itself.
+    /// The result is stored, and the lookup is pushed where it says something new. Once this has returned, the result is committed.
     ///
     /// # Errors
     /// [`ReceiveError`]; it may be tried again.
@@ -174,34 +183,21 @@ impl Daemon {
         &self,
         device: &str,
         boot: u32,
-        studied: Studied,
+        seq: u32,
+        answer: Answer,
     ) -> Result<Received, ReceiveError> {
         let Some(handle) = self.handle_of(device) else {
             return Ok(Received::Foreign);
         };
-        let (name, address, seq) = (device.to_owned(), handle.face.address.clone(), studied.seq);
-        let known = self.in_store(move |store| {
-            if store.has_result(&name, boot, seq)? {
-                store.answered(&name, boot, seq)?;
-                return Ok(Err(Received::Known));
-            }
-            let Some(session) = store.session_of_boot(&name, boot)? else {
-                return Ok(Err(Received::Foreign));
-            };
-            match store.fleet_state(&name, boot, seq)? {
-                Some(FleetState::Sent) => Ok(Ok(Some((store.device(&name, &address)?, session)))),
-                Some(FleetState::Due) => Ok(Ok(None)),
-                Some(FleetState::Answered) => Ok(Err(Received::Known)),
-                Some(FleetState::NotForFleet) | None => Ok(Err(Received::Unasked)),
-            }
-        });
-        let (device_id, session) = match known.await? {
-            Ok(ids) => ids.ok_or(ReceiveError::NotSent)?,
+        let address = handle.face.address.clone();
+        let asked = match self.asked(device, address, boot, seq).await? {
+            Ok(asked) => asked,
             Err(received) => return Ok(received),
         };
         let learner = self.learner().ok_or(ReceiveError::NoRoom)?;
         if !learner.knows(device) {
             // Not connected since the daemon began: what was learned before must not be begun anew.
+            let device_id = asked.device_id;
             let learned = self.in_store(move |store| store.learned(device_id)).await?;
             if !learner.knows(device)
                 && let Err(why) = learner.add(device, learned.as_deref())
@@ -210,14 +206,13 @@ impl Daemon {
             }
         }
         let (stored, is_stored) = oneshot::channel();
-        let power_w = studied.power_w;
         learner.offer(Task {
             device: device.to_owned(),
-            device_id,
-            session,
+            device_id: asked.device_id,
+            session: asked.session,
             boot,
-            work: Work::Studied(Box::new(studied)),
-            power_w,
+            power_w: power_w(&asked.window.segment()),
+            work: Work::Answered(asked.window, Box::new(answer)),
             truth: None,
             stored: Some(stored),
         });
@@ -227,6 +222,58 @@ impl Daemon {
         self.in_store(move |store| store.answered(&name, boot, seq))
             .await?;
         Ok(Received::Stored)
+    }
+
+    /// The window that an answer is for, if the fleet was asked for it and nobody has answered.
+    async fn asked(
+        &self,
+        device: &str,
+        address: String,
+        boot: u32,
+        seq: u32,
+    ) -> Result<Result<Asked, Received>, ReceiveError> {
+        let name = device.to_owned();
+        let asked = self.in_store(move |store| {
+            if store.has_result(&name, boot, seq)? {
+                store.answered(&name, boot, seq)?;
+                return Ok(Err(Received::Known));
+            }
+            let Some(session) = store.session_of_boot(&name, boot)? else {
+                return Ok(Err(Received::Foreign));
+            };
+            match store.fleet_state(&name, boot, seq)? {
+                Some(FleetState::Due) => return Ok(Ok(None)),
+                Some(FleetState::Answered) => return Ok(Err(Received::Known)),
+                Some(FleetState::NotForFleet) | None => return Ok(Err(Received::Unasked)),
+                Some(FleetState::Sent) => {}
+            }
+            let Some(window) = store.stored_window(&name, boot, seq)? else {
+                return Ok(Err(Received::Unasked));
+            };
+            Ok(Ok(Some(Asked {
+                device_id: store.device(&name, &address)?,
+                session,
+                window: Box::new(window),
+            })))
+        });
+        match asked.await? {
+            Ok(asked) => asked.map(Ok).ok_or(ReceiveError::NotSent),
+            Err(received) => Ok(Err(received)),
+        }
+    }
+
+    /// Records of the fleet's workers, by name: how many of their answers the windows confirm.
+    pub fn workers(&self) -> BTreeMap<String, WorkerFigures> {
+        self.learner()
+            .map(|learner| learner.workers())
+            .unwrap_or_default()
+    }
+
+    /// Names of workers whose answers were refuted too often.
+    pub fn distrusted(&self) -> Vec<String> {
+        let workers = self.workers().into_iter();
+        let distrusted = workers.filter(|(_, figures)| figures.is_distrusted());
+        distrusted.map(|(name, _)| name).collect()
     }
 
     fn trust(&self) -> &Arc<Trust> {

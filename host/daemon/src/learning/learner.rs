@@ -1,5 +1,6 @@
 //! The threads that train.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -9,15 +10,16 @@ use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_signal::truth::Truth;
 use ihd_store::NewResult;
-use ihd_train::learning::{DamagedState, Outcome, Taken, Taught};
+use ihd_train::learning::{Believed, DamagedState, Disbelief, Outcome, Taught};
 use ihd_train::{Learning, NetworkConfig};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
 
+use super::answer::{Answer, Stated};
+use super::answers::{Answers, Standing, WorkerFigures};
 use super::figures::{LearnerFigures, Meter};
 use super::outcome::{Course, Learned, Numbers, Task, Work, fit_remark};
 use super::queue::{Dropped, Known, Note, Queue};
-use super::studied::Studied;
 use crate::machine::Machine;
 
 /// How often what was learned goes to the store where nothing new was.
@@ -70,6 +72,7 @@ struct Shared {
 struct State {
     queue: Queue,
     meter: Meter,
+    answers: Answers,
     closing: bool,
 }
 
@@ -276,6 +279,11 @@ impl Learner {
         self.shared.lock().queue.use_library(Arc::new(library))
     }
 
+    /// Records of workers' answers, by name.
+    pub fn workers(&self) -> BTreeMap<String, WorkerFigures> {
+        self.shared.lock().answers.workers().clone()
+    }
+
     /// How busy it is.
     pub fn figures(&self) -> LearnerFigures {
         let state = self.shared.lock();
@@ -320,12 +328,14 @@ fn learn(shared: &Shared, mut task: Task, known: Box<Known>) {
     let device = task.device.clone();
     let began = Instant::now();
     let (mut known, mut found) = match &mut task.work {
-        Work::Window(window) => {
-            let (known, outcome) = study(shared, known, window);
-            let found = Found::of(window, outcome, task.truth.as_deref());
-            (known, found)
+        Work::Window(window) => study(shared, known, window, task.truth.as_deref()),
+        Work::Answered(window, answer) => {
+            match answered(shared, known, task.boot, window, answer) {
+                Ok(learned) => learned,
+                // Nobody else's word: it is identified here.
+                Err(known) => study(shared, known, window, task.truth.as_deref()),
+            }
         }
-        Work::Studied(studied) => take(shared, known, task.boot, studied),
     };
     found.busy = found.busy.max(began.elapsed());
     let learned = settle(shared, &mut known, task, found);
@@ -353,64 +363,125 @@ fn next(shared: &Shared) -> Option<(Task, Box<Known>)> {
 }
 
 /// Learns from a window. A panic costs that window alone: the device goes on from where it was.
-fn study(shared: &Shared, mut known: Box<Known>, window: &Window) -> (Box<Known>, Outcome) {
-    let mut before = known.clone();
-    let studied = catch_unwind(AssertUnwindSafe(|| {
-        let outcome = (shared.study)(&mut known.learning, window);
-        (known, outcome)
-    }));
-    studied.unwrap_or_else(|panic| {
-        shared.lock().meter.panics += 1;
-        let text = panic.downcast_ref::<&str>().copied();
-        let text = text.or(panic.downcast_ref::<String>().map(String::as_str));
-        let why = format!("training panicked: {}", text.unwrap_or("no message"));
+fn study(
+    shared: &Shared,
+    known: Box<Known>,
+    window: &Window,
+    truth: Option<&Truth>,
+) -> (Box<Known>, Found) {
+    let (mut known, outcome) = guarded(shared, known, |learning| (shared.study)(learning, window));
+    let outcome = outcome.unwrap_or_else(|why| {
         // Whatever it was, it may have come from there.
-        before.learning.start_cold();
-        let unfit = Outcome::Unfit {
+        known.learning.start_cold();
+        Outcome::Unfit {
             why,
             identified: None,
             findings: Vec::new(),
-        };
-        (before, unfit)
-    })
+        }
+    });
+    (known, Found::of(window, outcome, truth))
 }
 
-/// Learns from what was found elsewhere. A panic costs that alone.
-fn take(
+/// Learns from a worker's answer that the window confirms. One that it does not confirm is recorded against the worker, and
+/// what is known is handed back.
+fn answered(
     shared: &Shared,
-    mut known: Box<Known>,
+    known: Box<Known>,
     boot: u32,
-    studied: &mut Studied,
-) -> (Box<Known>, Found) {
-    let before = known.clone();
-    let taken = catch_unwind(AssertUnwindSafe(|| {
-        let curve = studied.curve.take();
-        let taken = known.learning.take(boot, curve, &studied.evidence);
-        (known, taken)
-    }));
-    let (known, taught) = match taken {
-        Ok((known, (taken, said))) => {
-            studied.remarks.extend(said.iter().map(fit_remark));
-            let taught = match taken {
-                Taken::Learned(_, taught) => taught,
-                Taken::Late => {
-                    let seq = studied.seq;
-                    tracing::info!(boot, seq, "a result came too late to teach");
-                    Taught::Known
-                }
-                Taken::Unfit => Taught::Known,
-            };
-            (known, taught)
+    window: &Window,
+    answer: &mut Answer,
+) -> Result<(Box<Known>, Found), Box<Known>> {
+    let note = |standing| note_answer(shared, answer, window.seq, standing);
+    let stated = match &answer.found {
+        _ if shared.lock().answers.distrust(&answer.by) => {
+            note(Standing::Distrusted);
+            return Err(known);
         }
         Err(_) => {
-            shared.lock().meter.panics += 1;
-            (before, Taught::Known)
+            note(Standing::Unidentified);
+            return Err(known);
+        }
+        Ok(stated) => stated,
+    };
+    let skew_s = known.learning.correction().map(|c| c.skew_s);
+    let (known, taken) = guarded(shared, known, |learning| {
+        learning.take(boot, window, &stated.claim())
+    });
+    let believed = match taken {
+        Ok(Ok(believed)) => believed,
+        Ok(Err(Disbelief::Refuted(_))) if differ(skew_s, answer.skew_s) => {
+            note(Standing::Outdated);
+            return Err(known);
+        }
+        Ok(Err(Disbelief::Refuted(why))) => {
+            note(Standing::Refuted(why.to_string()));
+            return Err(known);
+        }
+        Ok(Err(Disbelief::Outdated | Disbelief::Sensors(_))) => {
+            note(Standing::Outdated);
+            return Err(known);
+        }
+        Err(panic) => {
+            note(Standing::Refuted(panic));
+            return Err(known);
         }
     };
-    (known, Found::elsewhere(studied, taught))
+    note(Standing::Confirmed);
+    let busy = answer.busy;
+    let stated = std::mem::replace(&mut answer.found, Err(String::new())).unwrap_or_default();
+    let found = Found::believed(window, stated, believed, busy);
+    Ok((known, found))
 }
 
-/// What was found in a window, here or elsewhere.
+/// Difference of two skews in seconds beyond which R and L differ by more than the check allows.
+const SAME_SKEW_S: f64 = 1e-9;
+
+fn differ(a: Option<f64>, b: Option<f64>) -> bool {
+    (a.unwrap_or(0.0) - b.unwrap_or(0.0)).abs() > SAME_SKEW_S
+}
+
+fn note_answer(shared: &Shared, answer: &Answer, seq: u32, standing: Standing) {
+    let by = &answer.by;
+    if let Standing::Refuted(why) = &standing {
+        tracing::warn!(
+            worker = by,
+            seq,
+            why,
+            "a worker's answer is refuted by its window"
+        );
+    }
+    if shared.lock().answers.note(by, standing) {
+        tracing::error!(
+            worker = by,
+            "a worker was caught too often: its answers are not looked at any more"
+        );
+    }
+}
+
+/// Does something with what a device has learned. A panic is an error with its message, and what was known stays.
+fn guarded<T>(
+    shared: &Shared,
+    mut known: Box<Known>,
+    work: impl FnOnce(&mut Learning) -> T,
+) -> (Box<Known>, Result<T, String>) {
+    let before = known.clone();
+    let worked = catch_unwind(AssertUnwindSafe(|| {
+        let done = work(&mut known.learning);
+        (known, done)
+    }));
+    match worked {
+        Ok((known, done)) => (known, Ok(done)),
+        Err(panic) => {
+            shared.lock().meter.panics += 1;
+            let text = panic.downcast_ref::<&str>().copied();
+            let text = text.or(panic.downcast_ref::<String>().map(String::as_str));
+            let why = format!("training panicked: {}", text.unwrap_or("no message"));
+            (before, Err(why))
+        }
+    }
+}
+
+/// Result of a window.
 struct Found {
     seq: u32,
     half_cycle: u32,
@@ -445,21 +516,22 @@ impl Found {
         }
     }
 
-    fn elsewhere(studied: &mut Studied, taught: Taught) -> Self {
+    fn believed(window: &Window, mut stated: Stated, believed: Believed, busy: Duration) -> Self {
+        stated
+            .remarks
+            .extend(believed.findings.iter().map(fit_remark));
+        if believed.seen.is_none() {
+            tracing::info!(seq = window.seq, "an answer came too late to teach");
+        }
         Self {
-            seq: studied.seq,
-            half_cycle: studied.half_cycle,
-            f_sw_hz: studied.f_sw_hz,
-            numbers: studied.numbers,
-            course: Course {
-                steps: std::mem::take(&mut studied.steps),
-                remarks: std::mem::take(&mut studied.remarks),
-                curve: studied.trajectory.take(),
-                ..Course::default()
-            },
-            refused: studied.refused.take(),
-            taught,
-            busy: Duration::try_from_secs_f64(studied.busy_s).unwrap_or_default(),
+            seq: window.seq,
+            half_cycle: window.half_cycle,
+            f_sw_hz: window.f_sw_hz,
+            numbers: stated.numbers(&believed.confirmed),
+            course: stated.into_course(believed.confirmed),
+            refused: None,
+            taught: believed.taught,
+            busy,
         }
     }
 }

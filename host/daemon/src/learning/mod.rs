@@ -10,21 +10,23 @@
 //! depend on what the power control is about to do next. Windows of a hob that probes, or that carry too little
 //! current to tell R and L from noise, are refused by the gate.
 
+mod answer;
+mod answers;
 mod figures;
 mod learner;
 mod outcome;
 mod queue;
-mod studied;
 #[cfg(test)]
 mod tests;
 
 use ihd_shared::wire::messages::{State, Telemetry};
 
+pub use self::answer::{Answer, Stated, power_w};
+pub use self::answers::{Standing, WorkerFigures};
 pub use self::figures::LearnerFigures;
 pub use self::learner::{Learner, LearnerError, LearnerSettings};
 pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, Work, curve_of};
 pub use self::queue::Dropped;
-pub use self::studied::{NotTaken, Studied, study_alone};
 
 /// Whether the windows of a device that says this are worth learning from.
 pub fn teaches(telemetry: &Telemetry) -> bool {

@@ -13,7 +13,7 @@ use ihd_train::lookup::Built;
 use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
-use super::studied::Studied;
+use super::answer::Answer;
 use crate::model::{FitRemark, FitStep};
 use crate::printable::printable;
 
@@ -22,16 +22,15 @@ use crate::printable::printable;
 pub enum Work {
     /// A window.
     Window(Box<Window>),
-    /// What was found in one elsewhere.
-    Studied(Box<Studied>),
+    /// A window, and a worker's answer to it.
+    Answered(Box<Window>, Box<Answer>),
 }
 
 impl Work {
     /// The window's number since its device's boot.
     pub fn seq(&self) -> u32 {
         match self {
-            Self::Window(window) => window.seq,
-            Self::Studied(studied) => studied.seq,
+            Self::Window(window) | Self::Answered(window, _) => window.seq,
         }
     }
 }
@@ -47,7 +46,7 @@ pub struct Task {
     pub session: SessionId,
     /// The device's boot.
     pub boot: u32,
-    /// The window, or what was found in it.
+    /// The window, with what is known of it already.
     pub work: Work,
     /// Mean power of its half-cycle in watt, where telemetry told it.
     pub power_w: Option<f64>,

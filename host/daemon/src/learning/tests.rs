@@ -196,30 +196,45 @@ fn a_panic_costs_its_window_alone() {
     assert_eq!(learner.stop().panics, 1);
 }
 
-/// The longest times that a number can say, summed up: the thread goes on with the next window.
+/// Whatever a worker says of a window, its thread goes on, the window is identified here, and the worker is known for it.
 #[test]
 fn what_another_machine_says_ends_no_thread() {
     let bench = Arc::new(Bench::default());
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(8);
     let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
-    for (seq, busy_s) in [1e19, 1e19, f64::NAN, -1.0, f64::INFINITY]
-        .into_iter()
-        .enumerate()
-    {
-        let lie = Studied {
-            busy_s,
-            ..Studied::of_numbers((seq as u32, 0), 45_000, Numbers::NONE)
+    let stated = |t_s: &[f64], r_ohm: &[f64]| Stated {
+        t_s: t_s.to_vec(),
+        r_ohm: r_ohm.to_vec(),
+        l_h: vec![20e-6; t_s.len()],
+        ..Stated::default()
+    };
+    let ramp: Vec<f64> = (0..100).map(|k| 1e-4 * f64::from(k)).collect();
+    let lies = [
+        stated(&ramp, &[3.0; 100]),
+        stated(&ramp, &[f64::NAN; 100]),
+        stated(&[], &[]),
+        stated(&ramp, &[3.0; 100]),
+        stated(&[f64::INFINITY; 100], &[3.0; 1]),
+    ];
+    for (seq, lie) in (0..).zip(lies) {
+        let answer = Answer {
+            by: "liar".to_owned(),
+            skew_s: Some(f64::NAN),
+            found: Ok(lie),
+            busy: Duration::MAX,
         };
-        assert!(matches!(lie.check(), Err(NotTaken::Busy(_))), "{busy_s}");
         learner.offer(Task {
-            work: Work::Studied(Box::new(lie)),
+            work: Work::Answered(window(seq), Box::new(answer)),
             ..task("a", window(0))
         });
     }
     learner.offer(task("a", window(5)));
     let learned = take(&mut outcomes, 6);
     assert!(learned.iter().map(|l| l.result.seq).eq(0..6));
+    let liar = &learner.workers()["liar"];
+    assert!(liar.is_distrusted(), "{liar:?}");
+    assert_eq!((liar.refuted, liar.distrusted, liar.confirmed), (3, 2, 0));
     assert_eq!(learner.stop().panics, 0);
 }
 

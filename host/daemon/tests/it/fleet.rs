@@ -1,10 +1,13 @@
-//! An edge of a fleet, without a server: windows that are due, and results that come from elsewhere, honest or not.
+//! An edge of a fleet, without a server: windows that are due, and answers that come from elsewhere, honest or not.
+
+use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::{FleetConfig, ReceiveError, Received};
-use ihd_daemon::learning::{Numbers, Studied};
+use ihd_daemon::learning::Answer;
 use ihd_daemon::model::DeviceState;
-use ihd_store::{DueWindow, ResultFilter, Sent};
+use ihd_store::{Due, DueWindow, ResultFilter, Sent};
+use ihd_train::NetworkConfig;
 
 use super::rig::{PATIENCE, Rig, power, until_state};
 
@@ -36,7 +39,7 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
             if due.len() >= count {
                 return due;
             }
-            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+            tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
     let due = tokio::time::timeout(PATIENCE, heated).await;
@@ -44,34 +47,119 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     due.expect("windows come while it heats")
 }
 
-fn result(seq: u32) -> Studied {
-    Studied::of_numbers((seq, 20 * seq), 45_000, Numbers::NONE)
+/// An answer of a worker that found nothing.
+fn nothing() -> Answer {
+    Answer {
+        by: "w".to_owned(),
+        skew_s: None,
+        found: Err("nothing found".to_owned()),
+        busy: Duration::ZERO,
+    }
+}
+
+/// What an honest worker answers to a window that is due.
+async fn honest(daemon: &Daemon, due: &DueWindow) -> Answer {
+    let Due::Window(window) = daemon.read_due(due.clone()).await.unwrap() else {
+        panic!("{due:?} is not there");
+    };
+    let network = NetworkConfig {
+        deterministic: true,
+        ..NetworkConfig::default()
+    };
+    Answer::find("w".to_owned(), &window, daemon.skew_s("bench"), network)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_result_teaches_only_if_its_window_was_sent() {
+async fn an_answer_counts_only_if_its_window_was_sent() {
     let rig = Rig::new(&["bench"]);
     let daemon = edge(&rig).await;
     let due = heat_until_due(&daemon, 2).await;
     let (boot, seq) = (due[0].boot, due[0].seq);
     // A window that the hob has not made yet, and one that the fleet has not got.
-    let early = daemon.receive("bench", boot, result(seq + 10_000)).await;
+    let early = daemon.receive("bench", boot, seq + 10_000, nothing()).await;
     assert_eq!(early.unwrap(), Received::Unasked);
-    let unsent = daemon.receive("bench", boot, result(seq)).await;
+    let unsent = daemon.receive("bench", boot, seq, nothing()).await;
     assert!(matches!(unsent, Err(ReceiveError::NotSent)), "{unsent:?}");
-    let elsewhere = daemon.receive("bench", boot ^ 1, result(seq)).await;
+    let elsewhere = daemon.receive("bench", boot ^ 1, seq, nothing()).await;
     assert_eq!(elsewhere.unwrap(), Received::Foreign);
     let all = ResultFilter::default();
     assert_eq!(daemon.results(all.clone()).await.unwrap().len(), 0);
 
     let sent = due.iter().map(|due| (due.clone(), Sent::Window)).collect();
     daemon.sent(sent).await.unwrap();
-    let asked = daemon.receive("bench", boot, result(seq)).await;
+    let asked = daemon.receive("bench", boot, seq, nothing()).await;
     assert_eq!(asked.unwrap(), Received::Stored);
-    let again = daemon.receive("bench", boot, result(seq)).await;
+    let again = daemon.receive("bench", boot, seq, nothing()).await;
     assert_eq!(again.unwrap(), Received::Known);
-    assert_eq!(daemon.results(all).await.unwrap().len(), 1);
+    // What the worker did not find, the edge did.
+    let results = daemon.results(all).await.unwrap();
+    assert_eq!(results.len(), 1);
+    assert!(results[0].pass, "{results:?}");
     daemon.stop().await;
+}
+
+/// Makes a lie of an honest answer.
+type Lie = fn(&mut Answer);
+
+/// Lies about windows that were asked for: what stands in the store is the same as without a worker.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lie_is_refuted_named_and_identified_here() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = edge(&rig).await;
+    let due = heat_until_due(&daemon, 6).await;
+    let lies: [(&str, Lie); 4] = [
+        ("R 15 % high", |a| each(a, |r, _| *r *= 1.15)),
+        ("R and L exchanged", |a| {
+            each(a, |r, l| (*r, *l) = (*l, *r));
+        }),
+        ("L 1 % low", |a| each(a, |_, l| *l *= 0.99)),
+        ("times of yesterday", |a| {
+            a.found.as_mut().unwrap().t_s.fill(-86_400.0);
+        }),
+    ];
+    let mut told = Vec::new();
+    for (k, due) in due[..6].iter().enumerate() {
+        let truth = honest(&daemon, due).await;
+        let mut answer = truth.clone();
+        // Each liar lies once, beside an honest worker: nobody is known for it yet.
+        if let Some((name, lie)) = lies.get(k) {
+            answer.by = format!("liar-{k}");
+            lie(&mut answer);
+            println!("{name}");
+        }
+        daemon
+            .sent(vec![(due.clone(), Sent::Window)])
+            .await
+            .unwrap();
+        let received = daemon.receive("bench", due.boot, due.seq, answer).await;
+        assert_eq!(received.unwrap(), Received::Stored);
+        told.push((due.seq, truth.found.unwrap()));
+    }
+    let workers = daemon.workers();
+    assert_eq!((workers["w"].confirmed, workers["w"].refuted), (2, 0));
+    for k in 0..lies.len() {
+        let liar = &workers[&format!("liar-{k}")];
+        assert_eq!((liar.confirmed, liar.refuted), (0, 1), "{}", lies[k].0);
+        assert!(!liar.why.is_empty());
+    }
+    let results = daemon.results(ResultFilter::default()).await.unwrap();
+    for (seq, stated) in told {
+        let result = results.iter().find(|r| r.seq == seq).expect("stored");
+        let crest = stated.r_ohm[stated.r_ohm.len() / 2];
+        assert!(
+            result.pass && (result.r_ohm / crest - 1.0).abs() < 0.1,
+            "{result:?}"
+        );
+        let power_w = result.power_w.expect("a window knows its power");
+        assert!((800.0..1_200.0).contains(&power_w), "{power_w} W");
+    }
+    daemon.stop().await;
+}
+
+fn each(answer: &mut Answer, change: impl Fn(&mut f64, &mut f64)) {
+    let stated = answer.found.as_mut().expect("an honest answer");
+    let values = stated.r_ohm.iter_mut().zip(&mut stated.l_h);
+    values.for_each(|(r, l)| change(r, l));
 }
 
 /// All that was due was answered before the daemon was started again, on the same day: what comes next is due.
@@ -84,7 +172,7 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
             .sent(vec![(due.clone(), Sent::Window)])
             .await
             .unwrap();
-        let received = daemon.receive("bench", due.boot, result(due.seq)).await;
+        let received = daemon.receive("bench", due.boot, due.seq, nothing()).await;
         assert_eq!(received.unwrap(), Received::Stored);
     }
     daemon.stop().await;

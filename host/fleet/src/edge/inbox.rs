@@ -7,17 +7,21 @@ use async_nats::jetstream::consumer::{Consumer, pull};
 use async_nats::jetstream::{self, AckKind};
 use futures_util::StreamExt;
 use ihd_daemon::fleet::Received;
+use ihd_daemon::learning::Answer;
 
-use super::{Link, TRY_AGAIN};
+use super::{Link, TRY_AGAIN, now_ms};
 use crate::engine::{self, EngineError};
-use crate::messages::ResultMessage;
 use crate::names;
+use crate::wire::AnswerMessage;
 
 /// Results that are taken in at once.
 const AT_ONCE: usize = 32;
 
 /// When a result that could not be stored comes again.
 const AGAIN_AFTER: Duration = Duration::from_secs(5);
+
+/// Name under which answers are recorded that nobody can read: their worker's is in them.
+const UNREADABLE: &str = "unreadable";
 
 /// How long one request for results waits.
 const ASK_FOR: Duration = Duration::from_secs(5);
@@ -79,29 +83,31 @@ async fn consumer(link: &Link, hobs: &[String]) -> Result<Consumer<pull::Config>
 }
 
 async fn take_one(link: &Link, message: jetstream::Message) {
-    let result = match ResultMessage::from_bytes(&message.payload) {
-        Ok(result) => result,
+    let AnswerMessage {
+        hob,
+        boot,
+        seq,
+        answer,
+        ..
+    } = match read(&message) {
+        Ok(read) => read,
         Err(why) => {
-            tracing::warn!(subject = %message.subject, %why, "a result cannot be used");
+            tracing::warn!(subject = %message.subject, why, "an answer cannot be used");
             let _ = message.ack_with(AckKind::Term).await;
             return;
         }
     };
-    let (hob, boot, seq) = (result.hob, result.boot, result.studied.seq);
-    let by = result.by;
-    if *message.subject != *names::result(&hob, boot, seq) {
-        tracing::warn!(subject = %message.subject, hob, "a result says it is another window's");
-        let _ = message.ack_with(AckKind::Term).await;
-        return;
-    }
-    let received = link.daemon.receive(&hob, boot, result.studied).await;
-    let key = (hob, boot, seq);
-    match received {
+    let by = answer.by.clone();
+    match link.daemon.receive(&hob, boot, seq, answer).await {
         Ok(received) => {
-            let (hob, boot, seq) = &key;
             match received {
                 Received::Foreign => {
-                    tracing::info!(hob, boot, seq, "a result of a boot that is not known here");
+                    tracing::info!(
+                        hob,
+                        boot,
+                        seq,
+                        "an answer for a boot that is not known here"
+                    );
                 }
                 Received::Unasked => {
                     tracing::warn!(
@@ -109,17 +115,45 @@ async fn take_one(link: &Link, message: jetstream::Message) {
                         boot,
                         seq,
                         by,
-                        "a result of a window that the fleet was never sent: refused"
+                        "an answer to a window that the fleet was never sent: refused"
                     );
                 }
-                Received::Stored | Received::Known => link.state().answers.came(&key),
+                Received::Stored | Received::Known => {
+                    link.state().answers.came(&(hob, boot, seq));
+                }
             }
             // Where this is lost, it comes again and is known.
             let _ = message.ack().await;
         }
         Err(why) => {
-            tracing::debug!(%why, "a result is taken in later");
+            tracing::debug!(%why, "an answer is taken in later");
             let _ = message.ack_with(AckKind::Nak(Some(AGAIN_AFTER))).await;
         }
+    }
+}
+
+/// Reads an answer, whose subject says for which window it is. One that cannot be read is an answer without R and L: the window is
+/// identified here.
+fn read(message: &jetstream::Message) -> Result<AnswerMessage, String> {
+    let (hob, boot, seq) =
+        names::window_of_result(&message.subject).ok_or("its subject names no window")?;
+    let unread = |why: String| AnswerMessage {
+        hob: hob.clone(),
+        boot,
+        seq,
+        window_at_ms: 0,
+        at_ms: now_ms(),
+        answer: Answer {
+            by: UNREADABLE.to_owned(),
+            skew_s: None,
+            found: Err(why),
+            busy: Duration::ZERO,
+        },
+    };
+    let read =
+        AnswerMessage::from_bytes(&message.payload).unwrap_or_else(|e| unread(e.to_string()));
+    match (&read.hob, read.boot, read.seq) == (&hob, boot, seq) {
+        true => Ok(read),
+        false => Ok(unread("it says that it is another window's".to_owned())),
     }
 }

@@ -6,15 +6,15 @@ use std::time::{Duration, Instant};
 
 use async_nats::jetstream::context::{PublishAckFuture, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
-use ihd_daemon::learning::{Numbers, Studied};
+use ihd_daemon::learning::Answer;
 use ihd_daemon::model::What;
-use ihd_store::{Due, DueWindow, ResultRow, Sent};
+use ihd_store::{Due, DueWindow, Sent};
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{Link, TRY_AGAIN, now_ms};
 use crate::identity::Identity;
-use crate::messages::{MessageError, ResultMessage, WindowMessage};
 use crate::names;
+use crate::wire::{AnswerMessage, MessageError, WindowMessage};
 
 /// Windows under way at once.
 const BATCH: usize = 64;
@@ -176,6 +176,7 @@ async fn send(
                 boot,
                 at_ms: due.at_ms,
                 skew_s: link.daemon.skew_s(hob),
+                not_for: link.daemon.distrusted(),
                 window: *window,
             };
             let message = PublishMessage::build()
@@ -183,15 +184,8 @@ async fn send(
                 .message_id(identity.of_window(hob, boot, seq));
             (names::window(hob), message, Sent::Window)
         }
-        Due::Result(row) => {
-            let message = ResultMessage {
-                hob: hob.clone(),
-                boot,
-                by: link.edge.clone(),
-                window_at_ms: due.at_ms,
-                at_ms: now_ms(),
-                studied: studied(*row),
-            };
+        Due::Result(_) => {
+            let message = identified_here(link, due);
             let message = PublishMessage::build()
                 .payload(message.to_bytes()?.into())
                 .expected_last_subject_sequence(0);
@@ -206,19 +200,19 @@ async fn send(
     Ok(Some((what, under_way)))
 }
 
-/// What the store has of a result; whoever reads it learns no map from it.
-fn studied(row: ResultRow) -> Studied {
-    let numbers = Numbers {
-        i_crest_a: row.i_crest_a,
-        r_ohm: row.r_ohm,
-        l_h: row.l_h,
-        sigma_r_pct: row.sigma_r_pct,
-        sigma_l_pct: row.sigma_l_pct,
-        iterations: row.iterations,
-    };
-    Studied {
-        power_w: row.power_w,
-        refused: (!row.pass).then_some(row.why),
-        ..Studied::of_numbers((row.seq, row.half_cycle), row.f_sw_hz, numbers)
+/// Takes the place of a worker's answer to a window that this edge has identified. The result itself stays in its store.
+fn identified_here(link: &Link, due: &DueWindow) -> AnswerMessage {
+    AnswerMessage {
+        hob: due.device.clone(),
+        boot: due.boot,
+        seq: due.seq,
+        window_at_ms: due.at_ms,
+        at_ms: now_ms(),
+        answer: Answer {
+            by: link.edge.clone(),
+            skew_s: None,
+            found: Err("its edge has identified it".to_owned()),
+            busy: Duration::ZERO,
+        },
     }
 }

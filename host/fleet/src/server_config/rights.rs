@@ -143,7 +143,7 @@ fn consumer(stream: &str, name: &str) -> [String; 3] {
 
 /// Subjects of windows that were given up.
 fn all_dead() -> String {
-    format!("ihd.{}.*.dead.>", names::VERSION)
+    format!("ihd.{}.*.dead.>", names::WIRE)
 }
 
 /// To write a key of a bucket; also where listeners hear of it.

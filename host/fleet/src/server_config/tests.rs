@@ -108,7 +108,7 @@ fn no_key_may_change_streams_make_consumers_or_put_settings() {
             "STREAM.NAMES",
             "CONSUMER.CREATE.IHD_RESULTS",
             "CONSUMER.CREATE.IHD_RESULTS.mine",
-            "CONSUMER.CREATE.IHD_RESULTS.mine.ihd.v1.hob-a.result.>",
+            "CONSUMER.CREATE.IHD_RESULTS.mine.ihd.v2.hob-a.result.>",
             "CONSUMER.DURABLE.CREATE.IHD_RESULTS.mine",
             "CONSUMER.DELETE.IHD_RESULTS.edge-lab-1",
             "CONSUMER.PAUSE.IHD_RESULTS.edge-lab-1",

@@ -155,7 +155,7 @@ fn what_nobody_can_identify_is_given_up_and_comes_back() {
         let client = async_nats::connect(&url).await.expect("the server");
         let context = async_nats::jetstream::new(client);
         for (hob, payload) in [("a", &b"garbage"[..]), ("b", &[])] {
-            let subject = format!("ihd.v1.{hob}.window");
+            let subject = format!("ihd.v2.{hob}.window");
             let sent = context.publish(subject, payload.to_vec().into()).await;
             sent.expect("sent").await.expect("acknowledged");
         }

@@ -442,7 +442,7 @@ async fn a_worker_pulls_windows_and_publishes_results_and_nothing_else() {
         ("$KV.ihd_edges.lab-2", &edge),
         ("$KV.ihd_workers.worker-1", &operator),
         ("$KV.ihd_settings.limits", &operator),
-        ("ihd.v1.hob-c.window", &edge),
+        ("ihd.v2.hob-c.window", &edge),
         ("ihd.v1.hob-c.event", &edge),
     ] {
         let subject = subject.to_owned();

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use async_nats::jetstream;
 use ihd_fleet::Identity;
-use ihd_fleet::messages::WindowMessage;
+use ihd_fleet::wire::WindowMessage;
 use ihd_store::{Reader, ResultFilter};
 
 use super::process::{Process, processor_s};
@@ -273,6 +273,7 @@ fn a_thousand_edges_on_one_server_at_length() {
                         boot: k,
                         at_ms: 0,
                         skew_s: None,
+                        not_for: Vec::new(),
                         window: tape().windows[0].clone(),
                     };
                     let mut times = Vec::new();
@@ -285,7 +286,7 @@ fn a_thousand_edges_on_one_server_at_length() {
                             .payload(bytes.into())
                             .message_id(identity.of_window(&hob, k, message.window.seq));
                         let asked = Instant::now();
-                        let subject = format!("ihd.v1.{hob}.window");
+                        let subject = format!("ihd.v2.{hob}.window");
                         let sent = context.send_publish(subject, publish).await.expect("sent");
                         sent.await.expect("acknowledged");
                         times.push(1e3 * asked.elapsed().as_secs_f64());

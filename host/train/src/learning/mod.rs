@@ -8,7 +8,7 @@
 //! [`Learning`] talks to no device: whoever does pushes what [`Learning::observe`] builds, and tells it
 //! what became of that. Its state is bytes ([`Learning::to_bytes`]), so that a restart learns nothing anew.
 
-mod apart;
+mod answer;
 mod gate;
 mod lag;
 mod network;
@@ -27,15 +27,15 @@ use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
-use self::apart::alone;
+use self::answer::alone;
 use self::lag::Lag;
 use self::sensors::corrected;
 use self::version::Versions;
 use crate::lookup::Built;
 
-pub use self::apart::{Alone, Taken, study};
+pub use self::answer::{Alone, Believed, Disbelief, identify_alone};
 pub use self::gate::judge;
-pub use self::network::{curve, identify_window};
+pub use self::network::{Found, curve, identify_window};
 pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
 pub use self::state::DamagedState;
 

@@ -34,26 +34,46 @@ const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
 /// Least noise that is assumed, relative to the largest current: what quantising to 12 bit leaves of a period's mean.
 const LEAST_NOISE: f64 = 1e-4;
 
-/// What the network found, over current, for the map; `t_s` is the window's time in seconds of the device.
+/// R(t) and L(t) of a window, with what the map needs beside: lists of equal length, evenly spaced in time.
+#[derive(Clone, Copy, Debug)]
+pub struct Found<'a> {
+    /// Amplitude of the current's fundamental in ampere.
+    pub i_amplitude_a: &'a [f64],
+    /// R in ohm.
+    pub r_ohm: &'a [f64],
+    /// L in henry.
+    pub l_h: &'a [f64],
+    /// χ² of what R and L leave against white noise; 1 where the list ends.
+    pub chi2: &'a [f64],
+}
+
+impl<'a> From<&'a Identified> for Found<'a> {
+    fn from(identified: &'a Identified) -> Self {
+        Self {
+            i_amplitude_a: &identified.i_amplitude_a,
+            r_ohm: &identified.r_ohm,
+            l_h: &identified.l_h,
+            chi2: &identified.chi2,
+        }
+    }
+}
+
+/// R and L over current, for the map; `t_s` is the window's time in seconds of the device.
 ///
 /// The deviations are those that the samples behind each time allow, |Z| and the noise of both channels over the
 /// current, times what the model leaves: neighbours in time do not share them, so that sums over times and windows are
 /// right. The network's own say how far a whole stretch may be off, and would count as often as there are times.
-pub fn curve(segment: &Segment, identified: &Identified, t_s: f64) -> Curve {
+pub fn curve(segment: &Segment, found: &Found<'_>, t_s: f64) -> Curve {
     let noise = WhiteNoise::measure(segment);
-    let per_time = segment.len() as f64 / identified.t_s.len().max(1) as f64;
+    let per_time = segment.len() as f64 / found.r_ohm.len().max(1) as f64;
     let omega = TAU * segment.f_sw_hz;
-    let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
+    let most_a = found.i_amplitude_a.iter().copied().fold(0.0, f64::max);
     let point = |k: usize| {
-        let (i_a, r_ohm, l_h) = (
-            identified.i_amplitude_a[k],
-            identified.r_ohm[k],
-            identified.l_h[k],
-        );
+        let (i_a, r_ohm, l_h) = (found.i_amplitude_a[k], found.r_ohm[k], found.l_h[k]);
         let z2 = r_ohm * r_ohm + (omega * l_h).powi(2);
         let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
         let least = z2 * (LEAST_NOISE * most_a).powi(2);
-        let left = identified.chi2.get(k).copied().unwrap_or(1.0);
+        let left = found.chi2.get(k).copied().unwrap_or(1.0);
         let sigma_v = (2.0 * (white * left + least) / per_time).sqrt();
         MeasuredPoint {
             i_a,
@@ -63,7 +83,7 @@ pub fn curve(segment: &Segment, identified: &Identified, t_s: f64) -> Curve {
             l_sigma_h: sigma_v / (i_a * omega),
         }
     };
-    let shown = (0..identified.t_s.len())
+    let shown = (0..found.r_ohm.len())
         .map(point)
         .filter(|p| (LOWEST_A..=HIGHEST_A).contains(&p.i_a));
     Curve::new(segment.f_sw_hz, t_s, shown)

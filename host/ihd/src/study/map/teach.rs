@@ -146,7 +146,7 @@ pub fn identified(segment: &Segment, t_s: f64) -> Result<Curve, PinnError> {
         ..Config::default()
     };
     let identified = identify_window(segment, config, &mut |_| ())?;
-    Ok(curve(segment, &identified, t_s))
+    Ok(curve(segment, &(&identified).into(), t_s))
 }
 
 /// Noise of another power is another noise.
