@@ -11,12 +11,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
+use ihd_shared::lookup::RlLookup;
 use ihd_store::{DeviceId, Due, DueWindow, EventRow, FleetState, Sent, SessionId};
+use ihd_train::learning::Contradiction;
 use tokio::sync::oneshot;
 
 pub use self::config::{FleetConfig, host_name};
 use crate::daemon::Daemon;
-use crate::learning::{Answer, Task, Work, WorkerFigures, power_w};
+use crate::learning::{Answer, InUse, Task, Work, WorkerFigures, power_w};
 use crate::store_thread::StoreTrouble;
 
 /// Whether windows are for a fleet, and whether it is there.
@@ -53,6 +55,17 @@ pub enum Received {
     Foreign,
     /// The store holds no such window, or none that the fleet was to have: nobody asked for this result.
     Unasked,
+}
+
+/// Judgement of a lookup from elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Advice {
+    /// The hob's windows say the same, or there are none.
+    Agrees,
+    /// They say otherwise.
+    Contradicts(Contradiction),
+    /// It cannot be told now.
+    Later,
 }
 
 /// Why something that was found elsewhere is not stored; it may be tried again.
@@ -156,6 +169,18 @@ impl Daemon {
     pub fn use_library(&self, library: Library) -> bool {
         self.learner()
             .is_some_and(|learner| learner.use_library(library))
+    }
+
+    /// Compares a lookup that somebody in the fleet wants used with what the hob's own windows showed.
+    pub fn weigh_lookup(&self, device: &str, lookup: &RlLookup) -> Advice {
+        let Some(learner) = self.learner() else {
+            return Advice::Later;
+        };
+        match learner.contradiction(device, lookup) {
+            Ok(None) => Advice::Agrees,
+            Ok(Some(place)) => Advice::Contradicts(place),
+            Err(InUse) => Advice::Later,
+        }
     }
 
     /// Events that the fleet has not acknowledged, oldest first.

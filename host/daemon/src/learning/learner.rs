@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
+use ihd_shared::lookup::RlLookup;
 use ihd_signal::truth::Truth;
 use ihd_store::NewResult;
-use ihd_train::learning::{Believed, DamagedState, Disbelief, Outcome, Taught};
+use ihd_train::learning::{Believed, Contradiction, DamagedState, Disbelief, Outcome, Taught};
 use ihd_train::{Learning, NetworkConfig};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
@@ -49,6 +50,11 @@ pub enum LearnerError {
     #[error("cannot begin a thread that learns: {0}")]
     Thread(#[from] std::io::Error),
 }
+
+/// A thread has what was learned of a device; it is back after the window that it is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a window of the device is being learned from")]
+pub struct InUse;
 
 /// What a thread does with a window; another one in tests.
 pub(super) type Study = dyn Fn(&mut Learning, &Window) -> Outcome + Send + Sync;
@@ -272,6 +278,23 @@ impl Learner {
         // Not while the others wait.
         let map = self.shared.lock().queue.learning(device)?.map().clone();
         map.entry(by)
+    }
+
+    /// The first place at which a lookup contradicts what a device's windows showed; `Err` while a thread has what was learned.
+    ///
+    /// # Errors
+    /// [`InUse`].
+    pub fn contradiction(
+        &self,
+        device: &str,
+        lookup: &RlLookup,
+    ) -> Result<Option<Contradiction>, InUse> {
+        let state = self.shared.lock();
+        match state.queue.learning(device) {
+            Some(learning) => Ok(learning.contradiction(lookup)),
+            None if state.queue.knows(device) => Err(InUse),
+            None => Ok(None),
+        }
     }
 
     /// Pots that other hobs know, for every device to begin with; false where they are those of before.

@@ -24,7 +24,7 @@ use ihd_shared::wire::messages::{State, Telemetry};
 pub use self::answer::{Answer, Stated, power_w};
 pub use self::answers::{Standing, WorkerFigures};
 pub use self::figures::LearnerFigures;
-pub use self::learner::{Learner, LearnerError, LearnerSettings};
+pub use self::learner::{InUse, Learner, LearnerError, LearnerSettings};
 pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, Work, curve_of};
 pub use self::queue::Dropped;
 

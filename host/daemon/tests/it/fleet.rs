@@ -3,13 +3,15 @@
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
-use ihd_daemon::fleet::{FleetConfig, ReceiveError, Received};
+use ihd_daemon::fleet::{Advice, FleetConfig, ReceiveError, Received};
 use ihd_daemon::learning::Answer;
 use ihd_daemon::model::DeviceState;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
 use ihd_store::{Due, DueWindow, ResultFilter, Sent};
 use ihd_train::NetworkConfig;
 
-use super::rig::{PATIENCE, Rig, power, until_state};
+use super::rig::{PATIENCE, Rig, nap, power, until_state};
 
 async fn edge(rig: &Rig) -> Daemon {
     let fleet = FleetConfig {
@@ -152,6 +154,49 @@ async fn a_lie_is_refuted_named_and_identified_here() {
         );
         let power_w = result.power_w.expect("a window knows its power");
         assert!((800.0..1_200.0).contains(&power_w), "{power_w} W");
+    }
+    daemon.stop().await;
+}
+
+/// A lookup that somebody wants used is advice: it is held against what the hob has shown.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = edge(&rig).await;
+    let known = prior();
+    let weigh = async |lookup: &RlLookup| loop {
+        match daemon.weigh_lookup("bench", lookup) {
+            Advice::Later => nap().await,
+            advice => return advice,
+        }
+    };
+    // Before the hob has shown anything, nothing contradicts it.
+    assert_eq!(weigh(&known).await, Advice::Agrees);
+    for due in heat_until_due(&daemon, 2).await {
+        let answer = honest(&daemon, &due).await;
+        daemon
+            .sent(vec![(due.clone(), Sent::Window)])
+            .await
+            .unwrap();
+        let received = daemon.receive("bench", due.boot, due.seq, answer).await;
+        assert_eq!(received.unwrap(), Received::Stored);
+    }
+    let learned = async {
+        loop {
+            let rows = daemon.lookups("bench").await.unwrap();
+            if let Some(row) = rows.last() {
+                return RlLookup::from_bytes(&row.blob).unwrap();
+            }
+            nap().await;
+        }
+    };
+    let learned = tokio::time::timeout(PATIENCE, learned).await.unwrap();
+    assert_eq!(weigh(&learned).await, Advice::Agrees);
+    let mut lie = learned.clone();
+    lie.r.iter_mut().flatten().for_each(|r| *r += *r / 7);
+    match weigh(&lie).await {
+        Advice::Contradicts(place) => println!("{place}"),
+        other => panic!("{other:?}"),
     }
     daemon.stop().await;
 }

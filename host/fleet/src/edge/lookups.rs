@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use async_nats::jetstream::kv;
 use futures_util::stream::{SelectAll, StreamExt};
+use ihd_daemon::fleet::Advice;
 use ihd_daemon::model::{Command, What};
 use ihd_shared::lookup::RlLookup;
 use ihd_store::LookupState;
@@ -89,7 +90,8 @@ async fn settle(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), String
     if let Some(wanted) = there.as_ref().filter(|there| !there.in_use) {
         let by = &wanted.by;
         match push(link, hob, wanted).await {
-            Ok(said) => tracing::info!(hob, by, said, "a lookup of the fleet is in use"),
+            Ok(Some(said)) => tracing::info!(hob, by, said, "a lookup of the fleet is in use"),
+            Ok(None) => return Ok(()),
             Err(why) => {
                 link.failed(&format!("the lookup of {by} for {hob}"), &why);
                 return Ok(());
@@ -123,10 +125,20 @@ async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
     lookup.transpose().map_err(|e| e.to_string())
 }
 
-async fn push(link: &Link, hob: &str, wanted: &LookupMessage) -> Result<String, String> {
-    let command = Command::LookupPush {
-        blob: wanted.blob()?,
-    };
+/// Pushes a wanted lookup, if it does not contradict what the hob itself has shown; none where that cannot be told yet.
+async fn push(link: &Link, hob: &str, wanted: &LookupMessage) -> Result<Option<String>, String> {
+    let blob = wanted.blob()?;
+    let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
+    match link.daemon.weigh_lookup(hob, &lookup) {
+        Advice::Agrees => {}
+        Advice::Later => return Ok(None),
+        Advice::Contradicts(place) => {
+            return Err(format!(
+                "{place}: refused; `ihd device {hob} lookup reset` first if another pot stands there"
+            ));
+        }
+    }
+    let command = Command::LookupPush { blob };
     let done = link.daemon.command(hob, HOLDER, command).await;
-    done.map(|done| done.text).map_err(|e| e.to_string())
+    done.map(|done| Some(done.text)).map_err(|e| e.to_string())
 }

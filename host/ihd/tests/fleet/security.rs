@@ -72,6 +72,11 @@ async fn answered(client: &Client, subject: String, body: &'static str) -> bool 
     status.unwrap().status != Some(StatusCode::NO_RESPONDERS)
 }
 
+/// Subject by which a worker asks for windows.
+fn next_window() -> String {
+    format!("$JS.API.CONSUMER.MSG.NEXT.{}.{}", names::WINDOWS, names::WORKERS)
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_edge_does_its_work_and_no_other_hobs() {
     let lab = Lab::start().await;
@@ -353,8 +358,8 @@ async fn an_answer_cannot_be_sent_where_its_asker_may_not_write() {
         assert_eq!(events, 1 + seq, "{answer}");
     }
     let worker = lab.client("lab-worker-worker-1").await;
-    let windows = "$JS.API.CONSUMER.MSG.NEXT.IHD_WINDOWS.workers";
-    ask(&worker, windows.to_owned(), lookup, "1").await;
+    let windows = next_window();
+    ask(&worker, windows, lookup, "1").await;
     ask(&worker, names::result("hob-c", 1, 1), lookup, "r").await;
     tokio::time::sleep(QUIET).await;
     let found = value(&operator, names::LOOKUPS, "hob-c").await;
@@ -453,9 +458,9 @@ async fn a_worker_pulls_windows_and_publishes_results_and_nothing_else() {
     assert!(!answered(&worker.client(), lookup.to_owned(), "").await);
     assert!(answered(&edge.client(), lookup.to_owned(), "").await);
     // An edge pulls no windows.
-    let next = "$JS.API.CONSUMER.MSG.NEXT.IHD_WINDOWS.workers";
-    assert!(!answered(&edge.client(), next.to_owned(), NOW).await);
-    assert!(answered(&worker.client(), next.to_owned(), NOW).await);
+    let next = next_window();
+    assert!(!answered(&edge.client(), next.clone(), NOW).await);
+    assert!(answered(&worker.client(), next.clone(), NOW).await);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

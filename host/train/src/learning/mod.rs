@@ -36,6 +36,7 @@ use crate::lookup::Built;
 pub use self::answer::{Alone, Believed, Disbelief, identify_alone};
 pub use self::gate::judge;
 pub use self::network::{Found, curve, identify_window};
+pub use self::news::Contradiction;
 pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
 pub use self::state::DamagedState;
 
@@ -172,6 +173,14 @@ impl Learning {
     /// What the windows showed of the device's sensors.
     pub fn sensors(&self) -> &Sensors {
         &self.sensors
+    }
+
+    /// The first place at which somebody else's lookup contradicts what the device's windows showed of its pot.
+    pub fn contradiction(&self, lookup: &RlLookup) -> Option<Contradiction> {
+        let curves = self.map.curves().iter();
+        curves
+            .into_iter()
+            .find_map(|curve| news::contradiction(curve, lookup))
     }
 
     /// The next window's network starts from nothing.

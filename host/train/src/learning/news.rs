@@ -20,6 +20,44 @@ pub fn differs(curve: &Curve, active: &RlLookup) -> bool {
     })
 }
 
+/// Difference of R or L between a lookup and what windows showed, as a share, from which they contradict each other: a lookup's own
+/// errors at currents and frequencies that nobody had seen are up to 2.7 % (docs/map.md).
+const CONTRADICTS: f64 = 5e-2;
+
+/// Contradiction between a lookup and what windows showed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "at {:.1} kHz and {i_a:.0} A the hob shows {r_ohm:.3} Ω and {:.2} µH, the lookup says {lookup_r_ohm:.3} Ω and {:.2} µH",
+    f_sw_hz * 1e-3, l_h * 1e6, lookup_l_h * 1e6
+)]
+pub struct Contradiction {
+    f_sw_hz: f64,
+    i_a: f64,
+    r_ohm: f64,
+    l_h: f64,
+    lookup_r_ohm: f64,
+    lookup_l_h: f64,
+}
+
+/// The first place at which a lookup contradicts a curve.
+pub fn contradiction(curve: &Curve, lookup: &RlLookup) -> Option<Contradiction> {
+    let f_sw_hz = curve.f_sw_hz.round() as u32;
+    let seen = curve.means().filter(|m| m.i_a >= FROM_A);
+    let mut seen = seen.map(|m| {
+        let (r, l) = lookup.interpolate(f_sw_hz, (m.i_a * 1e3) as u32);
+        Contradiction {
+            f_sw_hz: curve.f_sw_hz,
+            i_a: m.i_a,
+            r_ohm: m.ln[0].exp(),
+            l_h: m.ln[1].exp(),
+            lookup_r_ohm: r.ohm(),
+            lookup_l_h: l.henry(),
+        }
+    });
+    let off = |a: f64, b: f64| (a / b).ln().abs() > CONTRADICTS;
+    seen.find(|c| off(c.lookup_r_ohm, c.r_ohm) || off(c.lookup_l_h, c.l_h))
+}
+
 /// Whether a lookup says of a cell that it knows what another one does not.
 pub fn cells_differ(new: &RlLookup, active: &RlLookup) -> bool {
     let off = |a: u16, b: u16| (f64::from(a) / f64::from(b.max(1)) - 1.0).abs() > WORTH_PUSHING;
@@ -58,6 +96,9 @@ mod tests {
         assert!(!differs(&like_the_prior(1.01, |_| true), &active));
         assert!(differs(&like_the_prior(1.04, |i| i >= 30.0), &active));
         assert!(!differs(&like_the_prior(1.04, |i| i < 4.0), &active));
+        assert!(contradiction(&like_the_prior(1.04, |_| true), &active).is_none());
+        let found = contradiction(&like_the_prior(1.06, |i| i >= 30.0), &active).unwrap();
+        assert!(found.i_a > 28.0, "{found}");
     }
 
     #[test]
