@@ -7,6 +7,8 @@ use async_nats::jetstream::{self, Context};
 use async_nats::{Client, ConnectOptions, Event, ServerAddr};
 use ihd_daemon::fleet::FleetConfig;
 
+use crate::server_config::{Key, KeyError};
+
 /// Longest wait for a connection, and for an answer.
 const WITHIN: Duration = Duration::from_secs(5);
 
@@ -57,12 +59,9 @@ pub enum AccessError {
         /// What the operating system reports.
         source: std::io::Error,
     },
-    /// A file that holds no seed of a user.
-    #[error("{} holds no NKey seed: one line that begins with SU", path.display())]
-    Seed {
-        /// The file.
-        path: PathBuf,
-    },
+    /// A key that cannot be used.
+    #[error(transparent)]
+    Key(#[from] KeyError),
     /// Nobody answers, or says no.
     #[error("{url} cannot be reached: {source}")]
     Connect {
@@ -114,7 +113,7 @@ impl Access {
             .custom_inbox_prefix(format!("_INBOX_{name}"))
             .require_tls(self.url.contains("tls://"));
         if let Some(path) = &self.nkey_file {
-            options = options.nkey(seed(path)?);
+            options = options.nkey(Key::read(path)?.seed().to_owned());
         }
         if let Some(path) = &self.token_file {
             options = options.token(read(path)?.trim().to_owned());
@@ -202,17 +201,6 @@ fn read(path: &Path) -> Result<String, AccessError> {
     std::fs::read_to_string(path).map_err(|source| AccessError::File {
         path: path.to_owned(),
         source,
-    })
-}
-
-fn seed(path: &Path) -> Result<String, AccessError> {
-    let text = read(path)?;
-    let seed = text
-        .lines()
-        .map(str::trim)
-        .find(|line| line.starts_with("SU"));
-    seed.map(str::to_owned).ok_or_else(|| AccessError::Seed {
-        path: path.to_owned(),
     })
 }
 

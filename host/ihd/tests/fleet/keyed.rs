@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::process::{Process, ihd};
-use crate::server::Server;
+use crate::server::{self, Server};
 use crate::site::PATIENCE;
 
 /// The server and where its keys are.
@@ -189,4 +189,93 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     // A key in a folder of its own, and one that nobody knows.
     let (_, code) = keyed.fleet("nobody", &["status"]);
     assert_ne!(code, 0);
+}
+
+/// The first page of docs/fleet.md, typed: one command, and the lines that it prints.
+#[test]
+fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let read = |name: &str| fs::read_to_string(file(name)).unwrap_or_default();
+    let until = |what: &str, holds: &dyn Fn() -> bool| {
+        let began = Instant::now();
+        while !holds() {
+            let logs = ["up", "edge.log", "worker.log", "ihd-fleet/nats.log"].map(read);
+            assert!(began.elapsed() < PATIENCE, "{what}: {logs:#?}");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    };
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let listen = free.local_addr().unwrap().to_string();
+    drop(free);
+    let up = || {
+        let out = fs::File::create(file("up")).unwrap();
+        let mut command = ihd(folder.path());
+        command
+            .args(["fleet", "up", "--edge", "lab-1=bench", "--listen", &listen])
+            .env(server::PROGRAM, server::program());
+        let command = command.stdout(out.try_clone().unwrap()).stderr(out);
+        Process::spawn(command).unwrap()
+    };
+    let printed = || read("up").contains("ihd worker ");
+    let running = up();
+    until("the lines for edge and worker", &printed);
+    let text = read("up");
+    let fleet = text.split("[fleet]\n").nth(1).unwrap();
+    let fleet = fleet.split("\n\n").next().unwrap();
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let page = free.local_addr().unwrap().to_string();
+    drop(free);
+    let config = format!(
+        "listen = {page:?}\ndiscover_usb = false\n[fleet]\n{fleet}\n[[device]]\nname = \"bench\"\naddress = \"sim\"\n"
+    );
+    fs::write(file("ihd.toml"), config).unwrap();
+    let worker = text
+        .lines()
+        .find(|line| line.starts_with("ihd worker "))
+        .unwrap();
+    let worker = || {
+        let mut command = ihd(folder.path());
+        command.args(worker.split_whitespace().skip(1));
+        command
+    };
+    let mut edge = ihd(folder.path());
+    edge.args(["trainer", "--daemon"]).env("RUST_LOG", "info");
+    let _edge = started(&mut edge, &file("edge.log"));
+    let working = started(&mut worker(), &file("worker.log"));
+    let status = || -> Option<Value> {
+        // Whom to ask stands in ihd.toml.
+        let out = ihd(folder.path())
+            .args(["fleet", "status", "--json"])
+            .output()
+            .unwrap();
+        serde_json::from_slice(&out.stdout).ok()
+    };
+    let heat = || {
+        let mut heat = ihd(folder.path());
+        heat.args(["device", "bench", "power", "1500", "--for", "3"]);
+        heat.output().unwrap().status.success()
+    };
+    until("a result", &|| {
+        heat() && status().is_some_and(|s| s["results"].as_u64() >= Some(1))
+    });
+
+    // Ended and begun again in its folder, it goes on with what it kept.
+    drop(running);
+    let _running = up();
+    until("the lines, again", &printed);
+    until("what it kept", &|| {
+        status().is_some_and(|s| s["results"].as_u64() >= Some(1))
+    });
+
+    drop(working);
+    let key = file("ihd-fleet/keys/fleet-worker-worker-1.nk");
+    let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    fs::set_permissions(&key, open).unwrap();
+    let out = worker().output().unwrap();
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(
+        !out.status.success() && said.contains("chmod 600"),
+        "{said}"
+    );
 }

@@ -74,7 +74,11 @@ async fn answered(client: &Client, subject: String, body: &'static str) -> bool 
 
 /// Subject by which a worker asks for windows.
 fn next_window() -> String {
-    format!("$JS.API.CONSUMER.MSG.NEXT.{}.{}", names::WINDOWS, names::WORKERS)
+    format!(
+        "$JS.API.CONSUMER.MSG.NEXT.{}.{}",
+        names::WINDOWS,
+        names::WORKERS
+    )
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

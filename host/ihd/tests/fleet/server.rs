@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use super::site::PATIENCE;
 
 /// Names another program than `cargo xtask setup` brings.
-const PROGRAM: &str = "IHD_NATS_SERVER";
+pub const PROGRAM: &str = "IHD_NATS_SERVER";
 
 /// How often a wait looks.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
@@ -265,7 +265,7 @@ impl Drop for Server {
 }
 
 /// The program: `IHD_NATS_SERVER`, else the one that `cargo xtask setup` has put beside the build, else one on the PATH.
-fn program() -> PathBuf {
+pub fn program() -> PathBuf {
     if let Some(named) = std::env::var_os(PROGRAM) {
         return named.into();
     }

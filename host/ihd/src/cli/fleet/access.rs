@@ -13,19 +13,24 @@ use tokio::runtime::Runtime;
 pub struct AccessArgs {
     /// Address of the server, nats://HOST:PORT or tls://HOST:PORT; several of a cluster with commas between. Without it $IHD_FLEET_URL, or
     /// [fleet] of ihd.toml
-    #[arg(long, value_name = "URL")]
+    #[arg(long, global = true, value_name = "URL")]
     url: Option<String>,
     /// File with an NKey's seed (docs/fleet-security.md)
-    #[arg(long, value_name = "FILE", conflicts_with = "token_file")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "FILE",
+        conflicts_with = "token_file"
+    )]
     nkey_file: Option<PathBuf>,
     /// File with a token
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// PEM file of the authority that the server's certificate is of; that of the system without
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE")]
     ca: Option<PathBuf>,
     /// Configuration of a daemon whose [fleet] is used where nothing else is said; without one ihd.toml of this folder
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 

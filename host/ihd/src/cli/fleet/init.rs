@@ -13,7 +13,7 @@ use super::AccessArgs;
 /// Nothing is deleted. What is already there gets the limits that are given, or those built in.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example: ihd fleet --url nats://lab:4222 init --threads 8 --edge lab-1=bench,kitchen"
+    after_help = "Example: ihd fleet init --url nats://lab:4222 --threads 8 --edge lab-1=bench,kitchen"
 )]
 pub struct InitArgs {
     /// Threads of all workers together: twice as many windows may be with workers

@@ -7,6 +7,7 @@ mod init;
 mod lookups;
 mod server_config;
 mod status;
+mod up;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -19,7 +20,8 @@ pub use access::AccessArgs;
 /// docs/fleet.md has a fleet in four commands.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    ihd fleet --url nats://lab:4222 init\n  \
+    ihd fleet up --edge lab-1=bench\n  \
+    ihd fleet init --url nats://lab:4222\n  \
     ihd fleet status --json\n  \
     ihd fleet devices --outdated\n  \
     ihd fleet dead\n  \
@@ -35,6 +37,7 @@ pub struct FleetArgs {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Up(up::UpArgs),
     Init(init::InitArgs),
     Status(status::StatusArgs),
     Devices(status::DevicesArgs),
@@ -59,6 +62,7 @@ impl FleetArgs {
     pub fn run(&self) -> Result<()> {
         let access = &self.access;
         match &self.command {
+            Command::Up(args) => args.run(),
             Command::Init(args) => args.run(access),
             Command::Status(args) => args.run(access),
             Command::Devices(args) => args.run(access),

