@@ -1,10 +1,11 @@
 //! An edge of a fleet, without a server: windows that are due, and results that come from elsewhere, honest or not.
 
 use ihd_daemon::Daemon;
-use ihd_daemon::fleet::{FleetConfig, ReceiveError, Received};
+use ihd_daemon::fleet::{FleetConfig, ReceiveError, Received, TRUSTED_FOR};
 use ihd_daemon::learning::{Numbers, Studied};
 use ihd_daemon::model::DeviceState;
 use ihd_store::{DueWindow, ResultFilter, Sent};
+use tokio::time::Instant;
 
 use super::rig::{PATIENCE, Rig, power, until_state};
 
@@ -22,15 +23,15 @@ async fn edge(rig: &Rig) -> Daemon {
         ..rig.config()
     };
     let daemon = rig.daemon_with(config).await;
-    daemon.trust_fleet(true);
     until_state(&daemon, DeviceState::Idle).await;
     daemon
 }
 
-/// Heats until so many windows are due at the fleet, then ends it.
+/// Heats until so many windows are due at the fleet, which answers all the time, then ends it.
 async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     let heated = async {
         loop {
+            daemon.trust_fleet(Some(Instant::now() + TRUSTED_FOR));
             power(daemon, "a", 1_000).await.unwrap();
             let due = daemon.due(100).await.unwrap();
             if due.len() >= count {
