@@ -362,8 +362,8 @@ fn learner_figures(f: &LearnerFigures) -> Vec<Figure> {
 }
 
 /// Of the fleet as this edge knew it last; `fleet_connected` says whether that is now.
-fn fleet_figures(fleet: &FleetReport) -> [Figure; 5] {
-    [
+fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
+    let mut all = vec![
         gauge(
             "fleet_connected",
             "1 where the fleet's server answers; else the others are what they were last",
@@ -389,7 +389,21 @@ fn fleet_figures(fleet: &FleetReport) -> [Figure; 5] {
             "Workers that the fleet knows",
             fleet.workers.len() as f64,
         ),
-    ]
+        gauge(
+            "fleet_alarms",
+            "What needs somebody at this edge: windows that stay in a state for too long, a name that is another store's",
+            fleet.alarms.len() as f64,
+        ),
+    ];
+    all.extend(fleet.states.by_name().map(|(state, n)| Figure {
+        label: Some(("state", state)),
+        ..gauge(
+            "fleet_windows",
+            "Windows in this edge's store by their progress with the fleet: together all",
+            n as f64,
+        )
+    }));
+    all
 }
 
 /// JSON has no NaN.

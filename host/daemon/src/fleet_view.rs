@@ -40,7 +40,9 @@ fn made_printable(mut report: FleetReport) -> FleetReport {
     }
     for edge in &mut report.edges {
         texts.extend([&mut edge.name, &mut edge.version]);
+        texts.extend(&mut edge.alarms);
     }
+    texts.extend(&mut report.alarms);
     for device in &mut report.devices {
         texts.extend([&mut device.name, &mut device.edge, &mut device.state]);
         texts.extend([&mut device.pot, &mut device.build]);

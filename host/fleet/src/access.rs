@@ -15,6 +15,9 @@ const WITHIN: Duration = Duration::from_secs(5);
 /// Oldest server that has what is needed: several filters of a consumer, and that a stream refuses a subject's second message.
 const OLDEST: (u64, u64, u64) = (2, 10, 23);
 
+/// Between two pings of a server that says nothing: three without an answer end the connection.
+const PING_EVERY: Duration = Duration::from_secs(5);
+
 /// Published messages whose acknowledgement may be outstanding.
 const IN_FLIGHT: usize = 256;
 
@@ -110,6 +113,7 @@ impl Access {
             .name(name)
             .connection_timeout(WITHIN)
             .request_timeout(Some(WITHIN))
+            .ping_interval(PING_EVERY)
             .custom_inbox_prefix(format!("_INBOX_{name}"))
             .require_tls(self.url.contains("tls://"));
         if let Some(path) = &self.nkey_file {

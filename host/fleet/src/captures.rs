@@ -96,14 +96,17 @@ pub(crate) async fn follow(link: Arc<Link>) {
     let mut there: BTreeSet<String> = BTreeSet::new();
     let mut known = false;
     loop {
-        if link.is_connected() {
+        if link.is_admitted() {
             if !known {
                 let listed = list(&link.context).await;
                 known = listed.is_ok();
                 there.extend(listed.unwrap_or_default().into_iter().map(|c| c.name));
             }
-            if known && let Err(why) = put_new(&link, &mut there).await {
-                link.failed("captures", &why);
+            if known {
+                match put_new(&link, &mut there).await {
+                    Ok(()) => link.works("captures"),
+                    Err(why) => link.failed("captures", &why),
+                }
             }
         }
         if !link.wait(LOOK_EVERY).await {

@@ -1,5 +1,6 @@
 //! Windows that were given up: where they go, and the way back.
 
+use async_nats::header::NATS_MESSAGE_ID;
 use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::stream::DirectGetErrorKind;
@@ -7,6 +8,7 @@ use async_nats::jetstream::{Context, Message};
 use serde::Serialize;
 
 use crate::engine::{self, EngineError};
+use crate::identity::window_of;
 use crate::names;
 
 /// Headers of a window that was given up.
@@ -35,7 +37,8 @@ pub struct DeadWindow {
     pub why: String,
 }
 
-/// Puts a window among the dead. Where `key` (boot and number) could not be read, its number in the queue names it.
+/// Puts a window among the dead. Where `key` (boot and number) could not be read, it is what the edge has numbered it by; where it has not, its
+/// number in the queue.
 pub(crate) async fn bury(
     context: &Context,
     message: &Message,
@@ -45,6 +48,11 @@ pub(crate) async fn bury(
 ) -> Result<(), String> {
     let info = message.info().map_err(|e| e.to_string())?;
     let hob = message.subject.split('.').nth(2).unwrap_or_default();
+    let numbered = || {
+        let number = message.headers.as_ref()?.get(NATS_MESSAGE_ID)?;
+        window_of(number.as_str(), hob)
+    };
+    let key = key.or_else(numbered);
     let subject = match key {
         Some((boot, seq)) => names::dead(hob, boot, seq),
         None => names::dead(hob, 0, info.stream_sequence),
@@ -71,6 +79,30 @@ fn header(text: &str) -> String {
         text.pop();
     }
     text
+}
+
+/// Why a window was given up, and by whom; none where it is not among the dead.
+pub(crate) async fn why(
+    context: &Context,
+    hob: &str,
+    boot: u32,
+    seq: u32,
+) -> Result<Option<String>, EngineError> {
+    let stream = context.get_stream_no_info(names::DEAD).await;
+    let stream = stream.map_err(|e| EngineError::new(names::DEAD, e))?;
+    let subject = names::dead(hob, boot, seq);
+    match stream.direct_get_last_for_subject(subject).await {
+        Ok(message) => {
+            let text = |name: &str| message.headers.get(name).map(ToString::to_string);
+            let why = text(WHY).unwrap_or_else(|| "it does not say why".to_owned());
+            Ok(Some(match text(BY) {
+                Some(by) => format!("{why} ({by})"),
+                None => why,
+            }))
+        }
+        Err(e) if e.kind() == DirectGetErrorKind::NotFound => Ok(None),
+        Err(e) => Err(EngineError::new(names::DEAD, e)),
+    }
 }
 
 /// Which of the dead.

@@ -158,7 +158,7 @@ impl Limits {
 
     /// Key-value buckets are streams; made by hand because nobody may roll one up: with that right, whoever may write one key could empty
     /// the bucket.
-    fn buckets(&self) -> [stream::Config; 6] {
+    fn buckets(&self) -> [stream::Config; 7] {
         let bucket = |name: &str, history: i64, max_age: Duration| stream::Config {
             name: names::bucket_stream(name),
             subjects: vec![names::key(name, ">")],
@@ -184,6 +184,7 @@ impl Limits {
             bucket(names::EDGES, 1, SILENT_AFTER),
             bucket(names::WORKER_CARDS, 1, SILENT_AFTER),
             bucket(names::POTS, 1, forever),
+            bucket(names::CLAIMS, 1, forever),
             bucket(names::SETTINGS, 1, forever),
         ]
     }

@@ -11,6 +11,7 @@
 
 mod access;
 pub mod captures;
+pub mod claims;
 pub mod dead;
 pub mod discovery;
 mod edge;

@@ -35,6 +35,9 @@ pub const HOBS: &str = "ihd_hobs";
 /// Bucket of daemons; an entry goes when nobody renews it.
 pub const EDGES: &str = "ihd_edges";
 
+/// Bucket of who has which edge's name.
+pub const CLAIMS: &str = "ihd_claims";
+
 /// Bucket of workers; an entry goes when nobody renews it.
 pub const WORKER_CARDS: &str = "ihd_workers";
 
@@ -91,6 +94,11 @@ pub fn state(hob: impl Display) -> String {
 /// The consumer by which an edge gets the results of its hobs.
 pub fn edge_consumer(edge: &str) -> String {
     format!("edge-{edge}")
+}
+
+/// Key in the bucket of daemons of one whose name is another one's.
+pub fn refused_edge(edge: &str) -> String {
+    format!("{edge}.refused")
 }
 
 /// The stream that a bucket is.

@@ -5,6 +5,7 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use ihd_link::Window;
 use rusqlite::{OptionalExtension, Row, params};
 
+use super::fleet_state::Sent;
 use super::folder::{self, DayFile};
 use super::results::{self, ResultRow};
 use super::windows::Day;
@@ -38,32 +39,6 @@ pub enum Due {
 
 const DUE: &str = "
 SELECT device, boot, seq, at_ms FROM windows WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
-
-/// How far a window is with a fleet; never back.
-const NOTE: &str = "UPDATE windows SET fleet = ?4
-    WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND fleet < ?4";
-
-/// What `windows.fleet` says beside 0, due.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sent {
-    /// The fleet has the window, and owes a result.
-    Window = 1,
-    /// There is a result, here and there.
-    Result = 2,
-}
-
-/// Progress of a window with a fleet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FleetState {
-    /// The fleet is not to have it.
-    NotForFleet,
-    /// The fleet has not acknowledged it.
-    Due,
-    /// The fleet has it, and owes a result.
-    Sent,
-    /// There is a result, here and there.
-    Answered,
-}
 
 impl Store {
     /// The oldest windows that are due, at most so many.
@@ -127,7 +102,7 @@ impl Store {
         Ok(window.map_or(Due::Gone, |window| Due::Window(Box::new(window))))
     }
 
-    /// The fleet has acknowledged these.
+    /// What became of windows that were due.
     ///
     /// # Errors
     /// What the databases report; those of days before have been noted.
@@ -135,41 +110,12 @@ impl Store {
         for of_day in sent.chunk_by(|(a, _), (b, _)| a.day == b.day) {
             let file = self.file_of(&of_day[0].0.day);
             if file.path.exists() {
-                self.on_day(file, |day| day.note(of_day))?;
+                let now_ms = self.now();
+                self.on_day(file, |day| day.note(of_day, now_ms))?;
+                self.tallies.remove(&of_day[0].0.day);
             }
         }
         Ok(())
-    }
-
-    /// The fleet has answered a window, of whatever day.
-    ///
-    /// # Errors
-    /// What the databases or the operating system report.
-    pub fn answered(&mut self, device: &str, boot: u32, seq: u32) -> Result<(), StoreError> {
-        let mut days = folder::days(self.folder())?;
-        days.reverse();
-        for file in days {
-            if self.on_day(file, |day| day.answered(device, boot, seq))? {
-                return Ok(());
-            }
-        }
-        Ok(())
-    }
-
-    /// Windows that were sent before a time (milliseconds since 1970, UTC) and never answered are due again: the fleet has lost them, or
-    /// their results. How many.
-    ///
-    /// # Errors
-    /// What the databases or the operating system report.
-    pub fn due_again(&mut self, before_ms: i64) -> Result<u64, StoreError> {
-        let mut again = 0;
-        for file in folder::days(self.folder())? {
-            again += self.on_day(file, |day| day.due_again(before_ms))?;
-        }
-        if again > 0 {
-            self.none_due_to = None;
-        }
-        Ok(again)
     }
 
     /// The connection that a window of this boot of a device came over; none where the store does not know it.
@@ -189,27 +135,6 @@ impl Store {
         found
             .optional()
             .map_err(self.failed("looking for a session"))
-    }
-
-    /// Progress of a window of whatever day with a fleet; `None` if the store does not hold it.
-    ///
-    /// # Errors
-    /// What the databases or the operating system report.
-    pub fn fleet_state(
-        &mut self,
-        device: &str,
-        boot: u32,
-        seq: u32,
-    ) -> Result<Option<FleetState>, StoreError> {
-        let mut days = folder::days(self.folder())?;
-        days.reverse();
-        for file in days {
-            let state = self.on_day(file, |day| day.fleet_state(device, boot, seq))?;
-            if state.is_some() {
-                return Ok(state);
-            }
-        }
-        Ok(None)
     }
 
     /// A window of whatever day; none where its samples are not kept.
@@ -318,7 +243,7 @@ impl Store {
         Ok(days)
     }
 
-    fn file_of(&self, day: &str) -> DayFile {
+    pub(crate) fn file_of(&self, day: &str) -> DayFile {
         DayFile {
             day: day.to_owned(),
             path: folder::of_day(self.folder(), day),
@@ -326,7 +251,7 @@ impl Store {
     }
 
     /// Does something with a day, open or not.
-    fn on_day<T>(
+    pub(crate) fn on_day<T>(
         &self,
         file: DayFile,
         what: impl FnOnce(&Day) -> Result<T, StoreError>,
@@ -342,18 +267,21 @@ impl Day {
     fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
         let read = || -> rusqlite::Result<Vec<DueWindow>> {
             let mut statement = self.connection.prepare(DUE)?;
-            let row = |row: &Row<'_>| {
-                Ok(DueWindow {
-                    day: self.file.day.clone(),
-                    device: row.get(0)?,
-                    boot: row.get(1)?,
-                    seq: row.get(2)?,
-                    at_ms: row.get(3)?,
-                })
-            };
+            let row = |row: &Row<'_>| self.due_window(row);
             statement.query_map([limit as i64], row)?.collect()
         };
         read().map_err(StoreError::database(self.path(), "looking for what is due"))
+    }
+
+    /// The window of a row of device, boot, number and time.
+    pub(crate) fn due_window(&self, row: &Row<'_>) -> rusqlite::Result<DueWindow> {
+        Ok(DueWindow {
+            day: self.file.day.clone(),
+            device: row.get(0)?,
+            boot: row.get(1)?,
+            seq: row.get(2)?,
+            at_ms: row.get(3)?,
+        })
     }
 
     /// Windows of this day that a fleet has not acknowledged.
@@ -364,56 +292,5 @@ impl Day {
             .query_row(sql, [], |row| row.get::<_, i64>(0));
         let count = count.map_err(StoreError::database(self.path(), "counting what is due"))?;
         Ok(u64::try_from(count).unwrap_or(0))
-    }
-
-    fn note(&self, sent: &[(DueWindow, Sent)]) -> Result<(), StoreError> {
-        let note = || {
-            let change = self.connection.unchecked_transaction()?;
-            for (due, sent) in sent {
-                change.execute(NOTE, params![due.device, due.boot, due.seq, *sent as i64])?;
-            }
-            change.commit()
-        };
-        note().map_err(StoreError::database(self.path(), "noting what was sent"))
-    }
-
-    /// False where the window is none of this day.
-    fn answered(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
-        let of = params![device, boot, seq, Sent::Result as i64];
-        let rows = self.connection.execute(NOTE, of);
-        let rows = rows.map_err(StoreError::database(self.path(), "noting an answer"))?;
-        match rows {
-            0 => self.holds(device, boot, seq),
-            _ => Ok(true),
-        }
-    }
-
-    fn fleet_state(
-        &self,
-        device: &str,
-        boot: u32,
-        seq: u32,
-    ) -> Result<Option<FleetState>, StoreError> {
-        let sql = "SELECT fleet FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
-        let state = self
-            .connection
-            .query_row(sql, params![device, boot, seq], |row| {
-                row.get::<_, Option<i64>>(0)
-            })
-            .optional();
-        let state = state.map_err(StoreError::database(self.path(), "looking for a window"))?;
-        Ok(state.map(|fleet| match fleet {
-            Some(0) => FleetState::Due,
-            Some(1) => FleetState::Sent,
-            Some(_) => FleetState::Answered,
-            None => FleetState::NotForFleet,
-        }))
-    }
-
-    fn due_again(&self, before_ms: i64) -> Result<u64, StoreError> {
-        let sql = "UPDATE windows SET fleet = 0 WHERE fleet = 1 AND at_ms < ?1";
-        let rows = self.connection.execute(sql, [before_ms]);
-        let rows = rows.map_err(StoreError::database(self.path(), "looking for answers"))?;
-        Ok(rows as u64)
     }
 }

@@ -165,6 +165,7 @@ impl Store {
     fn delete_day(&mut self, day: &str, path: &PathBuf) -> Result<u64, StoreError> {
         self.tell_lost_to_fleet(day)?;
         self.days.close(path);
+        self.tallies.remove(day);
         let freed = folder::delete(path)?;
         self.other_days_bytes = self.other_days_bytes.saturating_sub(freed);
         if !folder::of_day(self.folder(), day).exists() {

@@ -151,7 +151,8 @@ impl Store {
                 gone.push((window, never_sent));
             }
         }
-        day.thin(&gone, NotKept::Thinned)?;
+        day.thin(&gone, NotKept::Thinned, self.now())?;
+        self.tallies.remove(&day.file.day);
         self.figures_mut().thinned += gone.len() as u64;
         if lost > 0 {
             *self.lost_to_fleet.entry(day.file.day.clone()).or_default() += lost;

@@ -38,8 +38,8 @@ pub static RECORDS: Schema = Schema {
 /// `windows-YYYY-MM-DD.db`.
 pub static WINDOWS: Schema = Schema {
     application_id: WINDOWS_ID,
-    steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3, WINDOWS_4],
-    tables: &[&["windows"], &["telemetry", "trajectories"], &[], &[]],
+    steps: &[WINDOWS_1, WINDOWS_2, WINDOWS_3, WINDOWS_4, WINDOWS_5],
+    tables: &[&["windows"], &["telemetry", "trajectories"], &[], &[], &[]],
     shrinks: true,
     synchronous: "NORMAL",
 };
@@ -252,4 +252,14 @@ const WINDOWS_4: &str = "
 -- Windows with samples in the order in which they came: retention goes through them. Where samples went to make room, not_kept is
 -- 'thinned'.
 CREATE INDEX windows_with_samples ON windows (id) WHERE not_kept IS NULL;
+";
+
+const WINDOWS_5: &str = "
+-- Beside fleet = 2: NULL where the fleet has answered, 'learned here', or why the window was given up: 'no samples' (they went before
+-- it was sent), 'dead: WHY' (no worker could identify it).
+ALTER TABLE windows ADD COLUMN fleet_end TEXT;
+-- Since when fleet is what it is, milliseconds since 1970, UTC; NULL: since at_ms.
+ALTER TABLE windows ADD COLUMN fleet_ms INTEGER;
+DROP INDEX windows_unanswered;
+CREATE INDEX windows_at_fleet ON windows (fleet, fleet_end, fleet_ms, at_ms);
 ";

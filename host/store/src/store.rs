@@ -9,6 +9,7 @@ use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, 
 use serde::Serialize;
 
 use super::clock::{self, Clock};
+use super::fleet_tally::FleetTally;
 use super::folder::{self, DayFile, Lock};
 use super::recent::{self, Recent};
 use super::retention::{Deleted, checkpoint};
@@ -32,6 +33,8 @@ pub struct Store {
     /// Days up to this one have nothing that is due to a fleet; `None` if they were not looked through since a window came for one of
     /// them.
     pub(crate) none_due_to: Option<String>,
+    /// Windows of days by their progress with a fleet, of those that have not changed since.
+    pub(crate) tallies: BTreeMap<String, FleetTally>,
     /// The day of which was told that its windows are too many.
     told_too_large: Option<String>,
     /// Windows of the last hour.
@@ -107,6 +110,7 @@ impl Store {
             other_days_bytes: 0,
             figures: Figures::default(),
             none_due_to: None,
+            tallies: BTreeMap::new(),
             told_too_large: None,
             recent: Recent::default(),
             thinning: Thinning::default(),
@@ -343,6 +347,7 @@ impl Store {
             self.none_due_to = None;
         }
         if kept == Kept::New {
+            self.tallies.remove(&today.file.day);
             let row = today.connection.last_insert_rowid();
             self.recent.note(&today.file.day, row, at_ms);
         }
@@ -448,6 +453,7 @@ impl Store {
             return Ok(());
         };
         self.days = OpenDays::default();
+        self.tallies.clear();
         if *file == self.path {
             return Ok(());
         }

@@ -7,6 +7,7 @@ use ihd_shared::sampling::Scales;
 use rusqlite::{Connection, OptionalExtension, Row, params};
 use serde::Serialize;
 
+use super::fleet_state::NO_SAMPLES;
 use super::folder::DayFile;
 use super::schema::WINDOWS;
 use super::thinning::Candidate;
@@ -93,8 +94,8 @@ pub(crate) struct Day {
 const INSERT: &str = "
 INSERT INTO windows (device, boot, seq, at_ms, half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns,
     first_trajectory_ns, saturated, lookup_version, v_full_scale_mv, i_full_scale_ma, pairs, trajectory,
-    not_kept, pairs_zst, trajectory_zst, fleet)
-VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19)
+    not_kept, pairs_zst, trajectory_zst, fleet, fleet_ms)
+VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, iif(?19 IS NULL, NULL, ?4))
 ON CONFLICT (device, boot, seq) DO NOTHING";
 
 const ROWS: &str = "
@@ -276,20 +277,32 @@ impl Day {
         read().map_err(self.failed("looking for room"))
     }
 
-    /// Drops the samples of these windows; a fleet will not get those that come with `true`.
-    pub(crate) fn thin(&self, gone: &[(&Candidate, bool)], why: NotKept) -> Result<(), StoreError> {
+    /// Drops the samples of these windows; for a fleet those that come with `true` are given up.
+    pub(crate) fn thin(
+        &self,
+        gone: &[(&Candidate, bool)],
+        why: NotKept,
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
         let thin = || {
             let change = self.connection.unchecked_transaction()?;
             {
                 let mut windows = change.prepare(
                     "UPDATE windows SET not_kept = ?2, pairs_zst = NULL, trajectory_zst = NULL,
-                     fleet = iif(?3, NULL, fleet) WHERE id = ?1",
+                     fleet = iif(?3, 2, fleet), fleet_end = iif(?3, ?4, fleet_end),
+                     fleet_ms = iif(?3, ?5, fleet_ms) WHERE id = ?1",
                 )?;
                 let mut trajectories = change.prepare(
                     "DELETE FROM trajectories WHERE device = ?1 AND boot = ?2 AND seq = ?3",
                 )?;
                 for (window, never_sent) in gone {
-                    windows.execute(params![window.id, why.word(), never_sent])?;
+                    windows.execute(params![
+                        window.id,
+                        why.word(),
+                        never_sent,
+                        NO_SAMPLES,
+                        now_ms
+                    ])?;
                     trajectories.execute(params![window.device, window.boot, window.seq])?;
                 }
             }

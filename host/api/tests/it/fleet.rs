@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
 use ihd_api::{ApiClient, Backend, DaemonBackend};
-use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
+use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker};
 use ihd_daemon::{Config, Daemon};
 use serde_json::Value;
 
@@ -35,6 +35,12 @@ fn report() -> FleetReport {
         why: "the server does not answer".into(),
         at_ms: 1_795_000_001_000,
         outbox: 3,
+        states: FleetStates {
+            due: 3,
+            answered: 40,
+            ..FleetStates::default()
+        },
+        alarms: vec!["3 windows are due for too long".into()],
         windows: u64::MAX,
         results: 40,
         backlog: 2,
@@ -53,6 +59,8 @@ fn report() -> FleetReport {
             version: "0.1.0".into(),
             outbox: 3,
             trusts_fleet: true,
+            states: FleetStates::default(),
+            alarms: vec!["3 windows are due for too long".into()],
             last_seen_ms: 1_795_000_000_900,
         }],
         devices: vec![device("bench", false), device("<b>\u{202e}ä", true)],
@@ -117,7 +125,9 @@ async fn daemon(folder: &tempfile::TempDir) -> Daemon {
 fn figures_of_a_fleet(backend: &DaemonBackend) -> Vec<(&'static str, f64)> {
     let figures = backend.figures().into_iter();
     let named = figures.filter(|f| f.name.starts_with("fleet"));
-    named.map(|f| (f.name, f.value)).collect()
+    named
+        .map(|f| (f.label.map_or(f.name, |(_, state)| state), f.value))
+        .collect()
 }
 
 #[tokio::test]
@@ -143,6 +153,14 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
         ("fleet_backlog", 3.0),
         ("fleet_dead", 4.0),
         ("fleet_workers", 5.0),
+        ("fleet_alarms", 1.0),
+        ("not for fleet", 0.0),
+        ("due", 3.0),
+        ("sent", 0.0),
+        ("answered", 40.0),
+        ("learned here", 0.0),
+        ("no samples", 0.0),
+        ("dead", 0.0),
     ];
     assert_eq!(figures_of_a_fleet(&backend), expected);
     drop(backend);
@@ -164,8 +182,8 @@ async fn no_text_of_another_machine_is_passed_on_as_it_is() {
         assert!(text.chars().all(|c| !c.is_control()), "{text:.40}");
         assert!(text.len() < 1_000, "{} bytes", text.len());
     });
-    // Server, edge and why; two of the worker, two of the edge, five of each hob.
-    assert_eq!((hostile, seen), (17, 17));
+    // Server, edge, why and an alarm; two of the worker, three of the edge, five of each hob.
+    assert_eq!((hostile, seen), (19, 19));
     daemon.stop().await;
 }
 

@@ -1,32 +1,40 @@
 //! What a daemon that is an edge of a fleet has for whoever talks to the fleet (docs/fleet.md): what is due there, and what comes back.
 //!
 //! The daemon itself knows no server. While the fleet is trusted ([`Daemon::trust_fleet`]), windows that are due there are not learned from
-//! here; what is found elsewhere is learned from as if it had been found here.
+//! here; what is found elsewhere is learned from as if it had been found here. Trust is a lease: it ends by itself.
 
 mod config;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_shared::lookup::RlLookup;
-use ihd_store::{DeviceId, Due, DueWindow, EventRow, FleetState, Sent, SessionId};
+use ihd_store::{
+    DeviceId, Due, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GivenUp, Sent, SessionId,
+};
 use ihd_train::learning::Contradiction;
 use tokio::sync::oneshot;
+use tokio::time::Instant;
 
 pub use self::config::{FleetConfig, host_name};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, lock};
 use crate::learning::{Answer, InUse, Task, Work, WorkerFigures, power_w};
+use crate::printable::printable;
 use crate::store_thread::StoreTrouble;
 
-/// Whether windows are for a fleet, and whether it is there.
+/// How long the fleet is trusted after it has answered last: so long may a result take.
+pub const TRUSTED_FOR: Duration = Duration::from_secs(20);
+
+/// Trust in a fleet: a lease, which holds nothing once its time is over, whatever became of the task that renews it.
 #[derive(Debug, Default)]
 pub struct Trust {
     /// The daemon is an edge.
     pub is_edge: bool,
-    trusted: AtomicBool,
+    until: Mutex<Option<Instant>>,
 }
 
 impl Trust {
@@ -34,13 +42,19 @@ impl Trust {
     pub fn new(is_edge: bool) -> Self {
         Self {
             is_edge,
-            trusted: AtomicBool::new(false),
+            until: Mutex::new(None),
         }
     }
 
     /// Whether windows are left to the fleet now.
     pub fn holds(&self) -> bool {
-        self.trusted.load(Ordering::Relaxed)
+        lock(&self.until).is_some_and(|until| Instant::now() < until)
+    }
+
+    /// Holds until then, and never longer than [`TRUSTED_FOR`] from now; no more where that is none.
+    fn renew(&self, until: Option<Instant>) {
+        let longest = Instant::now() + TRUSTED_FOR;
+        *lock(&self.until) = until.map(|until| until.min(longest));
     }
 }
 
@@ -90,9 +104,9 @@ struct Asked {
 }
 
 impl Daemon {
-    /// Leaves windows to the fleet from now on, or learns from them here.
-    pub fn trust_fleet(&self, yes: bool) {
-        self.trust().trusted.store(yes, Ordering::Relaxed);
+    /// Leaves windows to the fleet until then, [`TRUSTED_FOR`] at most; from then on, and where that is none, learns from them here.
+    pub fn trust_fleet(&self, until: Option<Instant>) {
+        self.trust().renew(until);
     }
 
     /// Whether windows are left to the fleet now.
@@ -131,7 +145,7 @@ impl Daemon {
         self.in_store(move |store| store.read_due(&due)).await
     }
 
-    /// The fleet has acknowledged these.
+    /// What became of windows that were due.
     ///
     /// # Errors
     /// What the store reports.
@@ -145,6 +159,65 @@ impl Daemon {
     /// What the store reports.
     pub async fn due_again(&self, before_ms: i64) -> Result<u64, StoreTrouble> {
         self.in_store(move |store| store.due_again(before_ms)).await
+    }
+
+    /// Windows that the fleet got before a time (milliseconds since 1970, UTC) and has not answered: so many behind the first `skip`.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn unanswered(
+        &self,
+        before_ms: i64,
+        skip: usize,
+        limit: usize,
+    ) -> Result<Vec<DueWindow>, StoreTrouble> {
+        self.in_store(move |store| store.unanswered(before_ms, skip, limit))
+            .await
+    }
+
+    /// The fleet has given up a window that it was sent.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn given_up(&self, window: &DueWindow, why: &str) -> Result<(), StoreTrouble> {
+        let (window, why) = (window.clone(), printable(why));
+        self.in_store(move |store| store.given_up(&window.device, window.boot, window.seq, &why))
+            .await
+    }
+
+    /// All windows in the store by their progress with the fleet. Day by day, so that nothing else waits for long.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn fleet_tally(&self) -> Result<FleetTally, StoreTrouble> {
+        let days = self.in_store(|store| store.days_of_windows()).await?;
+        let mut all = FleetTally::default();
+        for day in days {
+            all = all.and(self.in_store(move |store| store.fleet_tally(&day)).await?);
+        }
+        Ok(all)
+    }
+
+    /// What was remembered of the fleet's server.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn fleet_mark(&self, mark: FleetMark) -> Result<Option<i64>, StoreTrouble> {
+        self.in_store(move |store| store.fleet_mark(mark)).await
+    }
+
+    /// Remembers something of the fleet's server.
+    ///
+    /// # Errors
+    /// What the store reports.
+    pub async fn mark_fleet(&self, mark: FleetMark, value: i64) -> Result<(), StoreTrouble> {
+        self.in_store(move |store| store.mark_fleet(mark, value))
+            .await
+    }
+
+    /// The store's folder.
+    pub fn store_folder(&self) -> &Path {
+        &self.inner.folder
     }
 
     /// The skew in seconds that is to be taken out of the current of a device's windows, as far as they have shown it.
@@ -268,9 +341,14 @@ impl Daemon {
             };
             match store.fleet_state(&name, boot, seq)? {
                 Some(FleetState::Due) => return Ok(Ok(None)),
-                Some(FleetState::Answered) => return Ok(Err(Received::Known)),
-                Some(FleetState::NotForFleet) | None => return Ok(Err(Received::Unasked)),
-                Some(FleetState::Sent) => {}
+                Some(FleetState::Answered | FleetState::LearnedHere) => {
+                    return Ok(Err(Received::Known));
+                }
+                Some(FleetState::NotForFleet | FleetState::GivenUp(GivenUp::NoSamples)) | None => {
+                    return Ok(Err(Received::Unasked));
+                }
+                // One that was given up there may have been replayed.
+                Some(FleetState::Sent | FleetState::GivenUp(GivenUp::Dead)) => {}
             }
             let Some(window) = store.stored_window(&name, boot, seq)? else {
                 return Ok(Err(Received::Unasked));
@@ -303,5 +381,26 @@ impl Daemon {
 
     fn trust(&self) -> &Arc<Trust> {
         &self.inner.trust
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn trust_ends_by_itself_and_is_never_given_for_longer() {
+        let trust = Trust::new(true);
+        assert!(!trust.holds());
+        trust.renew(Some(Instant::now() + 100 * TRUSTED_FOR));
+        assert!(trust.holds());
+        tokio::time::advance(TRUSTED_FOR - Duration::from_millis(1)).await;
+        assert!(trust.holds());
+        tokio::time::advance(Duration::from_millis(1)).await;
+        assert!(!trust.holds(), "nobody has renewed it");
+        trust.renew(Some(Instant::now() + Duration::from_secs(1)));
+        assert!(trust.holds());
+        trust.renew(None);
+        assert!(!trust.holds());
     }
 }

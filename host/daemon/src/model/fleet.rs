@@ -1,5 +1,6 @@
 //! What a daemon that is an edge of a fleet knows of the whole (docs/fleet.md).
 
+use ihd_store::FleetTally;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -18,6 +19,12 @@ pub struct FleetReport {
     pub at_ms: i64,
     /// Windows and results in this edge's store that the fleet has not acknowledged yet.
     pub outbox: u64,
+    /// All windows in this edge's store by their progress; all 0 where this is none.
+    #[serde(default)]
+    pub states: FleetStates,
+    /// What at this edge needs somebody, in words.
+    #[serde(default)]
+    pub alarms: Vec<String>,
     /// Windows that the fleet has acknowledged, ever.
     pub windows: u64,
     /// Results in the fleet, each of another window.
@@ -32,6 +39,66 @@ pub struct FleetReport {
     pub edges: Vec<FleetEdge>,
     /// Hobs, by name.
     pub devices: Vec<FleetDevice>,
+}
+
+/// Windows of an edge by their progress with the fleet: together all in its store.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(default)]
+pub struct FleetStates {
+    /// The fleet is not to have them: stored without samples or before there was a fleet, or not heating.
+    pub not_for_fleet: u64,
+    /// The fleet has acknowledged neither them nor their results.
+    pub due: u64,
+    /// The fleet has them, and owes results.
+    pub sent: u64,
+    /// The fleet's results are here.
+    pub answered: u64,
+    /// Their results were found here, and the fleet has those.
+    pub learned_here: u64,
+    /// Given up: their samples went before they were sent.
+    pub no_samples: u64,
+    /// Given up: no worker could identify them.
+    pub dead: u64,
+    /// Since when the first of those that are due is, in milliseconds since 1970, UTC; none without one.
+    pub due_since_ms: Option<i64>,
+    /// The same of those that are sent.
+    pub sent_since_ms: Option<i64>,
+}
+
+impl FleetStates {
+    /// All windows.
+    pub fn stored(&self) -> u64 {
+        self.by_name().iter().map(|(_, windows)| windows).sum()
+    }
+
+    /// States of windows, each with its name.
+    pub fn by_name(&self) -> [(&'static str, u64); 7] {
+        [
+            ("not for fleet", self.not_for_fleet),
+            ("due", self.due),
+            ("sent", self.sent),
+            ("answered", self.answered),
+            ("learned here", self.learned_here),
+            ("no samples", self.no_samples),
+            ("dead", self.dead),
+        ]
+    }
+}
+
+impl From<FleetTally> for FleetStates {
+    fn from(tally: FleetTally) -> Self {
+        Self {
+            not_for_fleet: tally.not_for_fleet,
+            due: tally.due,
+            sent: tally.sent,
+            answered: tally.answered,
+            learned_here: tally.learned_here,
+            no_samples: tally.no_samples,
+            dead: tally.dead,
+            due_since_ms: tally.due_since_ms,
+            sent_since_ms: tally.sent_since_ms,
+        }
+    }
 }
 
 /// A worker.
@@ -64,6 +131,12 @@ pub struct FleetEdge {
     pub outbox: u64,
     /// Whether it leaves its windows to the fleet now; else it learns by itself.
     pub trusts_fleet: bool,
+    /// All windows in its store by their progress.
+    #[serde(default)]
+    pub states: FleetStates,
+    /// What there needs somebody, in words.
+    #[serde(default)]
+    pub alarms: Vec<String>,
     /// When it was heard of last, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,
 }

@@ -3,13 +3,14 @@
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
-use ihd_daemon::fleet::{Advice, FleetConfig, ReceiveError, Received};
+use ihd_daemon::fleet::{Advice, FleetConfig, ReceiveError, Received, TRUSTED_FOR};
 use ihd_daemon::learning::Answer;
 use ihd_daemon::model::DeviceState;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{Due, DueWindow, ResultFilter, Sent};
 use ihd_train::NetworkConfig;
+use tokio::time::Instant;
 
 use super::rig::{PATIENCE, Rig, nap, power, until_state};
 
@@ -27,15 +28,15 @@ async fn edge(rig: &Rig) -> Daemon {
         ..rig.config()
     };
     let daemon = rig.daemon_with(config).await;
-    daemon.trust_fleet(true);
     until_state(&daemon, DeviceState::Idle).await;
     daemon
 }
 
-/// Heats until so many windows are due at the fleet, then ends it.
+/// Heats until so many windows are due at the fleet, which answers all the time, then ends it.
 async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     let heated = async {
         loop {
+            daemon.trust_fleet(Some(Instant::now() + TRUSTED_FOR));
             power(daemon, "a", 1_000).await.unwrap();
             let due = daemon.due(100).await.unwrap();
             if due.len() >= count {

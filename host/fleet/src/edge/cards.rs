@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use async_nats::jetstream::Context;
-use ihd_daemon::model::{DeviceReport, FleetDevice, FleetEdge, FleetReport};
+use ihd_daemon::model::{DeviceReport, FleetDevice, FleetEdge, FleetReport, FleetStates};
+use tokio::time::Instant;
 
+use super::alarms::Alarms;
 use super::{Link, now_ms};
+use crate::claims::Standing;
 use crate::engine::{self, EngineError, SILENT_AFTER};
 use crate::names;
 use crate::status::{self, HobCard};
@@ -18,6 +21,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// How often the whole fleet is looked at: a thousand hobs are as many small answers.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
 
+/// How often this edge's own windows are counted.
+const COUNT_EVERY: Duration = Duration::from_secs(5);
+
 /// How often a card is renewed that says nothing new.
 const RENEW_EVERY: Duration = Duration::from_secs(SILENT_AFTER.as_secs() / 3);
 
@@ -25,7 +31,7 @@ const RENEW_EVERY: Duration = Duration::from_secs(SILENT_AFTER.as_secs() / 3);
 #[derive(Default)]
 struct Told {
     hobs: BTreeMap<String, (HobCard, Instant)>,
-    edge: Option<Instant>,
+    edge: Option<(FleetEdge, Instant)>,
 }
 
 /// Tells until the edge ends.
@@ -33,20 +39,19 @@ pub async fn run(link: Arc<Link>) {
     let mut told = Told::default();
     let mut report = FleetReport::default();
     let mut reported: Option<Instant> = None;
+    let mut own = Own::default();
+    // Why not all of the fleet is seen.
+    let mut partly = String::new();
     loop {
-        // A store that cannot count is told by its own thread.
-        let outbox = link.daemon.count_due().await.unwrap_or(report.outbox);
-        let (connected, why) = {
-            let state = link.state();
-            (state.connected, state.why.clone())
-        };
-        if connected && link.serves() {
-            if let Err(why) = tell(&link, &mut told, outbox).await {
-                link.failed("cards", &why);
+        own.look(&link).await;
+        if link.reaches() {
+            match tell(&link, &mut told, &own).await {
+                Ok(()) => link.works("cards"),
+                Err(why) => link.failed("cards", &why),
             }
             if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
                 reported = Some(Instant::now());
-                report = look(&link, report).await;
+                (report, partly) = look(&link, report).await;
             }
         } else {
             told = Told::default();
@@ -54,11 +59,12 @@ pub async fn run(link: Arc<Link>) {
         }
         report.server.clone_from(&link.server);
         report.edge.clone_from(&link.edge);
-        report.connected = connected;
-        report.outbox = outbox;
-        if !connected || report.why.is_empty() {
-            report.why = why;
-        }
+        report.connected = link.state().connected;
+        report.outbox = own.states.due;
+        report.states = own.states;
+        report.alarms.clone_from(&own.alarms);
+        let why = link.why();
+        report.why = if why.is_empty() { partly.clone() } else { why };
         link.daemon.tell_fleet(report.clone());
         if !link.wait(LOOK_EVERY).await {
             return;
@@ -66,36 +72,81 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-/// The whole fleet, where this edge's key may look at it; else its own hobs.
-async fn look(link: &Link, before: FleetReport) -> FleetReport {
-    match status::report(&link.context, &link.server).await {
-        Ok(report) => report,
-        Err(why) => FleetReport {
-            why: format!("only this edge's hobs are shown: {why}"),
-            at_ms: now_ms(),
-            devices: link
-                .daemon
-                .devices()
-                .iter()
-                .map(|d| card(link, d).device)
-                .collect(),
-            ..before
-        },
+/// This edge's own windows, and what they need.
+#[derive(Default)]
+struct Own {
+    states: FleetStates,
+    alarms: Vec<String>,
+    late: Alarms,
+    counted: Option<Instant>,
+}
+
+impl Own {
+    async fn look(&mut self, link: &Link) {
+        if self.counted.is_none_or(|at| at.elapsed() >= COUNT_EVERY) {
+            self.counted = Some(Instant::now());
+            match link.daemon.fleet_tally().await {
+                Ok(tally) => self.states = tally.into(),
+                Err(why) => link.failed("store", &why),
+            }
+        }
+        self.alarms = self.late.look(&self.states, now_ms());
+        if let Standing::Refused(why) = &link.state().standing {
+            self.alarms.insert(0, why.clone());
+        }
     }
 }
 
-async fn tell(link: &Link, told: &mut Told, outbox: u64) -> Result<(), EngineError> {
+/// The whole fleet, where this edge's key may look at it; else its own hobs, and why.
+async fn look(link: &Link, before: FleetReport) -> (FleetReport, String) {
+    match status::report(&link.context, &link.server).await {
+        Ok(report) => (report, String::new()),
+        Err(why) => own_hobs(link, before, &why),
+    }
+}
+
+fn own_hobs(link: &Link, before: FleetReport, why: &EngineError) -> (FleetReport, String) {
+    let report = FleetReport {
+        at_ms: now_ms(),
+        devices: link
+            .daemon
+            .devices()
+            .iter()
+            .map(|d| card(link, d).device)
+            .collect(),
+        ..before
+    };
+    (report, format!("only this edge's hobs are shown: {why}"))
+}
+
+/// Tells of the edge and its hobs; where its name is another one's, of that alone.
+async fn tell(link: &Link, told: &mut Told, own: &Own) -> Result<(), EngineError> {
     let is_due = |since: Option<Instant>| since.is_none_or(|at| at.elapsed() >= RENEW_EVERY);
-    if is_due(told.edge) {
-        let card = FleetEdge {
-            name: link.edge.clone(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            outbox,
-            trusts_fleet: link.daemon.trusts_fleet(),
-            last_seen_ms: now_ms(),
-        };
-        put(&link.context, names::EDGES, &link.edge, &card).await?;
-        told.edge = Some(Instant::now());
+    let standing = link.state().standing.clone();
+    let key = match standing {
+        Standing::Unknown => return Ok(()),
+        Standing::Held => link.edge.clone(),
+        Standing::Refused(_) => names::refused_edge(&link.edge),
+    };
+    let mine = FleetEdge {
+        name: link.edge.clone(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        outbox: own.states.due,
+        trusts_fleet: link.daemon.trusts_fleet(),
+        states: own.states,
+        alarms: own.alarms.clone(),
+        last_seen_ms: now_ms(),
+    };
+    let is_news = |(before, at): &(FleetEdge, Instant)| {
+        (before.trusts_fleet, &before.alarms) != (mine.trusts_fleet, &mine.alarms)
+            || is_due(Some(*at))
+    };
+    if told.edge.as_ref().is_none_or(is_news) {
+        put(&link.context, names::EDGES, &key, &mine).await?;
+        told.edge = Some((mine, Instant::now()));
+    }
+    if standing != Standing::Held {
+        return Ok(());
     }
     for device in link.daemon.devices() {
         if !ihd_daemon::config::is_name(&device.name) {

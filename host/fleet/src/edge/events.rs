@@ -35,10 +35,16 @@ pub struct EventMessage {
 /// Sends until the edge ends. What the daemon itself tells, of no device, stays in its store.
 pub async fn run(link: Arc<Link>) {
     loop {
-        let pause = match link.is_connected() {
+        let pause = match link.is_admitted() {
             true => match send_some(&link).await {
-                Ok(BATCH) => Duration::ZERO,
-                Ok(_) => LOOK_EVERY,
+                Ok(sent) => {
+                    link.works("events");
+                    if sent == BATCH {
+                        Duration::ZERO
+                    } else {
+                        LOOK_EVERY
+                    }
+                }
                 Err(why) => {
                     link.failed("events", &why);
                     TRY_AGAIN

@@ -1,6 +1,7 @@
 //! From the fleet to the learner: results of this edge's hobs. A result is acknowledged once it is stored, and comes again until then.
 
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use async_nats::jetstream::consumer::{Consumer, pull};
@@ -8,8 +9,10 @@ use async_nats::jetstream::{self, AckKind};
 use futures_util::StreamExt;
 use ihd_daemon::fleet::Received;
 use ihd_daemon::learning::Answer;
+use ihd_store::FleetMark;
+use tokio::time::Instant;
 
-use super::{Link, TRY_AGAIN, now_ms};
+use super::{Link, TRY_AGAIN, lock, now_ms, outbox};
 use crate::engine::{self, EngineError};
 use crate::names;
 use crate::wire::AnswerMessage;
@@ -26,10 +29,13 @@ const UNREADABLE: &str = "unreadable";
 /// How long one request for results waits.
 const ASK_FOR: Duration = Duration::from_secs(5);
 
+/// How long it may take until a request is answered. The client ends it 5 s after its time, answered or not.
+const ANSWERED_WITHIN: Duration = Duration::from_secs(ASK_FOR.as_secs() + 4);
+
 /// Takes results in until the edge ends.
 pub async fn run(link: Arc<Link>) {
     loop {
-        if link.is_connected() && link.serves() {
+        if link.is_admitted() {
             let taken = link.unless_stopping(take(&link)).await;
             match taken {
                 None => return,
@@ -37,32 +43,84 @@ pub async fn run(link: Arc<Link>) {
                 Some(Err(why)) => link.failed("results", &why),
             }
         }
+        link.state().signs.answered(false, Instant::now());
+        link.renew();
         if !link.wait(TRY_AGAIN).await {
             return;
         }
     }
 }
 
-/// Until the consumer breaks, or this daemon has other devices.
+/// Until the consumer breaks or the server does not answer, or this daemon has other devices.
 async fn take(link: &Link) -> Result<(), EngineError> {
     let hobs = link.hobs();
     if hobs.is_empty() {
         return Ok(());
     }
     let consumer = consumer(link, &hobs).await?;
-    while link.hobs() == hobs && link.is_connected() {
-        let fetched = consumer.fetch().max_messages(AT_ONCE).expires(ASK_FOR);
-        let fetched = fetched.messages().await;
-        let fetched = fetched.map_err(|e| EngineError::new(names::RESULTS, e))?;
-        let taken = fetched.for_each_concurrent(AT_ONCE, |message| async {
-            match message {
-                Ok(message) => take_one(link, message).await,
-                Err(why) => link.failed("results", &why),
-            }
-        });
-        taken.await;
+    known_server(link, &consumer).await?;
+    // The first request may wait for its whole time.
+    heard(link);
+    while link.hobs() == hobs && link.is_admitted() {
+        take_some(link, &consumer).await?;
+        heard(link);
+        link.works("results");
     }
     Ok(())
+}
+
+/// The server has answered.
+fn heard(link: &Link) {
+    link.state().signs.answered(true, Instant::now());
+    link.renew();
+}
+
+/// What one request brings.
+async fn take_some(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(), EngineError> {
+    let failed = |why: String| EngineError::new(names::RESULTS, why);
+    let asked = Instant::now();
+    let fetched = consumer.fetch().max_messages(AT_ONCE).expires(ASK_FOR);
+    let fetched = fetched.messages().await;
+    let fetched = fetched.map_err(|e| failed(e.to_string()))?;
+    let (came, broken) = (AtomicBool::new(false), Mutex::new(None));
+    let taken = fetched.for_each_concurrent(AT_ONCE, |message| async {
+        match message {
+            Ok(message) => {
+                came.store(true, Relaxed);
+                take_one(link, message).await;
+            }
+            // The server has lost the consumer, or the connection has ended.
+            Err(why) => *lock(&broken) = Some(why.to_string()),
+        }
+    });
+    taken.await;
+    if let Some(why) = lock(&broken).take() {
+        return Err(failed(why));
+    }
+    match came.into_inner() || asked.elapsed() < ANSWERED_WITHIN {
+        true => Ok(()),
+        false => Err(failed("the server does not answer".to_owned())),
+    }
+}
+
+/// Sends again what is not answered where the consumer is not the one of before: the server has lost that, and with it what else it had.
+async fn known_server(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(), EngineError> {
+    let made = consumer.cached_info().created.unix_timestamp_nanos() / 1_000;
+    let made = i64::try_from(made).unwrap_or(0);
+    let noted = async {
+        let before = link.daemon.fleet_mark(FleetMark::ConsumerMade).await?;
+        if before.is_some_and(|before| before != made) {
+            outbox::send_all_again(link, "the consumer of its results was made anew").await?;
+        }
+        if before != Some(made) {
+            link.daemon
+                .mark_fleet(FleetMark::ConsumerMade, made)
+                .await?;
+        }
+        Ok::<_, ihd_daemon::StoreTrouble>(())
+    };
+    let noted = noted.await;
+    noted.map_err(|e| EngineError::new("store", e))
 }
 
 /// The one that the operator has made; on a server where every key may do all, it is made and kept up to date.

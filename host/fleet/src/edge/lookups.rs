@@ -28,7 +28,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(5);
 /// Follows both until the edge ends.
 pub async fn run(link: Arc<Link>) {
     loop {
-        if link.is_connected() && link.serves() {
+        if link.is_admitted() {
             match link.unless_stopping(follow(&link)).await {
                 None => return,
                 Some(Err(why)) => link.failed("lookups", &why),
@@ -55,7 +55,8 @@ async fn follow(link: &Link) -> Result<(), String> {
     let mut notices = link.daemon.watch();
     let mut changed: Vec<String> = hobs.clone();
     let mut look = tokio::time::interval(LOOK_EVERY);
-    while link.is_connected() && link.hobs() == hobs {
+    link.works("lookups");
+    while link.is_admitted() && link.hobs() == hobs {
         for hob in std::mem::take(&mut changed) {
             settle(link, &bucket, &hob).await?;
         }
@@ -90,10 +91,13 @@ async fn settle(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), String
     if let Some(wanted) = there.as_ref().filter(|there| !there.in_use) {
         let by = &wanted.by;
         match push(link, hob, wanted).await {
-            Ok(Some(said)) => tracing::info!(hob, by, said, "a lookup of the fleet is in use"),
+            Ok(Some(said)) => {
+                link.works("lookups");
+                tracing::info!(hob, by, said, "a lookup of the fleet is in use");
+            }
             Ok(None) => return Ok(()),
             Err(why) => {
-                link.failed(&format!("the lookup of {by} for {hob}"), &why);
+                link.failed("lookups", &format!("that of {by} for {hob}: {why}"));
                 return Ok(());
             }
         }

@@ -6,12 +6,19 @@
 //!                        events.rs ─► IHD_EVENTS          lookups.rs ◄─► ihd_lookups
 //!                        pots.rs   ◄─► ihd_pots
 //!                        cards.rs  ─► ihd_hobs, ihd_edges; states.rs ─► ihd.v1.<hob>.state
+//!                        given_up.rs ◄─ IHD_DEAD
 //! ```
+//!
+//! All of that only while the edge's name is this store's (name.rs). How long windows are left to the fleet: trust.rs.
 
+mod alarms;
 mod cards;
 mod events;
+mod faults;
+mod given_up;
 mod inbox;
 mod lookups;
+mod name;
 mod outbox;
 mod pots;
 mod states;
@@ -25,11 +32,14 @@ use async_nats::Event;
 use async_nats::jetstream::Context;
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::FleetConfig;
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
+use tokio::time::Instant;
 
-use self::trust::Answers;
+use self::faults::Faults;
+use self::trust::{Answers, Signs};
 use crate::access::{Access, AccessError};
+use crate::claims::Standing;
 
 pub use self::events::EventMessage;
 pub use self::states::StateMessage;
@@ -54,6 +64,8 @@ pub(crate) struct Link {
     pub server: String,
     access: Access,
     state: Arc<Mutex<State>>,
+    /// Somebody who waits may find something to do.
+    stirred: Notify,
     stop: watch::Receiver<bool>,
 }
 
@@ -61,9 +73,13 @@ pub(crate) struct Link {
 #[derive(Default)]
 pub(crate) struct State {
     pub connected: bool,
-    /// Why what failed last did; empty where nothing does.
-    pub why: String,
+    /// Why the server does not answer; empty where it does.
+    away: String,
+    /// What this edge may do with its name.
+    pub standing: Standing,
+    pub faults: Faults,
     pub answers: Answers,
+    pub signs: Signs,
 }
 
 impl Edge {
@@ -75,7 +91,7 @@ impl Edge {
         let access = Access::from(config);
         let edge = config.edge_name();
         let state = Arc::new(Mutex::new(State {
-            why: "the server has not answered yet".to_owned(),
+            away: "the server has not answered yet".to_owned(),
             ..State::default()
         }));
         let told = Arc::clone(&state);
@@ -89,13 +105,16 @@ impl Edge {
             access,
             edge,
             state,
+            stirred: Notify::new(),
             stop: stopped,
         });
         tracing::info!(edge = link.edge, server = link.server, "edge of a fleet");
         let mut tasks = JoinSet::new();
+        tasks.spawn(name::run(Arc::clone(&link)));
         tasks.spawn(outbox::run(Arc::clone(&link)));
         tasks.spawn(events::run(Arc::clone(&link)));
         tasks.spawn(inbox::run(Arc::clone(&link)));
+        tasks.spawn(given_up::run(Arc::clone(&link)));
         tasks.spawn(lookups::run(Arc::clone(&link)));
         tasks.spawn(pots::run(Arc::clone(&link)));
         tasks.spawn(cards::run(Arc::clone(&link)));
@@ -121,7 +140,7 @@ fn hear(state: &Mutex<State>, event: &Event) {
     match event {
         Event::Connected => {
             state.connected = true;
-            state.why.clear();
+            state.away.clear();
             tracing::info!("the fleet's server answers");
         }
         Event::Disconnected | Event::LameDuckMode | Event::Draining | Event::Closed => {
@@ -129,10 +148,10 @@ fn hear(state: &Mutex<State>, event: &Event) {
                 tracing::warn!("the fleet's server is away: this daemon goes on by itself");
             }
             state.connected = false;
-            state.why = "the server does not answer".to_owned();
+            state.away = "the server does not answer".to_owned();
         }
-        Event::ClientError(error) => state.why = error.to_string(),
-        Event::ServerError(error) => state.why = error.to_string(),
+        Event::ClientError(error) => state.away = error.to_string(),
+        Event::ServerError(error) => state.away = error.to_string(),
         Event::SlowConsumer(_) => {}
     }
 }
@@ -147,32 +166,62 @@ impl Link {
         lock(&self.state)
     }
 
-    pub fn is_connected(&self) -> bool {
-        self.state().connected
+    /// Whether this edge has a part in the fleet now: the server answers, can do what is needed, and the edge's name is this store's.
+    pub fn is_admitted(&self) -> bool {
+        self.reaches() && self.state().standing == Standing::Held
     }
 
     /// Notes what failed; it is told once.
-    pub fn failed(&self, what: &str, why: &dyn std::fmt::Display) {
-        let text = format!("{what}: {why}");
-        let mut state = self.state();
-        if state.why != text {
-            tracing::warn!("fleet: {text}");
-            state.why = text;
+    pub fn failed(&self, part: &'static str, why: &dyn std::fmt::Display) {
+        let why = why.to_string();
+        if self.state().faults.failed(part, &why) {
+            tracing::warn!("fleet: {part}: {why}");
         }
     }
 
     /// What failed works again.
-    pub fn works(&self) {
-        let mut state = self.state();
-        if state.connected && !state.why.is_empty() {
-            state.why.clear();
+    pub fn works(&self, part: &str) {
+        let failures = self.state().faults.works(part);
+        if failures > 0 {
+            tracing::info!(failures, "fleet: {part}: it works again");
         }
     }
 
-    /// Whether the server is new enough; told where it is not.
-    pub fn serves(&self) -> bool {
+    /// What is wrong now, in words; empty where nothing is.
+    pub fn why(&self) -> String {
+        let state = self.state();
+        let refused = match &state.standing {
+            Standing::Refused(why) => why.as_str(),
+            Standing::Unknown | Standing::Held => "",
+        };
+        let texts = [&*state.away, refused, &state.faults.text()];
+        let texts = texts.into_iter().filter(|text| !text.is_empty());
+        texts.collect::<Vec<_>>().join("; ")
+    }
+
+    /// Trusts the fleet for as long as the signs allow.
+    pub fn renew(&self) {
+        let mut state = self.state();
+        let State { signs, answers, .. } = &mut *state;
+        let until = signs.trusted_until(answers, Instant::now());
+        let until = until.filter(|_| state.connected && state.standing == Standing::Held);
+        if until.is_some() {
+            state.away.clear();
+        }
+        drop(state);
+        self.daemon.trust_fleet(until);
+    }
+
+    /// Whether the server answers and is new enough; told where it is not.
+    pub fn reaches(&self) -> bool {
+        if !self.state().connected {
+            return false;
+        }
         match self.access.check(&self.context.client()) {
-            Ok(()) => true,
+            Ok(()) => {
+                self.works("server");
+                true
+            }
             Err(why) => {
                 self.failed("server", &why);
                 false
@@ -193,11 +242,15 @@ impl Link {
         let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
     }
 
-    /// Waits; false where the edge ends.
+    /// Waits, no longer than until [`Link::stir`]; false where the edge ends.
     pub async fn wait(&self, time: Duration) -> bool {
-        self.unless_stopping(tokio::time::sleep(time))
-            .await
-            .is_some()
+        let stirred = tokio::time::timeout(time, self.stirred.notified());
+        self.unless_stopping(stirred).await.is_some()
+    }
+
+    /// Ends all waiting: the edge has a part in the fleet now, or no more.
+    pub fn stir(&self) {
+        self.stirred.notify_waiters();
     }
 
     /// Waits for something; none where the edge ends before.

@@ -2,14 +2,19 @@
 //! acknowledged stays due, and is sent again under the same number.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use async_nats::jetstream::context::{PublishAckFuture, PublishErrorKind};
+use async_nats::jetstream::context::{PublishAckFuture, PublishError, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
+use async_nats::jetstream::publish::PublishAck;
+use futures_util::StreamExt;
+use futures_util::stream::FuturesUnordered;
+use ihd_daemon::StoreTrouble;
 use ihd_daemon::learning::Answer;
 use ihd_daemon::model::What;
-use ihd_store::{Due, DueWindow, Sent};
+use ihd_store::{Due, DueWindow, FleetMark, Sent};
 use tokio::sync::broadcast::error::RecvError;
+use tokio::time::Instant;
 
 use super::{Link, TRY_AGAIN, now_ms};
 use crate::identity::Identity;
@@ -22,8 +27,11 @@ const BATCH: usize = 64;
 /// Between two looks where nothing was heard of.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// How long the fleet has for a result, in milliseconds. A server that has lost its store, or results that were deleted before this edge
-/// took them, cost that long; windows that were given up are tried again once a day.
+/// How long a whole batch may take, from its first window to its last acknowledgement.
+const BATCH_WITHIN: Duration = Duration::from_secs(8);
+
+/// How long the fleet has for a result, in milliseconds, since it got the window. Results that were deleted before this edge took them cost
+/// that long; that a server has lost what it had is seen before ([`send_all_again`]).
 const ANSWERED_WITHIN_MS: i64 = 24 * 3_600_000;
 
 /// Between two looks for what was never answered.
@@ -33,18 +41,13 @@ const MISSED_EVERY: Duration = Duration::from_secs(3_600);
 #[derive(Debug, thiserror::Error)]
 enum SendError {
     #[error(transparent)]
-    Store(#[from] ihd_daemon::StoreTrouble),
+    Store(#[from] StoreTrouble),
     #[error(transparent)]
     Message(#[from] MessageError),
     #[error("{0}")]
-    Publish(#[from] async_nats::jetstream::context::PublishError),
-}
-
-/// What is on its way.
-struct UnderWay {
-    due: DueWindow,
-    what: Sent,
-    acknowledged: PublishAckFuture,
+    Publish(#[from] PublishError),
+    #[error("no acknowledgement within {} s", BATCH_WITHIN.as_secs())]
+    Late,
 }
 
 /// Sends what is due until the edge ends.
@@ -62,32 +65,33 @@ pub async fn run(link: Arc<Link>) {
     let mut missed_at: Option<Instant> = None;
     loop {
         let now = Instant::now();
-        if link.is_connected() && missed_at.is_none_or(|at| now - at >= MISSED_EVERY) {
+        let is_admitted = link.is_admitted();
+        if is_admitted && missed_at.is_none_or(|at| now - at >= MISSED_EVERY) {
             missed_at = Some(now);
             send_again(&link).await;
         }
-        let trusted = link.is_connected() && link.state().answers.are_in_time(now);
-        link.daemon.trust_fleet(trusted);
-        let sent = match link.is_connected() && link.serves() {
-            true => match send_some(&link, &identity).await {
-                Ok(sent) => {
-                    link.works();
-                    sent
-                }
-                Err(why) => {
-                    link.failed("sending", &why);
-                    link.daemon.trust_fleet(false);
-                    if !link.wait(TRY_AGAIN).await {
-                        return;
-                    }
-                    0
-                }
-            },
-            false => 0,
+        let sent = match is_admitted {
+            true => send_some(&link, &identity).await.map(Some),
+            false => Ok(None),
         };
-        // Whole batches follow each other.
-        if sent == BATCH {
-            continue;
+        let works = matches!(sent, Ok(Some(_)));
+        link.state().signs.sent(works, Instant::now());
+        link.renew();
+        match sent {
+            // Whole batches follow each other.
+            Ok(Some(BATCH)) => {
+                link.works("sending");
+                continue;
+            }
+            Ok(Some(_)) => link.works("sending"),
+            Ok(None) => {}
+            Err(why) => {
+                link.failed("sending", &why);
+                if !link.wait(TRY_AGAIN).await {
+                    return;
+                }
+                continue;
+            }
         }
         let news = async {
             loop {
@@ -118,48 +122,121 @@ async fn send_again(link: &Link) {
     }
 }
 
-/// Sends a batch and waits for its acknowledgements; how many were due.
+/// The server has lost what it had: all that it has not answered is due again.
+pub(super) async fn send_all_again(link: &Link, why: &str) -> Result<(), StoreTrouble> {
+    let windows = link.daemon.due_again(i64::MAX).await?;
+    link.state().answers.lost();
+    tracing::warn!(
+        windows,
+        why,
+        "the fleet's server has lost what it had: they are sent again"
+    );
+    Ok(())
+}
+
+/// Sends a batch and waits for its acknowledgements, all at once; how many were due. Those that are acknowledged in time are noted, whatever
+/// becomes of the others.
 async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError> {
     let due = link.daemon.due(BATCH).await?;
     let count = due.len();
-    let mut under_way = Vec::new();
-    let mut sent = Vec::new();
-    let mut failed = None;
-    for due in due {
-        match send(link, identity, &due).await {
-            Ok(Some((what, acknowledged))) => under_way.push(UnderWay {
-                due,
-                what,
-                acknowledged,
-            }),
-            Ok(None) => sent.push((due, Sent::Result)),
-            Err(why) => {
-                failed = Some(why);
+    let deadline = Instant::now() + BATCH_WITHIN;
+    let mut batch = Batch::default();
+    let sending = batch.send(link, identity, due);
+    let mut failed = match tokio::time::timeout_at(deadline, sending).await {
+        Ok(sent) => sent.err(),
+        Err(_) => Some(SendError::Late),
+    };
+    loop {
+        match tokio::time::timeout_at(deadline, batch.under_way.next()).await {
+            Ok(Some((due, what, acknowledged))) => {
+                if let Err(why) = batch.heard(due, what, acknowledged) {
+                    failed = Some(why);
+                }
+            }
+            Ok(None) => break,
+            Err(_) => {
+                failed = Some(SendError::Late);
                 break;
             }
         }
     }
-    for one in under_way {
-        match one.acknowledged.await {
-            Ok(_) => {
-                if one.what == Sent::Window {
-                    let key = (one.due.device.clone(), one.due.boot, one.due.seq);
-                    link.state().answers.sent(key, Instant::now());
+    batch.note(link).await?;
+    failed.map_or(Ok(count), Err)
+}
+
+type Acknowledged = (DueWindow, Sent, Result<PublishAck, PublishError>);
+
+/// What became of a batch so far.
+#[derive(Default)]
+struct Batch {
+    under_way: FuturesUnordered<futures_util::future::BoxFuture<'static, Acknowledged>>,
+    sent: Vec<(DueWindow, Sent)>,
+    /// Numbers in the queue of windows that came there for the first time.
+    numbers: Vec<u64>,
+}
+
+impl Batch {
+    /// Sends until something fails.
+    async fn send(
+        &mut self,
+        link: &Link,
+        identity: &Identity,
+        due: Vec<DueWindow>,
+    ) -> Result<(), SendError> {
+        for due in due {
+            match send(link, identity, &due).await? {
+                Some((what, acknowledged)) => {
+                    // The client waits for each of them as long as for any.
+                    let acknowledged = async move { (due, what, acknowledged.await) };
+                    self.under_way.push(Box::pin(acknowledged));
                 }
-                sent.push((one.due, one.what));
+                None => self.sent.push((due, Sent::Nothing)),
+            }
+        }
+        Ok(())
+    }
+
+    fn heard(
+        &mut self,
+        due: DueWindow,
+        what: Sent,
+        acknowledged: Result<PublishAck, PublishError>,
+    ) -> Result<(), SendError> {
+        match acknowledged {
+            Ok(message) => {
+                if what == Sent::Window && !message.duplicate {
+                    self.numbers.push(message.sequence);
+                }
             }
             // Another one has published a result of this window before.
             Err(why)
-                if one.what == Sent::Result
-                    && why.kind() == PublishErrorKind::WrongLastSequence =>
-            {
-                sent.push((one.due, one.what));
-            }
-            Err(why) => failed = Some(why.into()),
+                if what == Sent::Result && why.kind() == PublishErrorKind::WrongLastSequence => {}
+            Err(why) => return Err(why.into()),
         }
+        self.sent.push((due, what));
+        Ok(())
     }
-    link.daemon.sent(sent).await?;
-    failed.map_or(Ok(count), Err)
+
+    /// Notes what was acknowledged; before that, that the queue has begun to count anew.
+    async fn note(self, link: &Link) -> Result<(), StoreTrouble> {
+        let numbers = self
+            .numbers
+            .iter()
+            .map(|n| i64::try_from(*n).unwrap_or(i64::MAX));
+        if let (Some(first), Some(last)) = (numbers.clone().min(), numbers.max()) {
+            let before = link.daemon.fleet_mark(FleetMark::LastWindow).await?;
+            if before.is_some_and(|before| first <= before) {
+                send_all_again(link, "its queue counts from the beginning").await?;
+            }
+            link.daemon.mark_fleet(FleetMark::LastWindow, last).await?;
+        }
+        let now = Instant::now();
+        for (due, _) in self.sent.iter().filter(|(_, what)| *what == Sent::Window) {
+            let key = (due.device.clone(), due.boot, due.seq);
+            link.state().answers.sent(key, now);
+        }
+        link.daemon.sent(self.sent).await
+    }
 }
 
 /// Publishes what there is of a window that is due; none where there is nothing any more.
@@ -192,7 +269,7 @@ async fn send(
             (names::result(hob, boot, seq), message, Sent::Result)
         }
         Due::Gone => {
-            tracing::warn!(hob, boot, seq, "its samples are gone: it is not sent");
+            tracing::warn!(hob, boot, seq, "its samples are gone: it is given up");
             return Ok(None);
         }
     };

@@ -16,9 +16,12 @@ const LOOK_EVERY: Duration = Duration::from_secs(60);
 /// Gives and takes until the edge ends.
 pub async fn run(link: Arc<Link>) {
     loop {
-        let pause = match link.is_connected() && link.serves() {
+        let pause = match link.is_admitted() {
             true => match exchange(&link).await {
-                Ok(()) => LOOK_EVERY,
+                Ok(()) => {
+                    link.works("pots");
+                    LOOK_EVERY
+                }
                 Err(why) => {
                     link.failed("pots", &why);
                     LOOK_EVERY

@@ -64,7 +64,7 @@ impl StateMessage {
 /// Tells until the edge ends; what Home Assistant asks for at its start, too.
 pub async fn run(link: Arc<Link>) {
     loop {
-        if link.is_connected() {
+        if link.is_admitted() {
             let told = link.unless_stopping(tell(&link)).await;
             match told {
                 None => return,
@@ -84,7 +84,8 @@ async fn tell(link: &Link) -> Result<(), String> {
     let mut births = births.map_err(|e| e.to_string())?;
     let mut discovered = Vec::new();
     let mut tick = tokio::time::interval(TELL_EVERY);
-    while link.is_connected() {
+    link.works("states");
+    while link.is_admitted() {
         tokio::select! {
             _ = tick.tick() => {}
             birth = births.next() => match birth {

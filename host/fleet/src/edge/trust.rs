@@ -1,12 +1,15 @@
-//! Whether the fleet does what it is there for: whoever sends windows and hears nothing learns by himself.
+//! Until when the fleet is trusted to do what it is there for: whoever sends windows and hears nothing learns by himself.
+//!
+//! Trust is a lease of [`TRUSTED_FOR`] (docs/fleet.md). It counts from the oldest of three signs, so that each of them alone can let it run
+//! out: the outbox has sent all that it had to, the inbox was answered, and of the windows that are waited for the oldest was sent.
 
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// How long a result may take. Then the next windows are learned from here, until those that are waited for have come.
-const PATIENCE: Duration = Duration::from_secs(20);
+use ihd_daemon::fleet::TRUSTED_FOR;
+use tokio::time::Instant;
 
-/// How long a result is waited for at all: a window may have been given up.
+/// How long a result is waited for at all: until the windows behind it show that the fleet answers.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
 /// Windows that are waited for at most; beyond them the fleet is behind in any case.
@@ -29,18 +32,47 @@ impl Answers {
         }
     }
 
-    /// A result came.
+    /// A result came, or none will.
     pub fn came(&mut self, key: &Key) {
         self.waited_for.remove(key);
     }
 
-    /// Whether the fleet answers in time.
-    pub fn are_in_time(&mut self, now: Instant) -> bool {
+    /// None of them will come.
+    pub fn lost(&mut self) {
+        self.waited_for.clear();
+    }
+
+    /// When the oldest was sent of those that are waited for, now where there is none; none where they are too many.
+    fn since(&mut self, now: Instant) -> Option<Instant> {
         self.waited_for
             .retain(|_, since| now.duration_since(*since) < FORGOTTEN_AFTER);
         let oldest = self.waited_for.values().min();
-        let in_time = oldest.is_none_or(|since| now.duration_since(*since) < PATIENCE);
-        in_time && self.waited_for.len() < MOST
+        (self.waited_for.len() < MOST).then(|| oldest.copied().unwrap_or(now))
+    }
+}
+
+/// When the outbox and the inbox did last what they are there for; none while they fail.
+#[derive(Debug, Default)]
+pub struct Signs {
+    sent: Option<Instant>,
+    answered: Option<Instant>,
+}
+
+impl Signs {
+    /// The outbox has sent all that was due in a batch, or nothing was; or it has not.
+    pub fn sent(&mut self, works: bool, now: Instant) {
+        self.sent = works.then_some(now);
+    }
+
+    /// The inbox was answered; or not.
+    pub fn answered(&mut self, works: bool, now: Instant) {
+        self.answered = works.then_some(now);
+    }
+
+    /// Until when the fleet is trusted; none where it is not at all.
+    pub fn trusted_until(&self, answers: &mut Answers, now: Instant) -> Option<Instant> {
+        let since = answers.since(now)?.min(self.sent?).min(self.answered?);
+        Some(since + TRUSTED_FOR)
     }
 }
 
@@ -52,29 +84,71 @@ mod tests {
         ("hob".into(), 1, seq)
     }
 
-    #[test]
-    fn a_fleet_that_does_not_answer_is_not_trusted_until_it_has() {
-        let begin = Instant::now();
-        let after = |s: u64| begin + Duration::from_secs(s);
-        let mut answers = Answers::default();
-        assert!(answers.are_in_time(begin));
-        answers.sent(key(1), begin);
-        answers.sent(key(2), after(15));
-        assert!(answers.are_in_time(after(19)));
-        assert!(!answers.are_in_time(after(21)));
-        answers.came(&key(2));
-        assert!(!answers.are_in_time(after(22)), "the older one is missing");
-        answers.came(&key(1));
-        assert!(answers.are_in_time(after(22)));
+    const S: Duration = Duration::from_secs(1);
+
+    /// A fleet whose server answers everything, at once.
+    fn works(signs: &mut Signs, now: Instant) {
+        signs.sent(true, now);
+        signs.answered(true, now);
     }
 
     #[test]
-    fn a_window_that_was_given_up_is_not_waited_for_for_ever() {
+    fn a_fleet_that_does_not_answer_is_not_trusted_until_it_has() {
+        let begin = Instant::now();
+        let (mut signs, mut answers) = (Signs::default(), Answers::default());
+        let mut until = |answers: &mut Answers, after: u32| {
+            works(&mut signs, begin + after * S);
+            signs.trusted_until(answers, begin + after * S)
+        };
+        assert_eq!(until(&mut answers, 0), Some(begin + TRUSTED_FOR));
+        answers.sent(key(1), begin);
+        answers.sent(key(2), begin + 15 * S);
+        assert_eq!(until(&mut answers, 19), Some(begin + TRUSTED_FOR));
+        answers.came(&key(2));
+        assert_eq!(
+            until(&mut answers, 22),
+            Some(begin + TRUSTED_FOR),
+            "the older one is missing"
+        );
+        answers.came(&key(1));
+        assert_eq!(until(&mut answers, 22), Some(begin + 22 * S + TRUSTED_FOR));
+    }
+
+    #[test]
+    fn each_sign_alone_lets_trust_run_out() {
         let begin = Instant::now();
         let mut answers = Answers::default();
+        let mut signs = Signs::default();
+        assert_eq!(signs.trusted_until(&mut answers, begin), None);
+        signs.sent(true, begin);
+        assert_eq!(
+            signs.trusted_until(&mut answers, begin),
+            None,
+            "nothing was heard"
+        );
+        works(&mut signs, begin);
+        // The outbox hangs; then the inbox.
+        signs.answered(true, begin + 15 * S);
+        let until = signs.trusted_until(&mut answers, begin + 15 * S);
+        assert_eq!(until, Some(begin + TRUSTED_FOR));
+        signs.sent(true, begin + 17 * S);
+        let until = signs.trusted_until(&mut answers, begin + 17 * S);
+        assert_eq!(until, Some(begin + 15 * S + TRUSTED_FOR));
+        signs.sent(false, begin + 17 * S);
+        assert_eq!(signs.trusted_until(&mut answers, begin + 17 * S), None);
+    }
+
+    #[test]
+    fn a_window_is_not_waited_for_for_ever() {
+        let begin = Instant::now();
+        let (mut signs, mut answers) = (Signs::default(), Answers::default());
         answers.sent(key(1), begin);
-        assert!(!answers.are_in_time(begin + PATIENCE));
-        assert!(answers.are_in_time(begin + FORGOTTEN_AFTER));
+        let late = begin + FORGOTTEN_AFTER;
+        works(&mut signs, late);
+        assert_eq!(
+            signs.trusted_until(&mut answers, late),
+            Some(late + TRUSTED_FOR)
+        );
         assert!(answers.waited_for.is_empty());
     }
 }

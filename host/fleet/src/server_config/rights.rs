@@ -35,6 +35,8 @@ pub(super) fn offered() -> (Vec<String>, Vec<String>) {
         names::state("*"),
         all_dead(),
         format!("{DISCOVERY}.*.*.config"),
+        dead_of("*"),
+        put(names::EDGES, &names::refused_edge("*")),
         ACCOUNT_INFO.into(),
         "$JS.API.STREAM.INFO.*".into(),
         "$JS.API.CONSUMER.INFO.*.*".into(),
@@ -55,10 +57,11 @@ pub(super) fn offered_with_many_answers() -> &'static str {
     "$JS.API.CONSUMER.MSG.NEXT.*.*"
 }
 
-const BUCKETS: [&str; 6] = [
+const BUCKETS: [&str; 7] = [
     names::LOOKUPS,
     names::HOBS,
     names::EDGES,
+    names::CLAIMS,
     names::WORKER_CARDS,
     names::POTS,
     names::SETTINGS,
@@ -75,6 +78,7 @@ pub fn edge(edge: &Edge) -> Rights {
             names::event(hob),
             names::state(hob),
             format!("{DISCOVERY}.ihd_{hob}.*.config"),
+            dead_of(hob),
         ]);
         for bucket in [names::LOOKUPS, names::HOBS, names::POTS] {
             services.extend([put(bucket, hob), get(bucket, hob)]);
@@ -82,7 +86,10 @@ pub fn edge(edge: &Edge) -> Rights {
         rights.streams.push(put(names::LOOKUPS, hob));
     }
     services.push(ACCOUNT_INFO.into());
-    services.extend([put(names::EDGES, &edge.name), get(names::EDGES, &edge.name)]);
+    for bucket in [names::EDGES, names::CLAIMS] {
+        services.extend([put(bucket, &edge.name), get(bucket, &edge.name)]);
+    }
+    services.push(put(names::EDGES, &names::refused_edge(&edge.name)));
     services.extend([get(names::SETTINGS, "*"), list(names::SETTINGS)]);
     services.push(list(names::POTS));
     let read = [names::LOOKUPS, names::HOBS, names::EDGES, names::POTS];
@@ -144,6 +151,12 @@ fn consumer(stream: &str, name: &str) -> [String; 3] {
 /// Subjects of windows that were given up.
 fn all_dead() -> String {
     format!("ihd.{}.*.dead.>", names::WIRE)
+}
+
+/// To look whether windows of a hob were given up.
+fn dead_of(hob: &str) -> String {
+    let window = names::dead(hob, "*", "*");
+    format!("$JS.API.DIRECT.GET.{}.{window}", names::DEAD)
 }
 
 /// To write a key of a bucket; also where listeners hear of it.

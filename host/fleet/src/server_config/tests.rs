@@ -78,6 +78,7 @@ fn an_edge_may_write_what_is_its_hobs_and_nothing_of_others() {
             |hob| format!("$KV.ihd_pots.{hob}"),
             |hob| format!("$JS.API.DIRECT.GET.KV_ihd_lookups.$KV.ihd_lookups.{hob}"),
             |hob| format!("homeassistant.sensor.ihd_{hob}.power.config"),
+            |hob| format!("$JS.API.DIRECT.GET.IHD_DEAD.ihd.v1.{hob}.dead.1.2"),
         ] {
             assert!(
                 may(&rights, &subject(own.into())),
@@ -88,6 +89,22 @@ fn an_edge_may_write_what_is_its_hobs_and_nothing_of_others() {
             assert!(!may(&rights, &of_other), "{of_other}");
         }
     }
+}
+
+#[test]
+fn an_edge_may_claim_its_own_name_alone() {
+    let rights = rights::edge(&site().edges[0]);
+    for subject in [
+        "$KV.ihd_claims.",
+        "$JS.API.DIRECT.GET.KV_ihd_claims.$KV.ihd_claims.",
+        "$KV.ihd_edges.",
+    ] {
+        assert!(may(&rights, &format!("{subject}lab-1")), "{subject}");
+        assert!(!may(&rights, &format!("{subject}lab-2")), "{subject}");
+    }
+    assert!(may(&rights, "$KV.ihd_edges.lab-1.refused"));
+    assert!(!may(&rights, "$KV.ihd_edges.lab-2.refused"));
+    assert!(!may(&rights, "$JS.API.DIRECT.GET.KV_ihd_claims"));
 }
 
 #[test]
@@ -114,6 +131,7 @@ fn no_key_may_change_streams_make_consumers_or_put_settings() {
             "CONSUMER.PAUSE.IHD_RESULTS.edge-lab-1",
             "DIRECT.GET.KV_ihd_lookups",
             "DIRECT.GET.IHD_WINDOWS",
+            "DIRECT.GET.IHD_DEAD",
         ] {
             assert!(!may(rights, &format!("$JS.API.{request}")), "{request}");
         }

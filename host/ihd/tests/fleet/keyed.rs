@@ -153,9 +153,12 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     assert_eq!(code, 0, "{text}");
 
     let (_edge, _worker) = (keyed.edge(), keyed.worker());
-    keyed.until("edge and worker are seen", || {
+    keyed.until("edge and worker are seen, and the fleet is trusted", || {
         let status = keyed.status();
-        status["edges"][0]["name"] == "lab-1" && status["workers"][0]["name"] == "worker-1"
+        let edge = &status["edges"][0];
+        edge["name"] == "lab-1"
+            && edge["trusts_fleet"] == true
+            && status["workers"][0]["name"] == "worker-1"
     });
     let mut heat = ihd(keyed.server.folder());
     heat.args(["device", "bench", "power", "1500", "--for", "10"]);
@@ -178,6 +181,11 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
         "{}",
         keyed.logs()
     );
+
+    // Nothing that an edge asks for is denied to it: not its name, not what was given up of its hobs.
+    let log = fs::read_to_string(keyed.file("edge.log")).unwrap();
+    assert!(log.contains("the edge's name is this store's"), "{log}");
+    assert!(!log.contains("WARN fleet: "), "{log}");
 
     // The fleet's page: who may see it, and who may not.
     let (text, code) = keyed.fleet("edge-lab-1", &["status", "--json"]);

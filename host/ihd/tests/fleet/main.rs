@@ -16,6 +16,8 @@ mod process;
 mod robust;
 mod security;
 mod server;
+mod silence;
 mod site;
 mod study;
+mod twins;
 mod whole;

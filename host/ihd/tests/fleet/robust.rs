@@ -13,7 +13,7 @@ fn setting(name: &str, default: u64) -> u64 {
 }
 
 /// Every window has one result in the fleet and one in its edge's store, and nothing is left over.
-fn assert_whole(url: &str, site: &mut Site) {
+pub(super) fn assert_whole(url: &str, site: &mut Site) {
     until("every result in the edge's store", PATIENCE, || {
         site.assert_runs();
         site.results().len() >= site.windows.len()

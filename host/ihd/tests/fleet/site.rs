@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::OnceLock;
@@ -11,7 +13,7 @@ use ihd_link::{Client, Event, Window};
 use ihd_shared::wire::messages::{FrontEnd, Hello, State};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
-use ihd_store::{Reader, ResultFilter, Settings, Store};
+use ihd_store::{Reader, ResultFilter, Settings, Store, WindowFilter};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -169,6 +171,31 @@ impl Site {
         String::from_utf8_lossy(&out.stdout).into_owned()
     }
 
+    /// Moves its store to another folder, as to another machine; while it does not run.
+    pub fn move_away(&mut self) {
+        let folder = tempfile::tempdir().expect("a folder");
+        fs::rename(self.store(), folder.path().join("store")).expect("a store that moves");
+        self.folder = folder;
+    }
+
+    /// What its daemon tells of the fleet; none while it does not answer.
+    pub fn fleet(&self) -> Option<Value> {
+        let mut stream = TcpStream::connect(&self.listen).ok()?;
+        let head = "GET /api/v1/fleet HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+        stream.write_all(head.as_bytes()).ok()?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).ok()?;
+        serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
+    }
+
+    /// Whether a hob of it is there, and does not heat.
+    pub fn is_idle(&self, hob: &str) -> bool {
+        let report = self.fleet().unwrap_or_default();
+        let hobs = report["devices"].as_array().cloned().unwrap_or_default();
+        hobs.iter()
+            .any(|device| device["name"] == *hob && device["state"] == "idle")
+    }
+
     /// `kill -9`.
     pub fn kill(&mut self) {
         if let Some(mut process) = self.process.take() {
@@ -203,6 +230,13 @@ impl Site {
 
     pub fn log(&self) -> String {
         fs::read_to_string(self.path().join("log")).unwrap_or_default()
+    }
+
+    /// How many windows are in its store.
+    pub fn stored(&self) -> u64 {
+        let reader = Reader::open(&self.store()).expect("its store");
+        let windows = reader.windows(&WindowFilter::default());
+        windows.expect("its windows").len() as u64
     }
 
     /// The results in its store.

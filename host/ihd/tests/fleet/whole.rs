@@ -31,9 +31,10 @@ fn a_hob_is_taught_by_workers_and_without_them() {
             .and_then(|s| s["results"].as_u64())
             .unwrap_or(0)
     };
-    until("the hob in the fleet", PATIENCE, || {
+    until("the hob in a fleet that is trusted", PATIENCE, || {
         let devices = json(&url, &["devices", "--json"]);
-        devices[0]["name"] == *hob && devices[0]["state"] == "idle"
+        let trusted = status(&url).is_some_and(|s| s["edges"][0]["trusts_fleet"] == true);
+        trusted && devices[0]["name"] == *hob && devices[0]["state"] == "idle"
     });
     // Again and again: on a slow machine ten seconds of the wall are few of the hob.
     until("results of the worker", PATIENCE, || {

@@ -1,6 +1,6 @@
 //! What a fleet has not got: kept with the window, over restarts and days, until it is answered.
 
-use ihd_store::{Due, FleetState, Keep, Sent, Settings, Store};
+use ihd_store::{Due, FleetMark, FleetState, FleetTally, GivenUp, Keep, Sent, Settings, Store};
 
 use super::fixture::*;
 
@@ -56,11 +56,152 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
         .unwrap();
     store.answered(&last[1].device, last[1].boot, 5).unwrap();
     assert_eq!(numbers(&mut store, 10), [] as [u32; 0]);
-    // Sent, and never answered: 2 and 4, not 3 and 5. Only what is older than asked for.
-    assert_eq!(store.due_again(last[0].at_ms).unwrap(), 1);
-    assert_eq!(numbers(&mut store, 10), [2]);
-    assert_eq!(store.due_again(i64::MAX).unwrap(), 1);
+    // Sent, and never answered: 2 and 4, not 3 and 5. Only what was sent, not stored, before the time that is asked for.
+    let now_ms = clock.clock();
+    assert_eq!(store.due_again(now_ms()).unwrap(), 0);
+    clock.forward(1);
+    let sent = store.unanswered(now_ms(), 0, 10).unwrap();
+    assert_eq!(sent, [due[0].clone(), last[0].clone()]);
+    assert_eq!(store.unanswered(now_ms(), 1, 10).unwrap(), sent[1..]);
+    assert_eq!(store.unanswered(now_ms(), 0, 1).unwrap(), sent[..1]);
+    assert_eq!(store.due_again(now_ms()).unwrap(), 2);
     assert_eq!(numbers(&mut store, 10), [2, 4]);
+    assert_eq!(store.unanswered(i64::MAX, 0, 10).unwrap(), []);
+}
+
+fn tally(store: &mut Store) -> FleetTally {
+    let days = store.days_of_windows().unwrap();
+    let of = |day: &String| store.fleet_tally(day).unwrap();
+    days.iter()
+        .map(of)
+        .fold(FleetTally::default(), FleetTally::and)
+}
+
+/// Each window is in one state, and together the states are what is stored: after every step.
+#[test]
+fn states_add_up_to_the_windows_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS - DAY_MS);
+    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let mut store = opened.unwrap().store;
+    let of = session(&mut store);
+    let state = |store: &mut Store, seq| store.fleet_state("bench", 7, seq).unwrap().unwrap();
+    store.keep_window(of, &window(0)).unwrap();
+    for seq in 1..8 {
+        if seq == 4 {
+            clock.forward(DAY_MS);
+        }
+        store.keep_window_for(of, &window(seq), true).unwrap();
+        assert_eq!(tally(&mut store).stored(), u64::from(seq) + 1);
+    }
+    let kept_ms = NOON_MS - DAY_MS;
+    assert_eq!(tally(&mut store).due_since_ms, Some(kept_ms));
+    let due = store.due(10).unwrap();
+    clock.forward(1_000);
+    let ends = [
+        Sent::Result,
+        Sent::Nothing,
+        Sent::Window,
+        Sent::Window,
+        Sent::Window,
+        Sent::Window,
+    ];
+    let sent: Vec<_> = due.into_iter().zip(ends).collect();
+    store.sent(&sent).unwrap();
+    store.answered("bench", 7, 3).unwrap();
+    store.given_up("bench", 7, 4, "no worker could").unwrap();
+    store.given_up("bench", 7, 5, "no worker could").unwrap();
+    // Somebody replayed it. What has ended otherwise stays as it is.
+    store.answered("bench", 7, 5).unwrap();
+    store.answered("bench", 7, 1).unwrap();
+    store.given_up("bench", 7, 3, "too late").unwrap();
+    let expected = FleetTally {
+        not_for_fleet: 1,
+        due: 1,
+        sent: 1,
+        answered: 2,
+        learned_here: 1,
+        no_samples: 1,
+        dead: 1,
+        due_since_ms: Some(NOON_MS),
+        sent_since_ms: Some(NOON_MS + 1_000),
+    };
+    assert_eq!(tally(&mut store), expected);
+    let states: Vec<_> = (0..8).map(|seq| state(&mut store, seq)).collect();
+    let expected = [
+        FleetState::NotForFleet,
+        FleetState::LearnedHere,
+        FleetState::GivenUp(GivenUp::NoSamples),
+        FleetState::Answered,
+        FleetState::GivenUp(GivenUp::Dead),
+        FleetState::Answered,
+        FleetState::Sent,
+        FleetState::Due,
+    ];
+    assert_eq!(states, expected);
+    store.due_again(i64::MAX).unwrap();
+    let now = tally(&mut store);
+    assert_eq!((now.due, now.sent, now.stored()), (2, 0, 8));
+    // Its own result came back before the acknowledgement.
+    store.answered("bench", 7, 7).unwrap();
+    assert_eq!(state(&mut store, 7), FleetState::LearnedHere);
+}
+
+/// Version 4 knew 0, 1 and 2 alone, and not since when.
+#[test]
+fn a_day_of_an_earlier_ihd_keeps_its_progress() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let open = || {
+        let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+        opened.unwrap().store
+    };
+    let mut store = open();
+    let of = session(&mut store);
+    store.keep_window(of, &window(0)).unwrap();
+    for seq in 1..4 {
+        store.keep_window_for(of, &window(seq), true).unwrap();
+    }
+    drop(store);
+    let files = files(folder.path()).into_iter();
+    let day = files.filter(|f| f.starts_with("windows-") && f.ends_with(".db"));
+    for day in day {
+        let day = rusqlite::Connection::open(folder.path().join(day)).unwrap();
+        let sql = "DROP INDEX windows_at_fleet; ALTER TABLE windows DROP COLUMN fleet_end;
+            ALTER TABLE windows DROP COLUMN fleet_ms;
+            CREATE INDEX windows_unanswered ON windows (at_ms) WHERE fleet = 1;
+            UPDATE windows SET fleet = seq - 1 WHERE seq > 0;";
+        day.execute_batch(sql).unwrap();
+        day.pragma_update(None, "user_version", 4).unwrap();
+    }
+    let mut store = open();
+    let expected = FleetTally {
+        not_for_fleet: 1,
+        due: 1,
+        sent: 1,
+        answered: 1,
+        due_since_ms: Some(NOON_MS),
+        sent_since_ms: Some(NOON_MS),
+        ..FleetTally::default()
+    };
+    assert_eq!(tally(&mut store), expected);
+    assert_eq!(store.due_again(NOON_MS + 1).unwrap(), 1);
+    assert_eq!(numbers(&mut store, 10), [1, 2]);
+}
+
+#[test]
+fn what_is_known_of_a_server_is_remembered() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &Settings::default());
+    let made = FleetMark::ConsumerMade;
+    assert_eq!(store.fleet_mark(made).unwrap(), None);
+    store.mark_fleet(made, 1).unwrap();
+    store.mark_fleet(FleetMark::LastWindow, 7).unwrap();
+    store.mark_fleet(made, 2).unwrap();
+    drop(store);
+    let store = open(folder.path(), &Settings::default());
+    let marks = [made, FleetMark::LastWindow].map(|mark| store.fleet_mark(mark).unwrap());
+    assert_eq!(marks, [Some(2), Some(7)]);
 }
 
 /// A daemon is started again on the day on which all windows were answered: what comes next is due at once, not from midnight on.

@@ -188,7 +188,8 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
         (
             day,
             "DROP TABLE telemetry; DROP TABLE trajectories; DROP INDEX windows_due;
-             DROP INDEX windows_unanswered; DROP INDEX windows_with_samples; ALTER TABLE windows DROP COLUMN fleet;",
+             DROP INDEX windows_with_samples; DROP INDEX windows_at_fleet; ALTER TABLE windows DROP COLUMN fleet_end;
+             ALTER TABLE windows DROP COLUMN fleet_ms; ALTER TABLE windows DROP COLUMN fleet;",
         ),
         (
             folder.path().join("ihd.db"),

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use ihd_daemon::config::is_name;
 use ihd_fleet::engine::{self, Limits};
-use ihd_fleet::names;
+use ihd_fleet::{claims, names};
 
 use super::AccessArgs;
 
@@ -37,9 +37,19 @@ pub struct InitArgs {
     /// An edge and its hobs, where its key may not make its own consumer (docs/fleet-security.md); may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", value_parser = edge)]
     edges: Vec<(String, Vec<String>)>,
+    /// An edge whose store is gone for good: the next daemon of that name has it; may be given again
+    #[arg(long = "free", value_name = "EDGE", value_parser = edge_name)]
+    freed: Vec<String>,
     /// The firmware's build that hobs should have: others are shown as outdated. Empty: what most hobs of a board have
     #[arg(long, value_name = "BUILD")]
     build: Option<String>,
+}
+
+fn edge_name(text: &str) -> Result<String, String> {
+    match is_name(text) {
+        true => Ok(text.to_owned()),
+        false => Err(format!("{text:?} is no edge's name: a-z, 0-9, - and _")),
+    }
 }
 
 /// `EDGE=HOB,HOB`.
@@ -74,6 +84,16 @@ impl InitArgs {
             engine::init(&context, &limits).await?;
             for (edge, hobs) in &self.edges {
                 engine::init_edge(&context, edge, hobs).await?;
+            }
+            for edge in &self.freed {
+                match claims::free(&context, edge).await? {
+                    Some(claim) => say!(
+                        "{edge} is free: it was of the store {} on host {}",
+                        claim.store,
+                        claim.host
+                    )?,
+                    None => say!("{edge} was free")?,
+                }
             }
             if let Some(build) = &self.build {
                 let settings = engine::bucket(&context, names::SETTINGS).await?;

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use ihd_daemon::model::FleetReport;
+use ihd_daemon::model::{FleetEdge, FleetReport};
 use ihd_fleet::{names, status};
 use serde::Serialize;
 
@@ -18,7 +18,8 @@ pub struct StatusArgs {
     /// As JSON
     #[arg(long)]
     json: bool,
-    /// End with code 7 where windows are dead, no worker is there for a backlog, or an edge was not heard of for a minute
+    /// End with code 7 where windows are dead, no worker is there for a backlog, an edge was not heard of for a minute, or one has an alarm:
+    /// windows that are due for 10 min or without an answer for an hour, a name that is another store's
     #[arg(long)]
     check: bool,
 }
@@ -67,7 +68,9 @@ fn amiss(report: &FleetReport) -> Option<String> {
         .filter(|edge| report.at_ms - edge.last_seen_ms > SILENT_MS)
         .map(|edge| edge.name.as_str())
         .collect();
+    let alarms: Vec<String> = alarms(report).collect();
     match report {
+        _ if !alarms.is_empty() => Some(alarms.join("; ")),
         r if r.dead > 0 => Some(format!("{} windows were given up: ihd fleet dead", r.dead)),
         r if r.backlog > 0 && r.workers.is_empty() => Some(format!(
             "{} windows wait, and there is no worker: ihd worker",
@@ -76,6 +79,16 @@ fn amiss(report: &FleetReport) -> Option<String> {
         _ if !silent.is_empty() => Some(format!("not heard of: {}", silent.join(", "))),
         _ => None,
     }
+}
+
+/// What edges say that needs somebody.
+fn alarms(report: &FleetReport) -> impl Iterator<Item = String> {
+    let of = |edge: &FleetEdge| {
+        let name = edge.name.clone();
+        let alarms = edge.alarms.clone().into_iter();
+        alarms.map(move |alarm| format!("edge {name}: {alarm}"))
+    };
+    report.edges.iter().flat_map(of)
 }
 
 fn words(report: &FleetReport) -> String {
@@ -95,12 +108,31 @@ fn words(report: &FleetReport) -> String {
             ago(worker.last_seen_ms),
         ]);
     }
-    let mut edges = Table::new(&["edge", "outbox", "learns", "ihd", "seen"]);
+    let mut edges = Table::new(&[
+        "edge",
+        "stored",
+        "due",
+        "sent",
+        "answered",
+        "learned here",
+        "given up",
+        "not for it",
+        "learns",
+        "ihd",
+        "seen",
+    ]);
     for edge in &report.edges {
+        let states = &edge.states;
         let learns = if edge.trusts_fleet { "fleet" } else { "itself" };
         edges.row([
             edge.name.clone(),
-            edge.outbox.to_string(),
+            states.stored().to_string(),
+            states.due.to_string(),
+            states.sent.to_string(),
+            states.answered.to_string(),
+            states.learned_here.to_string(),
+            (states.no_samples + states.dead).to_string(),
+            states.not_for_fleet.to_string(),
             learns.to_owned(),
             edge.version.clone(),
             ago(edge.last_seen_ms),
@@ -112,6 +144,9 @@ fn words(report: &FleetReport) -> String {
     }
     if !report.edges.is_empty() {
         text.push_str(&format!("\n{}", edges.render()));
+    }
+    for alarm in alarms(report) {
+        text.push_str(&format!("{alarm}\n"));
     }
     text.push_str(&format!(
         "\n{} hobs, {} of them outdated: ihd fleet devices",

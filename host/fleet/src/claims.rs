@@ -1,0 +1,195 @@
+//! Names of edges, each of one store: who has claimed a name keeps it, wherever his store goes, until an operator frees it.
+//!
+//! A claim is a key of the bucket `ihd_claims`. It is put by compare-and-set: of two who claim a name at once the server refuses one.
+
+use async_nats::jetstream::Context;
+use async_nats::jetstream::context::PublishErrorKind;
+use async_nats::jetstream::message::PublishMessage;
+use async_nats::jetstream::stream::DirectGetErrorKind;
+use serde::{Deserialize, Serialize};
+
+use crate::engine::{self, EngineError};
+use crate::names;
+
+/// A name's owner (JSON).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Claim {
+    /// Public part of what only the owner's store knows.
+    pub identity: String,
+    /// Host of the daemon.
+    pub host: String,
+    /// Folder of the store there.
+    pub store: String,
+    /// When it was put, in milliseconds since 1970, UTC.
+    pub at_ms: i64,
+}
+
+/// What a daemon may do with the name that it is configured with.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Standing {
+    /// The server has not said yet.
+    #[default]
+    Unknown,
+    /// The name is this store's.
+    Held,
+    /// It is another one's: why, in words, with both places.
+    Refused(String),
+}
+
+/// What comes of a claim that the server has.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The name is free, or this store's of before: it is to be claimed from here.
+    Take,
+    /// As in [`Standing`].
+    Stands(Standing),
+}
+
+impl Claim {
+    fn place(&self) -> String {
+        format!("the store {} on host {}", self.store, self.host)
+    }
+
+    fn is_at_place_of(&self, other: &Self) -> bool {
+        (&self.host, &self.store) == (&other.host, &other.store)
+    }
+
+    /// What comes of it for who wants the name `edge`, where the server has `there`. A store that was moved takes its name along: who began
+    /// last has it, and the place of before hears of that.
+    pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> Verdict {
+        let Some(there) = there else {
+            return Verdict::Take;
+        };
+        let (mine, other) = (self.place(), there.place());
+        if there.identity != self.identity {
+            return Verdict::Stands(Standing::Refused(format!(
+                "the edge name {edge:?} belongs to {other}, this is {mine}: give this daemon a name of its own ([fleet] edge), or, where \
+                 that store is gone for good, `ihd fleet init --free {edge}`"
+            )));
+        }
+        match standing {
+            _ if there.is_at_place_of(self) => Verdict::Stands(Standing::Held),
+            Standing::Unknown => Verdict::Take,
+            Standing::Held | Standing::Refused(_) => Verdict::Stands(Standing::Refused(format!(
+                "the edge name {edge:?} was taken along to {other}, by a copy of {mine}: stop one of the two"
+            ))),
+        }
+    }
+}
+
+/// Who has claimed a name, and the number of the entry, 0 without one.
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn of_edge(context: &Context, edge: &str) -> Result<(Option<Claim>, u64), EngineError> {
+    let bucket = names::bucket_stream(names::CLAIMS);
+    let stream = context.get_stream_no_info(bucket).await;
+    let stream = stream.map_err(failed)?;
+    let key = names::key(names::CLAIMS, edge);
+    let message = match stream.direct_get_last_for_subject(key).await {
+        Ok(message) => message,
+        Err(e) if e.kind() == DirectGetErrorKind::NotFound => return Ok((None, 0)),
+        Err(e) => return Err(failed(e)),
+    };
+    let claim = match message.headers.get("KV-Operation") {
+        Some(_) => None,
+        None => Some(serde_json::from_slice(&message.payload).map_err(failed)?),
+    };
+    Ok((claim, message.sequence))
+}
+
+/// Claims a name that had the entry of this number; false where somebody was faster.
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn put(
+    context: &Context,
+    edge: &str,
+    claim: &Claim,
+    after: u64,
+) -> Result<bool, EngineError> {
+    let claim = serde_json::to_vec(claim).map_err(failed)?;
+    let message = PublishMessage::build()
+        .payload(claim.into())
+        .expected_last_subject_sequence(after);
+    let sent = context.send_publish(names::key(names::CLAIMS, edge), message);
+    match sent.await.map_err(failed)?.await {
+        Ok(_) => Ok(true),
+        Err(e) if e.kind() == PublishErrorKind::WrongLastSequence => Ok(false),
+        Err(e) => Err(failed(e)),
+    }
+}
+
+/// Frees a name, for the next who claims it; who had it, none where nobody had.
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn free(context: &Context, edge: &str) -> Result<Option<Claim>, EngineError> {
+    let (claim, _) = of_edge(context, edge).await?;
+    if claim.is_some() {
+        let bucket = engine::bucket(context, names::CLAIMS).await?;
+        bucket.delete(edge).await.map_err(failed)?;
+    }
+    Ok(claim)
+}
+
+fn failed(why: impl std::fmt::Display) -> EngineError {
+    let why = why.to_string();
+    // How the server says that it has no such stream, to a request and to what is published.
+    let none = ["no responders", "no stream found"];
+    match none.iter().any(|text| why.contains(text)) {
+        true => engine::missing(names::CLAIMS, "not found"),
+        false => engine::missing(names::CLAIMS, why),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn claim(identity: &str, host: &str) -> Claim {
+        Claim {
+            identity: identity.into(),
+            host: host.into(),
+            store: "/var/lib/ihd/store".into(),
+            at_ms: 0,
+        }
+    }
+
+    fn refusal(verdict: Verdict) -> String {
+        match verdict {
+            Verdict::Stands(Standing::Refused(why)) => why,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_name_is_of_one_store() {
+        let mine = claim("a", "cellar");
+        let judge = |there: Option<&Claim>, standing| mine.judge("lab-1", there, &standing);
+        assert_eq!(judge(None, Standing::Unknown), Verdict::Take);
+        let held = Verdict::Stands(Standing::Held);
+        assert_eq!(judge(Some(&mine), Standing::Unknown), held);
+        assert_eq!(judge(Some(&mine), Standing::Held), held);
+        for standing in [Standing::Unknown, Standing::Held] {
+            let why = refusal(judge(Some(&claim("b", "attic")), standing));
+            for word in ["lab-1", "cellar", "attic", "/var/lib/ihd/store", "--free"] {
+                assert!(why.contains(word), "{why}");
+            }
+        }
+        // Freed, or the server lost it.
+        assert_eq!(judge(None, Standing::Refused(String::new())), Verdict::Take);
+        assert_eq!(judge(None, Standing::Held), Verdict::Take);
+    }
+
+    #[test]
+    fn a_store_that_was_moved_takes_its_name_along_and_the_old_place_hears_of_it() {
+        let (before, after) = (claim("a", "cellar"), claim("a", "attic"));
+        let moved = after.judge("lab-1", Some(&before), &Standing::Unknown);
+        assert_eq!(moved, Verdict::Take);
+        let why = refusal(before.judge("lab-1", Some(&after), &Standing::Held));
+        assert!(why.contains("cellar") && why.contains("attic"), "{why}");
+        let still = before.judge("lab-1", Some(&after), &Standing::Refused(why.clone()));
+        assert_eq!(refusal(still), why);
+    }
+}

@@ -1,0 +1,105 @@
+//! Windows that stay in a state for longer than its bound need somebody.
+
+use std::collections::BTreeSet;
+
+use ihd_daemon::model::FleetStates;
+
+/// How long a window may be due, in milliseconds: a server that starts again takes less.
+const DUE_FOR_MS: i64 = 10 * 60_000;
+
+/// How long a window may be without an answer, in milliseconds.
+const SENT_FOR_MS: i64 = 3_600_000;
+
+/// What is told already.
+#[derive(Default)]
+pub struct Alarms {
+    told: BTreeSet<&'static str>,
+}
+
+impl Alarms {
+    /// What needs somebody, in words; what is new is told in the log, once, and so is its end.
+    pub fn look(&mut self, states: &FleetStates, now_ms: i64) -> Vec<String> {
+        let now = alarms(states, now_ms);
+        for (what, text) in &now {
+            if self.told.insert(what) {
+                tracing::warn!("fleet: {text}");
+            }
+        }
+        self.told.retain(|what| {
+            let stays = now.iter().any(|(other, _)| other == what);
+            if !stays {
+                tracing::info!("fleet: no windows are {what} for too long any more");
+            }
+            stays
+        });
+        now.into_iter().map(|(_, text)| text).collect()
+    }
+}
+
+fn alarms(states: &FleetStates, now_ms: i64) -> Vec<(&'static str, String)> {
+    let of = [
+        (
+            "due",
+            states.due,
+            states.due_since_ms,
+            DUE_FOR_MS,
+            "the fleet does not take them",
+        ),
+        (
+            "sent",
+            states.sent,
+            states.sent_since_ms,
+            SENT_FOR_MS,
+            "the fleet does not answer: are there workers enough?",
+        ),
+    ];
+    let late = of
+        .into_iter()
+        .filter_map(|(what, count, since_ms, bound_ms, why)| {
+            let for_ms = now_ms - since_ms?;
+            let text = || {
+                format!(
+                    "{count} windows are {what}, the first for {} min: {why}",
+                    for_ms / 60_000
+                )
+            };
+            (for_ms > bound_ms).then(|| (what, text()))
+        });
+    late.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_that_stays_too_long_is_an_alarm_until_it_goes_on() {
+        let mut alarms = Alarms::default();
+        let states = FleetStates {
+            due: 3,
+            due_since_ms: Some(1_000),
+            sent: 2,
+            sent_since_ms: Some(0),
+            answered: 7,
+            ..FleetStates::default()
+        };
+        assert_eq!(alarms.look(&states, 1_000 + DUE_FOR_MS), [""; 0]);
+        let late = alarms.look(&states, 1_001 + DUE_FOR_MS);
+        assert!(
+            late.len() == 1 && late[0].starts_with("3 windows are due, the first for 10 min"),
+            "{late:?}"
+        );
+        let both = alarms.look(&states, SENT_FOR_MS + 1);
+        assert!(
+            both.len() == 2 && both[1].contains("2 windows are sent, the first for 60 min"),
+            "{both:?}"
+        );
+        assert_eq!(alarms.told.len(), 2);
+        let again = FleetStates {
+            answered: 12,
+            ..FleetStates::default()
+        };
+        assert_eq!(alarms.look(&again, i64::MAX), [""; 0]);
+        assert!(alarms.told.is_empty());
+    }
+}
