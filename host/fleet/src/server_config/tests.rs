@@ -78,7 +78,7 @@ fn an_edge_may_write_what_is_its_hobs_and_nothing_of_others() {
             |hob| format!("$KV.ihd_pots.{hob}"),
             |hob| format!("$JS.API.DIRECT.GET.KV_ihd_lookups.$KV.ihd_lookups.{hob}"),
             |hob| format!("homeassistant.sensor.ihd_{hob}.power.config"),
-            |hob| format!("$JS.API.DIRECT.GET.IHD_DEAD.ihd.v1.{hob}.dead.1.2"),
+            |hob| format!("$JS.API.DIRECT.GET.IHD_DEAD.ihd.v2.{hob}.dead.1.2"),
         ] {
             assert!(
                 may(&rights, &subject(own.into())),
