@@ -123,6 +123,22 @@ test('where the server is gone it says why, and the ages count on', async (t) =>
   noProblems(problems);
 });
 
+test('the states of this edge\'s windows are there, and what needs somebody', async (t) => {
+  const { page, problems } = await shown(t, 8);
+  const alarms = page.getByTestId('fleet-alarms');
+  assert.equal(await alarms.isVisible(), false);
+  for (const state of ['not_for_fleet', 'learned_here', 'no_samples', 'dead']) {
+    const { states } = await api.get('/fleet');
+    assert.equal(await page.getByTestId(`fleet-state-${state}`).getAttribute('data-value'), String(states[state]));
+  }
+  const texts = ['3 windows are due, the first for 14 min', '<b>the edge name "lab-1" belongs to another</b>'];
+  await fake.do('fleet', { alarms: texts });
+  await until('the alarms', async () => (await alarms.locator('li').allInnerTexts()).join() === texts.join());
+  await fake.do('fleet', { alarms: [] });
+  await until('none', async () => !(await alarms.isVisible()));
+  noProblems(problems);
+});
+
 test('what other machines call themselves is shown as text', async (t) => {
   const { page, problems } = await shown(t, 24);
   const attack = '<img src=x onerror="globalThis.owned=1">';

@@ -3,6 +3,7 @@
 //! ```text
 //!  Edge (edge/): a daemon ── windows ──► IHD_WINDOWS (work queue) ──► worker.rs ──► IHD_RESULTS ──► the edge again
 //!                                                                       └─► IHD_DEAD (dead.rs): given up
+//!  names of edges: claims.rs
 //!  operator: engine.rs makes all that, status.rs looks at it, captures.rs keeps files
 //! ```
 //!

@@ -38,7 +38,8 @@ pub enum Due {
 }
 
 const DUE: &str = "
-SELECT device, boot, seq, at_ms FROM windows WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
+SELECT device, boot, seq, at_ms FROM windows INDEXED BY windows_due
+WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
 
 impl Store {
     /// The oldest windows that are due, at most so many.

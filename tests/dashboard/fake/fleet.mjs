@@ -16,6 +16,8 @@ export class Fleet {
     this.startMs = Date.now();
     this.connected = true;
     this.why = '';
+    /** What needs somebody at this edge. */
+    this.alarms = [];
     /** What hostile machines call themselves: `{names, build}` of the first devices, edges and workers. */
     this.words = null;
     this.size = devices;
@@ -53,7 +55,7 @@ export class Fleet {
     const backlog = 12 + Math.floor(9 * uniform(this.seed, Math.floor(seconds / 2)));
     const devices = Array.from({ length: this.size }, (_, k) => this.device(k, nowMs));
     const edges = Array.from({ length: Math.ceil(this.size / HOBS) }, (_, k) => ({
-      name: `kitchen-${k}`, version: '0.1.0', outbox: k % 7 === 3 ? 4 : 0, trusts_fleet: k % 11 !== 5, last_seen_ms: this.seenMs(20 * k, nowMs),
+      name: `kitchen-${k}`, version: '0.1.0', outbox: k % 7 === 3 ? 4 : 0, trusts_fleet: k % 11 !== 5, alarms: [], last_seen_ms: this.seenMs(20 * k, nowMs),
     }));
     const workers = Array.from({ length: 4 }, (_, k) => ({
       name: `worker-${k}`, version: '0.1.0', threads: 2, busy: k % 3, done: 12000 - 900 * k, failed: k === 2 ? 3 : 0, last_seen_ms: this.seenMs(20 * k + 1, nowMs),
@@ -66,17 +68,20 @@ export class Fleet {
         Object.assign(workers[k], { name, version: build });
       }
     }
+    const outbox = this.connected ? 0 : 5 * Math.floor((Date.now() - nowMs) / 1000);
+    const states = { not_for_fleet: 100, due: outbox, sent: backlog, answered: windows - backlog - 40, learned_here: 39, no_samples: 0, dead: 1, due_since_ms: null, sent_since_ms: null };
     return {
       server: 'tls://nats.example:4222', edge: 'kitchen-0', connected: this.connected, why: this.why, at_ms: nowMs,
-      outbox: this.connected ? 0 : 5 * Math.floor((Date.now() - nowMs) / 1000), windows, results: windows - backlog - 1, backlog, dead: 1, workers, edges, devices,
+      outbox, states, alarms: this.alarms, windows, results: windows - backlog - 1, backlog, dead: 1, workers, edges, devices,
     };
   }
 
   /** `POST /fake/fleet`: whether the server answers and why not, how many hobs there are, what they call themselves. */
-  change({ connected, why, devices, words }) {
+  change({ connected, why, devices, words, alarms }) {
     if (connected !== undefined) Object.assign(this, { connected, why: why ?? '', lostMs: Date.now() });
     if (devices !== undefined) this.size = devices;
     if (words !== undefined) this.words = words;
+    if (alarms !== undefined) this.alarms = alarms;
     return { connected: this.connected, devices: this.size };
   }
 }

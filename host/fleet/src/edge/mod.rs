@@ -11,6 +11,7 @@
 //!
 //! All of that only while the edge's name is this store's (name.rs). How long windows are left to the fleet: trust.rs.
 
+mod acknowledged;
 mod alarms;
 mod cards;
 mod events;

@@ -7,8 +7,6 @@ use std::time::Duration;
 use async_nats::jetstream::context::{PublishAckFuture, PublishError, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::publish::PublishAck;
-use futures_util::StreamExt;
-use futures_util::stream::FuturesUnordered;
 use ihd_daemon::StoreTrouble;
 use ihd_daemon::learning::Answer;
 use ihd_daemon::model::What;
@@ -16,6 +14,7 @@ use ihd_store::{Due, DueWindow, FleetMark, Sent};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
+use super::acknowledged::{UnderWay, all_until};
 use super::{Link, TRY_AGAIN, now_ms};
 use crate::identity::Identity;
 use crate::names;
@@ -146,19 +145,14 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
         Ok(sent) => sent.err(),
         Err(_) => Some(SendError::Late),
     };
-    loop {
-        match tokio::time::timeout_at(deadline, batch.under_way.next()).await {
-            Ok(Some((due, what, acknowledged))) => {
-                if let Err(why) = batch.heard(due, what, acknowledged) {
-                    failed = Some(why);
-                }
-            }
-            Ok(None) => break,
-            Err(_) => {
-                failed = Some(SendError::Late);
-                break;
-            }
+    let mut under_way = std::mem::take(&mut batch.under_way);
+    let heard = |(due, what, acknowledged)| {
+        if let Err(why) = batch.heard(due, what, acknowledged) {
+            failed = Some(why);
         }
+    };
+    if !all_until(&mut under_way, deadline, heard).await {
+        failed = Some(SendError::Late);
     }
     batch.note(link).await?;
     failed.map_or(Ok(count), Err)
@@ -169,7 +163,7 @@ type Acknowledged = (DueWindow, Sent, Result<PublishAck, PublishError>);
 /// What became of a batch so far.
 #[derive(Default)]
 struct Batch {
-    under_way: FuturesUnordered<futures_util::future::BoxFuture<'static, Acknowledged>>,
+    under_way: UnderWay<Acknowledged>,
     sent: Vec<(DueWindow, Sent)>,
     /// Numbers in the queue of windows that came there for the first time.
     numbers: Vec<u64>,

@@ -110,7 +110,7 @@ fn an_edge_hears_of_a_window_that_nobody_can_identify_and_of_its_result_after_al
             "Nats-Msg-Id",
             format!("{hob}-{boot}-{seq}-0123456789abcdef"),
         );
-        let subject = format!("ihd.v1.{hob}.window");
+        let subject = ihd_fleet::names::window(&hob);
         let sent = context.publish_with_headers(subject, headers, "not a window".into());
         sent.await.expect("sent").await.expect("acknowledged");
     });

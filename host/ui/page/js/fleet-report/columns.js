@@ -54,6 +54,7 @@ export const EDGES = [
     key: "learns", label: "Windows", text: (row) => (row.trusts_fleet ? "left to the fleet" : "learned here"),
     by: (row) => Number(row.trusts_fleet), look: (row) => (row.trusts_fleet ? "" : "warn"),
   },
+  { key: "alarms", label: "Alarms", text: (row) => row.alarms.join("; ") || NOTHING, by: (row) => row.alarms.length, look: (row) => (row.alarms.length > 0 ? "warn" : "") },
   seen(),
 ];
 

@@ -13,10 +13,11 @@ const CLOCKS_MS = 5_000;
 /**
  * As GET /api/v1/fleet tells it.
  * @typedef {{name: string, version: string, threads: number, busy: number, done: number, failed: number, last_seen_ms: number}} Worker
- * @typedef {{name: string, version: string, outbox: number, trusts_fleet: boolean, last_seen_ms: number}} Edge
+ * @typedef {{name: string, version: string, outbox: number, trusts_fleet: boolean, alarms: string[], last_seen_ms: number}} Edge
+ * @typedef {{due: number, sent: number, answered: number, learned_here: number, no_samples: number, dead: number, not_for_fleet: number}} States
  * @typedef {{name: string, edge: string, state: string, pot: string, build: string, protocol: [number, number],
  *   lookup_version: number, outdated: boolean, last_seen_ms: number}} Device
- * @typedef {{server: string, edge: string, connected: boolean, why: string, at_ms: number, outbox: number, windows: number,
+ * @typedef {{server: string, edge: string, connected: boolean, why: string, at_ms: number, outbox: number, states: States, alarms: string[], windows: number,
  *   results: number, backlog: number, dead: number, workers: Worker[], edges: Edge[], devices: Device[]}} Report
  * @typedef {{text: string, outdated: boolean, silent: boolean}} Filter
  */

@@ -26,6 +26,17 @@ const TILES = /** @type {const} */ ([
   ["workers", "Workers", ""],
 ]);
 
+/** Windows of this edge by their progress: key of the report's states, label, what it is. Together all that its store has. */
+const STATES = /** @type {const} */ ([
+  ["due", "Due", "the fleet has neither them nor their results"],
+  ["sent", "Sent", "the fleet owes their results"],
+  ["answered", "Answered", "by the fleet"],
+  ["learned_here", "Learned here", "and the fleet knows"],
+  ["no_samples", "Not sent", "given up: their samples went before"],
+  ["dead", "Given up", "no worker could identify them"],
+  ["not_for_fleet", "Not for the fleet", "without samples, not heating, or of before"],
+]);
+
 /** @typedef {import("../context.js").Context} Context */
 /** @typedef {import("../fleet-report/rows.js").Report} Report */
 
@@ -76,11 +87,16 @@ class FleetView {
     this.tiles = Object.fromEntries(TILES.map(([key]) => [key, h("dd", { data: { testid: `fleet-${key === "workers" ? "worker-count" : key}` } })]));
     this.busy = h("dd", { class: "fleet-what quiet" });
     const tiles = TILES.map(([key, label, what]) => h("div", { class: "fleet-tile" }, h("dt", null, label), this.tiles[key], key === "workers" ? this.busy : h("dd", { class: "fleet-what quiet" }, what)));
+    this.states = Object.fromEntries(STATES.map(([key]) => [key, h("dd", { data: { testid: `fleet-state-${key}` } })]));
+    const states = STATES.map(([key, label, what]) => h("div", { class: "fleet-tile" }, h("dt", null, label), this.states[key], h("dd", { class: "fleet-what quiet" }, what)));
+    this.alarms = h("ul", { class: "fleet-alarms", hidden: true, role: "alert", data: { testid: "fleet-alarms" } });
     this.count = h("p", { class: "fleet-count", data: { testid: "fleet-count" } });
     this.none = h("p", { class: "quiet" });
     this.content = h("div", { class: "fleet-content", hidden: true },
       h("p", { class: "fleet-head" }, this.server, " ", this.edge, " ", this.age),
+      this.alarms,
       h("dl", { class: "fleet-tiles" }, tiles),
+      h("section", null, h("h2", null, "Windows of this edge"), h("dl", { class: "fleet-tiles" }, states)),
       h("section", null, h("h2", null, "Devices"), this.#tools(), this.count, this.devices.element, this.none),
       h("div", { class: "fleet-columns" },
         h("section", null, h("h2", null, "Workers"), this.workers.element),
@@ -157,12 +173,25 @@ class FleetView {
       setAttribute(this.tiles[key], "data-value", String(value));
       setAttribute(this.tiles[key], "class", key === "dead" && value > 0 ? "bad" : null);
     }
+    for (const [key] of STATES) {
+      setText(this.states[key], fixed(report.states[key]));
+      setAttribute(this.states[key], "data-value", String(report.states[key]));
+    }
+    this.showAlarms(report.alarms);
     setText(this.busy, busyText(report));
     setText(this.edge, report.edge ? `as the edge ${report.edge};` : "");
     this.workers.show(report.workers);
     this.edges.show(report.edges);
     this.showDevices();
     this.showHead();
+  }
+
+  /** @param {string[]} alarms what needs somebody; a text that stays is not said aloud again */
+  showAlarms(alarms) {
+    const there = Array.from(this.alarms.children, (line) => line.textContent);
+    if (there.join("\n") === alarms.join("\n")) return;
+    this.alarms.replaceChildren(...alarms.map((text) => h("li", null, text)));
+    this.alarms.hidden = alarms.length === 0;
   }
 
   showHead() {
