@@ -391,7 +391,7 @@ fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
         ),
         gauge(
             "fleet_alarms",
-            "What needs somebody at this edge: windows that stay in a state for too long, a name that is another store's",
+            "What needs somebody at this edge: windows that stay in a state for too long, a name that is another store's, a worker whose answers are refuted",
             fleet.alarms.len() as f64,
         ),
     ];
@@ -400,6 +400,14 @@ fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
         ..gauge(
             "fleet_windows",
             "Windows in this edge's store by their progress with the fleet: together all",
+            n as f64,
+        )
+    }));
+    all.extend(fleet.answers.by_name().map(|(outcome, n)| Figure {
+        label: Some(("outcome", outcome)),
+        ..gauge(
+            "fleet_answers",
+            "Workers' answers to this edge's windows by what the windows made of them",
             n as f64,
         )
     }));

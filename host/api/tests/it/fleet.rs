@@ -5,7 +5,9 @@ use std::sync::Arc;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
 use ihd_api::{ApiClient, Backend, DaemonBackend};
-use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker};
+use ihd_daemon::model::{
+    FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker,
+};
 use ihd_daemon::{Config, Daemon};
 use serde_json::Value;
 
@@ -41,6 +43,11 @@ fn report() -> FleetReport {
             ..FleetStates::default()
         },
         alarms: vec!["3 windows are due for too long".into()],
+        answers: FleetAnswers {
+            confirmed: 38,
+            refuted: 2,
+            ..FleetAnswers::default()
+        },
         windows: u64::MAX,
         results: 40,
         backlog: 2,
@@ -161,6 +168,11 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
         ("learned here", 0.0),
         ("no samples", 0.0),
         ("dead", 0.0),
+        ("confirmed", 38.0),
+        ("refuted", 2.0),
+        ("outdated", 0.0),
+        ("unidentified", 0.0),
+        ("distrusted", 0.0),
     ];
     assert_eq!(figures_of_a_fleet(&backend), expected);
     drop(backend);

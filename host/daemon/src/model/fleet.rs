@@ -4,6 +4,8 @@ use ihd_store::FleetTally;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::learning::WorkerFigures;
+
 /// The fleet, as one edge or `ihd fleet status` sees it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FleetReport {
@@ -25,6 +27,9 @@ pub struct FleetReport {
     /// What at this edge needs somebody, in words.
     #[serde(default)]
     pub alarms: Vec<String>,
+    /// Answers that this edge has got since its daemon began.
+    #[serde(default)]
+    pub answers: FleetAnswers,
     /// Windows that the fleet has acknowledged, ever.
     pub windows: u64,
     /// Results in the fleet, each of another window.
@@ -98,6 +103,45 @@ impl From<FleetTally> for FleetStates {
             due_since_ms: tally.due_since_ms,
             sent_since_ms: tally.sent_since_ms,
         }
+    }
+}
+
+/// Workers' answers to this edge's windows since the daemon began, by what the windows made of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct FleetAnswers {
+    /// Confirmed by the window's samples: learned from.
+    pub confirmed: u64,
+    /// Refuted by them.
+    pub refuted: u64,
+    /// Found with other corrections of the sensors than are known now.
+    pub outdated: u64,
+    /// Empty or unreadable.
+    pub unidentified: u64,
+    /// Not looked at: their worker was caught too often.
+    pub distrusted: u64,
+}
+
+impl FleetAnswers {
+    /// Sums the records of workers.
+    pub fn of<'a>(workers: impl Iterator<Item = &'a WorkerFigures>) -> Self {
+        workers.fold(Self::default(), |sum, worker| Self {
+            confirmed: sum.confirmed + worker.confirmed,
+            refuted: sum.refuted + worker.refuted,
+            outdated: sum.outdated + worker.outdated,
+            unidentified: sum.unidentified + worker.unidentified,
+            distrusted: sum.distrusted + worker.distrusted,
+        })
+    }
+
+    /// Numbers of answers, each with its name.
+    pub fn by_name(&self) -> [(&'static str, u64); 5] {
+        [
+            ("confirmed", self.confirmed),
+            ("refuted", self.refuted),
+            ("outdated", self.outdated),
+            ("unidentified", self.unidentified),
+            ("distrusted", self.distrusted),
+        ]
     }
 }
 

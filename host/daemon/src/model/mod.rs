@@ -16,7 +16,7 @@ mod window;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-pub use fleet::{FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker};
+pub use fleet::{FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker};
 pub use history::{Envelope, History, HistoryResults};
 pub use journal::JournalEntry;
 pub use live::{LiveDevice, LiveTelemetry};

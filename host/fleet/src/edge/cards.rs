@@ -5,7 +5,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_nats::jetstream::Context;
-use ihd_daemon::model::{DeviceReport, FleetDevice, FleetEdge, FleetReport, FleetStates};
+use ihd_daemon::learning::WorkerFigures;
+use ihd_daemon::model::{
+    DeviceReport, FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates,
+};
 use tokio::time::Instant;
 
 use super::alarms::Alarms;
@@ -63,6 +66,7 @@ pub async fn run(link: Arc<Link>) {
         report.outbox = own.states.due;
         report.states = own.states;
         report.alarms.clone_from(&own.alarms);
+        report.answers = own.answers;
         let why = link.why();
         report.why = if why.is_empty() { partly.clone() } else { why };
         link.daemon.tell_fleet(report.clone());
@@ -77,6 +81,7 @@ pub async fn run(link: Arc<Link>) {
 struct Own {
     states: FleetStates,
     alarms: Vec<String>,
+    answers: FleetAnswers,
     late: Alarms,
     counted: Option<Instant>,
 }
@@ -91,10 +96,24 @@ impl Own {
             }
         }
         self.alarms = self.late.look(&self.states, now_ms());
+        let workers = link.daemon.workers();
+        self.answers = FleetAnswers::of(workers.values());
+        self.alarms.extend(workers.iter().filter_map(caught));
         if let Standing::Refused(why) = &link.state().standing {
             self.alarms.insert(0, why.clone());
         }
     }
+}
+
+/// Names a worker whose answers were refuted, with what; none for the others.
+fn caught((name, figures): (&String, &WorkerFigures)) -> Option<String> {
+    let WorkerFigures { refuted, why, .. } = figures;
+    let beyond = match figures.is_distrusted() {
+        true => ", and nothing of it is looked at any more",
+        false => "",
+    };
+    (*refuted > 0)
+        .then(|| format!("{refuted} answers of worker {name} were refuted{beyond}: {why}"))
 }
 
 /// The whole fleet, where this edge's key may look at it; else its own hobs, and why.

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use ihd_daemon::config::is_name;
 use ihd_daemon::learning::{Answer, Stated};
 use ihd_daemon::model::{FitRemark, FitStep};
 use ihd_store::MAX_POINTS;
@@ -136,7 +137,7 @@ impl AnswerMessage {
             window_at_ms: fields.window_at_ms,
             at_ms: fields.at_ms,
             answer: Answer {
-                by: text("by", fields.by)?,
+                by: worker(fields.by)?,
                 skew_s: fields.skew_s.filter(|skew_s| skew_s.is_finite()),
                 found,
                 busy: Duration::from_millis(fields.busy_ms.into()),
@@ -218,6 +219,13 @@ impl Load {
             remarks: remarks.collect::<Result<_, MessageError>>()?,
             t_s,
         })
+    }
+}
+
+fn worker(name: String) -> Result<String, MessageError> {
+    match is_name(&name) {
+        true => Ok(name),
+        false => Err(MessageError::value("by", "is no worker's name")),
     }
 }
 

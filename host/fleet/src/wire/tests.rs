@@ -169,7 +169,7 @@ fn another_version_a_bomb_and_what_no_honest_sender_says_are_refused_in_words() 
     for (name, value, word) in [
         ("version", Value::from(3), "version 3"),
         ("hob", Value::from("a.>"), "cannot be"),
-        ("by", Value::from("x".repeat(3_000)), "by has 3000 bytes"),
+        ("by", Value::from("x".repeat(3_000)), "no worker's name"),
         ("busy_ms", Value::from(u32::MAX), "busy_ms"),
         ("busy_ms", Value::from(1e19), "cannot be read"),
         ("seq", Value::from(-1), "cannot be read"),

@@ -8,6 +8,7 @@ mod chance;
 mod cut;
 mod keyed;
 mod lab;
+mod lies;
 mod mqtt;
 mod outages;
 #[allow(dead_code, reason = "the daemon's tests use all of it")]
