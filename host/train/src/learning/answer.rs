@@ -15,6 +15,11 @@ use super::{Learning, Taught, judge, network, time_s};
 /// coming out of order. An older one may be of a pot that is gone.
 const LATEST_S: f64 = 30.0;
 
+/// Windows after a boot that are all asked what they show of the sensors, and of how many later ones one is: that takes five times as long
+/// as the rest, and a mean over 200 windows needs no more.
+const ALL_ASKED: u32 = 32;
+const ONE_ASKED_OF: u32 = 16;
+
 /// Result of one window, from nothing but its samples.
 #[derive(Clone, Debug)]
 pub struct Alone {
@@ -107,7 +112,11 @@ impl Learning {
         claim: &Claim<'_>,
     ) -> Result<Believed, Disbelief> {
         let raw = window.segment();
-        let evidence = Evidence::of(&raw);
+        let is_asked = window.seq < ALL_ASKED || window.seq.is_multiple_of(ONE_ASKED_OF);
+        let evidence = match is_asked {
+            true => Evidence::of(&raw),
+            false => Evidence::default(),
+        };
         if let Some(fault) = evidence.remarks.first() {
             return Err(Disbelief::Sensors(fault.text.clone()));
         }

@@ -241,6 +241,46 @@ fn fits_of_a_core() {
     );
 }
 
+/// The figures of docs/fleet.md: `cargo test --release -p ihd-train --features pinn cost_of_an_answer -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement, whatever it gives"]
+fn cost_of_an_answer() {
+    let mut kitchen = Kitchen::new(false, 20);
+    kitchen.client.set_power(1_500).unwrap();
+    let mut windows: Vec<_> = (0..20).map(|_| kitchen.window().0).collect();
+    // Of a hob that has been on for a while.
+    windows.iter_mut().for_each(|window| window.seq += 1_000);
+    let (mut worker_s, mut check_s, mut edge_s) = (0.0, 0.0, 0.0);
+    let mut learning = Learning::new(network());
+    let timed = |sum: &mut f64, what: &mut dyn FnMut()| {
+        let before = processor_s().expect("Linux");
+        what();
+        *sum += processor_s().expect("Linux") - before;
+    };
+    for window in &windows[4..] {
+        let correction = learning.correction();
+        let mut found = None;
+        timed(&mut worker_s, &mut || {
+            found = identify_alone(window, correction.as_ref(), network()).identified;
+        });
+        let found = found.expect("a heating hob's window");
+        let segment = window.segment();
+        timed(&mut check_s, &mut || {
+            confirm(&segment, &claim_of(&found)).unwrap();
+        });
+        timed(&mut edge_s, &mut || {
+            learning.take(7, window, &claim_of(&found)).unwrap();
+        });
+    }
+    let ms = |sum: f64| 1e3 * sum / 16.0;
+    println!(
+        "worker {:.1} ms; edge {:.1} ms a window, of which the check {:.2} ms",
+        ms(worker_s),
+        ms(edge_s),
+        ms(check_s)
+    );
+}
+
 /// Mean relative errors of R and L in percent, over the whole half-cycle and the middle 80 %.
 type Both = [(f64, f64); 2];
 
