@@ -221,8 +221,9 @@ impl Housekeeping {
         self.queue.answer(number, answer);
     }
 
-    /// A host says hello: it starts from a silent device, whoever talked before.
+    /// A host says hello: it starts from a silent device that heats for no host, whoever talked before.
     fn pair(&mut self, access: &mut impl Access, theirs: &Hello) {
+        self.end_host_power(access);
         let fits = check(self.queue.hello(), theirs).is_ok();
         self.paired = fits && !self.service.is_leaving();
         self.conversation = Conversation::default();
@@ -394,9 +395,13 @@ impl Housekeeping {
     /// Power that was asked for over the link lapses with the link.
     fn watch_host(&mut self, access: &mut impl Access) {
         self.half_cycles_unheard = self.half_cycles_unheard.saturating_add(1);
-        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES
-            && self.control.request().is_of_host()
-        {
+        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES {
+            self.end_host_power(access);
+        }
+    }
+
+    fn end_host_power(&mut self, access: &mut impl Access) {
+        if self.control.request().is_of_host() {
             let action = self.control.host_lost();
             self.act(access, action);
         }

@@ -91,7 +91,7 @@ impl Request {
         true
     }
 
-    /// The host is not heard any more: what it asked for lapses. What the panel asked for stays.
+    /// The host is not heard any more, or another one says hello: what it asked for lapses. What the panel asked for stays.
     pub fn host_lost(&mut self) {
         self.host_w = None;
     }

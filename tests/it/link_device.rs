@@ -18,6 +18,8 @@ use ihd_shared::wire::messages::{
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
+use ihd_sim::transport::SharedHob;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use proptest::prelude::*;
 
@@ -573,6 +575,40 @@ fn a_host_that_falls_silent_no_longer_heats() {
         (status.state, status.asked_w, status.f_sw_hz),
         (State::Idle, 0, 0)
     );
+}
+
+/// A hello that fits, and one of another major version: both end the conversation before.
+#[test]
+fn a_hello_ends_the_power_that_the_host_before_it_asked_for() {
+    for major in [PROTOCOL_MAJOR, PROTOCOL_MAJOR + 1] {
+        let (mut client, link) = connected();
+        client.set_power(1_000).unwrap();
+        link.hob().run(60);
+        assert_eq!(client.status().unwrap().state, State::Heating);
+        let hello = Hello {
+            protocol_major: major,
+            ..ours(ROLE_HOST, 0, 1, "test", "host")
+        };
+        let mut out = [0; MAX_ENCODED];
+        let length = encode(&hello, 0, &mut out).unwrap();
+        link.hob().offer(&out[..length]);
+        link.hob().run(2);
+        let mut hob = link.hob();
+        let control = hob.housekeeping().control();
+        assert_eq!((control.state(), control.asked_w()), (State::Idle, 0));
+        assert!(!hob.realtime().drive().is_switching());
+    }
+}
+
+#[test]
+fn a_hello_leaves_the_panels_power() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut first = Client::connect(Box::new(hob.clone())).unwrap();
+    hob.lock().panel(PanelEvent::Level(5));
+    first.set_power(300).unwrap();
+    assert_eq!(first.status().unwrap().asked_w, 300);
+    let mut second = Client::connect(Box::new(hob)).unwrap();
+    assert_eq!(second.status().unwrap().asked_w, 700);
 }
 
 #[test]

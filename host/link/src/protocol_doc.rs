@@ -79,8 +79,9 @@ message alone.
 
 The host sends `Hello`, the device answers with its own, and both check: the magic word, opposite
 roles, the same major version, and the same schema hash where the minor version agrees. A device that
-does not fit answers every later request with `NotPaired`; the host ends with the reason. A hello makes the device silent: it
-forgets what was queued and asked for, and streams nothing until `Stream` asks for it.
+does not fit answers every later request with `NotPaired`; the host ends with the reason. A hello, one that does
+not fit included, ends the conversation before it: the device forgets what was queued and asked for, heats no more for a host (the panel's
+power stays), and streams nothing until `Stream` asks for it. Power lapses with its conversation, so nobody keeps a former host's alive.
 
 ## Requests and answers
 

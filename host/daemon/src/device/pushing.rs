@@ -184,7 +184,7 @@ impl Session<'_> {
 
     /// Pushes what was learned, where it may be pushed now.
     pub(super) async fn push_news(&mut self) {
-        if self.push.is_some() || self.is_quiet() {
+        if self.push.is_some() {
             return;
         }
         let Some(lookup) = self.news.take() else {

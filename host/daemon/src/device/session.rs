@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use ihd_link::{AsyncClient, Client, Event, HEARD_EVERY, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{Pot, State, Status, Telemetry};
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::messages::{NO_PANEL, Pot, State, Status, Telemetry};
 use ihd_signal::truth::Truth;
 use ihd_store::{CurveOf, DeviceId, SessionId};
 use ihd_thermal::PotEvent;
@@ -105,8 +104,6 @@ pub struct Session<'a> {
     pub(super) sweep: Option<(LeaseId, Sweep)>,
     /// A lookup that the device took and does not use yet.
     pub(super) push: Option<Push>,
-    /// Until then nothing is sent that need not be: what a host before us asked for has to lapse.
-    pub(super) quiet_until: Option<Instant>,
     /// A lookup that was learned, and waits for the one before it.
     pub(super) news: Option<Box<Lookup>>,
     clocks: Clocks,
@@ -151,7 +148,6 @@ impl<'a> Session<'a> {
             session: None,
             sweep: None,
             push: None,
-            quiet_until: None,
             clocks: Clocks::new(&context.machine),
             heard: now,
             told: now,
@@ -235,7 +231,7 @@ impl<'a> Session<'a> {
             inner.ledger.connect(boot, due, status.windows_dropped);
         }
         self.face.pot_watch().of_boot(boot);
-        self.end_what_is_nobodys(&status).await?;
+        self.end_former_power(&status).await?;
         self.begin_in_store().await;
         self.face.enter(DeviceState::Connected, "");
         self.reconcile(status.lookup_version).await?;
@@ -244,29 +240,19 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Heating that we, or a host before us, asked for and nobody answers for now. Our frames would keep it
-    /// alive: it is switched off, or, where a person at the panel heats too, left alone until it has lapsed.
-    async fn end_what_is_nobodys(&mut self, status: &Status) -> Result<(), LinkError> {
-        let ours = self.face.lock().lease.asked_w() > 0;
-        let no_panel = status.panel_level == 255;
-        if ours || (status.asked_w > 0 && no_panel) {
-            let asked_w = status.asked_w;
-            tracing::warn!(
-                device = self.face.name,
-                asked_w,
-                "nobody answers for its heating any more: switched off"
-            );
-            self.off().await?;
-        } else if status.asked_w > 0 {
-            let lapse = Duration::from_millis(u64::from(HOST_UNHEARD_HALF_CYCLES) * 11);
-            self.quiet_until = Some(Instant::now() + lapse);
+    /// Power of before this connection, which the device ended at our hello. One that heats on, and not for its panel, is switched off.
+    async fn end_former_power(&mut self, status: &Status) -> Result<(), LinkError> {
+        if status.asked_w == 0 || status.panel_level != NO_PANEL {
+            self.face.lock().lease.switched_off();
+            return Ok(());
         }
-        Ok(())
-    }
-
-    /// Whether what need not be sent now has to wait.
-    pub(super) fn is_quiet(&self) -> bool {
-        self.quiet_until.is_some_and(|until| Instant::now() < until)
+        let asked_w = status.asked_w;
+        tracing::warn!(
+            device = self.face.name,
+            asked_w,
+            "its hello did not end its heating: switched off"
+        );
+        self.off().await
     }
 
     /// The session in the store; without one, nothing is stored until there is.

@@ -288,6 +288,7 @@ impl Hob {
     }
 
     fn pair(&mut self, theirs: &Hello) {
+        self.asked_w = 0;
         self.is_paired = check(&self.hello, theirs).is_ok();
         self.streams = false;
         self.forget_sent();

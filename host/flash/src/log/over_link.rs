@@ -10,10 +10,6 @@ use super::follow::{Chunk, LogError, OpenLog, Way};
 use super::running::Running;
 use crate::image::BuildId;
 
-/// After this long without a word from us, what a host before us asked for has lapsed: until then our words would keep
-/// somebody's power alive.
-const QUIET: Duration = Duration::from_secs(11);
-
 /// How often the device is asked whether it is still there, and hears from us.
 const ASK_EVERY: Duration = Duration::from_secs(5);
 
@@ -51,7 +47,7 @@ impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> Way for LinkWay<F> {
         if self.told.get().0 != boot {
             self.told.set((boot, 0));
         }
-        let ask_at = client.clock() + QUIET;
+        let ask_at = client.clock() + ASK_EVERY;
         Ok(Box::new(LinkLog {
             client,
             running,

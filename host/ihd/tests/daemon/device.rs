@@ -269,7 +269,10 @@ impl Polite {
             return self.reply(wire, (Outcome::UnknownMessage, 0));
         };
         match message {
-            AnyMessage::Hello(_) => wire.send(&self.hello),
+            AnyMessage::Hello(_) => {
+                self.status.asked_w = 0;
+                wire.send(&self.hello)
+            }
             // It keeps no window.
             AnyMessage::ResendWindow(_) => Ok(()),
             AnyMessage::GetFrontEnd(_) => wire.send(&self.front_end),
