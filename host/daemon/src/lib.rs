@@ -58,6 +58,7 @@ pub use figures::Figures;
 pub use hob::hob;
 pub use ihd_store::JournalFilter;
 pub use live::LiveTap;
+pub use store_health::cause_of;
 pub use store_thread::StoreTrouble;
 
 /// The truth of a half-cycle that is over and not too long ago, counted as the device counts them. It may wait for

@@ -15,6 +15,9 @@ use super::schema::Schema;
 /// How long a connection waits for another one that writes.
 const BUSY: Duration = Duration::from_secs(5);
 
+/// The same in a trial: nobody writes for so long.
+const BUSY_IN_TRIAL: Duration = Duration::from_secs(1);
+
 /// Faults that a check lists before it stops.
 const MAX_FAULTS: u32 = 20;
 
@@ -93,6 +96,26 @@ pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreErr
     }
     tables(&connection, path, schema, version)?;
     Ok(connection)
+}
+
+/// Opens a database as it is, looks at its pages for as long as there is time, and begins to write, no more.
+///
+/// # Errors
+/// As [`open_to_read`], and where it may not be written or is locked.
+pub fn try_writing(path: &Path, schema: &Schema, within: Duration) -> Result<Found, StoreError> {
+    let connection = open_to_read(path, schema)?;
+    let found = quick_check(&connection, path, within)?;
+    if let Found::Broken(why) = found {
+        return Err(damaged(path, why));
+    }
+    drop(connection);
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let begun = Connection::open_with_flags(path, flags).and_then(|connection| {
+        connection.busy_timeout(BUSY_IN_TRIAL)?;
+        connection.execute_batch("BEGIN IMMEDIATE; ROLLBACK")
+    });
+    begun.map_err(as_error(path, "a trial of writing"))?;
+    Ok(found)
 }
 
 fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {

@@ -60,6 +60,7 @@ pub use space::{DaySpace, bytes_a_day};
 pub use start::Opened;
 pub use store::{Figures, Store};
 pub use telemetry::{Spread, TelemetryRead, TelemetrySecond, TelemetrySpan};
+pub use trial::{Tried, try_folder};
 pub use windows::{Kept, WindowFilter, WindowRow};
 
 /// A device in the store.

@@ -1,6 +1,7 @@
 //! No room for windows: said everywhere while it lasts, and over when there is room again.
 
 use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -10,7 +11,7 @@ use serde_json::Value;
 use crate::daemon::{Daemon, configure, store};
 use crate::http;
 use crate::player::{Player, Tape};
-use crate::process::{PATIENCE, ihd_with_limits};
+use crate::process::{PATIENCE, ihd, ihd_with_limits};
 
 /// Asks for the daemon's health until it is as wanted.
 fn until_health(daemon: &Daemon, what: &str, wanted: impl Fn(u16, &Value) -> bool) -> Value {
@@ -24,6 +25,22 @@ fn until_health(daemon: &Daemon, what: &str, wanted: impl Fn(u16, &Value) -> boo
         assert!(Instant::now() < deadline, "never: {what}; {status} {text}");
         thread::sleep(Duration::from_millis(100));
     }
+}
+
+/// The check `store` of `ihd doctor`.
+fn doctors_word(folder: &Path) -> Value {
+    let arguments = [
+        "doctor",
+        "tcp:127.0.0.1:1",
+        "--config",
+        "ihd.toml",
+        "--json",
+    ];
+    let output = ihd(folder).args(arguments).output().unwrap();
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let checks = report["groups"][0]["checks"].as_array().unwrap();
+    let store = checks.iter().find(|check| check["name"] == "store");
+    store.unwrap().clone()
 }
 
 #[test]
@@ -49,6 +66,24 @@ fn a_full_disk_is_said_with_what_it_costs_until_there_is_room_again() {
     let dropped = full["store_failure"]["dropped"]["windows"]
         .as_u64()
         .unwrap();
+    let check = doctors_word(folder.path());
+    assert_eq!(check["verdict"], "fail", "{check}");
+    let finding = check["finding"].as_str().unwrap();
+    assert!(
+        finding.contains("disk is full") && finding.contains("window"),
+        "{finding}"
+    );
+    let number_of = |name: &str| {
+        let told = check["evidence"].as_array().unwrap();
+        let found = told.iter().find(|e| e["name"] == name);
+        found.unwrap()["value"].as_f64().unwrap()
+    };
+    assert_eq!(
+        Some(number_of("since_ms")),
+        full["store_failure"]["since_ms"].as_f64()
+    );
+    assert!(number_of("lost_windows") >= dropped as f64, "{check}");
+    assert_eq!(check["remedy"], full["store_failure"]["advice"]);
     let all = daemon.until("the device's account", |all| {
         number(all, "not_stored") >= dropped
     });

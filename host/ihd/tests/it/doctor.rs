@@ -1,9 +1,12 @@
 //! `ihd doctor` as a user calls it: reports, JSON, exit codes. The machine that runs the tests may have boards and probes,
 //! or not: nothing here depends on it.
 
+use std::fs;
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 
+use ihd_store::{Settings, Store};
 use serde_json::Value;
 
 fn ihd(args: &str) -> Command {
@@ -182,4 +185,65 @@ fn a_hob_that_goes_away_leaves_a_report() {
     let report: Value = serde_json::from_slice(&output.stdout).expect("a document");
     assert_eq!(output.status.code(), Some(3), "{report:#}");
     assert!(report["ended_by"].is_string() || failed(&report, &["firmware"]) == ["connection"]);
+}
+
+/// The check `store` of a folder's configuration, which no daemon answers for.
+fn store_of(folder: &Path) -> Value {
+    let config = folder.join("ihd.toml");
+    let text = format!(
+        "listen = \"127.0.0.1:1\"\nstore = {:?}\n",
+        folder.join("store")
+    );
+    fs::write(&config, text).unwrap();
+    let (_, report) = json(&format!(
+        "doctor tcp:127.0.0.1:1 --json --config {}",
+        config.display()
+    ));
+    let checks = report["groups"][0]["checks"].as_array().unwrap();
+    let store = checks.iter().find(|check| check["name"] == "store");
+    store.unwrap().clone()
+}
+
+#[test]
+fn a_store_that_cannot_be_used_is_told_with_its_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |verdict: &str, words: &str| {
+        let check = store_of(folder.path());
+        assert_eq!(check["verdict"], verdict, "{check}");
+        let finding = check["finding"].as_str().unwrap().to_owned();
+        assert!(finding.contains(words), "{words}: {finding}");
+        check
+    };
+    told("not_tested", "none yet");
+    let at = folder.path().join("store");
+    let opened = Store::open(&at, &Settings::default()).unwrap();
+    told("fail", &format!("process {}", std::process::id()));
+    drop(opened);
+    let whole = told("pass", "has room");
+    assert_eq!(whole["evidence"][0]["value"], 1.0);
+    let records = at.join("ihd.db");
+    let lock = rusqlite::Connection::open(&records).unwrap();
+    lock.execute_batch("BEGIN IMMEDIATE").unwrap();
+    let locked = told(
+        "fail",
+        "another program keeps a database of the store locked",
+    );
+    assert!(
+        locked["remedy"]
+            .as_str()
+            .unwrap()
+            .contains("End the program")
+    );
+    drop(lock);
+    let bytes = fs::read(&records).unwrap();
+    fs::write(&records, &bytes[..bytes.len() / 2]).unwrap();
+    let damaged = told("fail", "a database of the store is damaged");
+    assert!(
+        damaged["remedy"]
+            .as_str()
+            .unwrap()
+            .contains("Start the daemon again")
+    );
+    // It is left as it is, for whoever wants to rescue something.
+    assert_eq!(fs::read(&records).unwrap().len(), bytes.len() / 2);
 }

@@ -1,6 +1,8 @@
 //! `ihd doctor`: what is wrong with a board, and with the machine it is plugged into.
 
 mod device;
+#[cfg(feature = "daemon")]
+mod store;
 mod text;
 
 use std::io::{BufRead, IsTerminal, stdin};
@@ -52,7 +54,7 @@ pub struct DoctorArgs {
     /// The image that should run; without one what this program carries, or the checkout's
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// The daemon's configuration, whose names DEV may be
+    /// The daemon's configuration, whose names DEV may be and whose store is looked at
     #[cfg(feature = "daemon")]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -118,9 +120,13 @@ impl DoctorArgs {
             _ => None,
         });
         let mut report = Report::of(name.clone());
+        #[cfg_attr(not(feature = "daemon"), expect(unused_mut))]
+        let mut checks = machine::checks(&here);
+        #[cfg(feature = "daemon")]
+        checks.push(store::check(self.config.as_deref()));
         report.add(Group {
             name: "machine",
-            checks: machine::checks(&here),
+            checks,
         });
         let none = self.examine(&mut report, wanted, &found, &image, stop);
         self.print(&report)?;
