@@ -4,13 +4,15 @@ use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::Instant;
 
+use super::board::Board;
 use super::disk::Disk;
 use super::hob::Hob;
 use super::promises::Promises;
+use super::script::Script;
 use crate::daemon::Daemon;
 
 /// Names of the hobs.
@@ -19,12 +21,23 @@ pub const HOBS: [&str; 2] = ["left", "right"];
 /// 2026-11-22 23:59:00 UTC, in milliseconds since 1970: a midnight is near.
 const ORIGIN_MS: i64 = 1_795_391_940_000;
 
+/// Kind of a hob.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Left {
+    /// A script.
+    Script,
+    /// The firmware on the simulated board, for which a second of the world costs up to a second of a core.
+    Board,
+}
+
 /// The world. It outlives the daemons in it.
 pub struct World {
     /// The disk of the store.
     pub disk: Arc<Disk>,
     /// Nothing fails by itself: promises are kept within short bounds.
     pub is_calm: bool,
+    /// Kind of the left hob; the right one is a script.
+    pub left: Left,
     /// Microseconds that passed before this daemon's life.
     before_us: AtomicU64,
     life_began: Mutex<Option<Instant>>,
@@ -49,7 +62,7 @@ pub struct State {
 /// A hob and its link.
 pub struct Socket {
     /// The hob.
-    pub hob: Hob,
+    pub hob: Box<dyn Hob>,
     /// Nobody can connect to one that is not.
     pub is_plugged: bool,
     /// Nothing passes either way.
@@ -66,10 +79,14 @@ pub struct Socket {
 
 impl World {
     /// Of this seed.
-    pub fn new(seed: u64) -> Arc<Self> {
+    pub fn new(seed: u64, left: Left) -> Arc<Self> {
         let is_calm = seed.is_multiple_of(4);
-        let socket = |k: u32| Socket {
-            hob: Hob::new(100 * (k + 1), Duration::ZERO),
+        let left_hob: Box<dyn Hob> = match left {
+            Left::Script => Box::new(Script::new(100, Duration::ZERO)),
+            Left::Board => Box::new(Board::new(100, Duration::ZERO)),
+        };
+        let socket = |hob| Socket {
+            hob,
             is_plugged: true,
             is_mute: false,
             connection: 0,
@@ -80,12 +97,16 @@ impl World {
         Arc::new(Self {
             disk: Arc::default(),
             is_calm,
+            left,
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
             clock_offset_ms: AtomicI64::new(0),
             state: Mutex::new(State {
                 rng: ChaCha8Rng::seed_from_u64(seed),
-                sockets: [socket(0), socket(1)],
+                sockets: [
+                    socket(left_hob),
+                    socket(Box::new(Script::new(200, Duration::ZERO))),
+                ],
                 promises: Promises::default(),
                 course: Vec::new(),
             }),
@@ -138,6 +159,14 @@ impl World {
         for socket in &mut state.sockets {
             socket.connection += 1;
             socket.hob.live_until(now);
+        }
+    }
+
+    /// A hob at random; where a board is there, it as a rule.
+    pub fn any_hob(&self, rng: &mut ChaCha8Rng) -> usize {
+        match self.left {
+            Left::Script => rng.random_range(0..HOBS.len()),
+            Left::Board => usize::from(rng.random_bool(0.2)),
         }
     }
 
