@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_shared::wire::frame::{MAX_ENCODED, encode};
+use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::sleep;
@@ -30,9 +32,9 @@ pub async fn fail_at_random(world: Arc<World>, seed: u64) {
     }
     loop {
         sleep(Duration::from_millis(rng.random_range(500..8_000))).await;
-        let hob = rng.random_range(0..HOBS.len());
+        let hob = world.any_hob(&mut rng);
         let lasts = Duration::from_millis(rng.random_range(10..6_000));
-        match rng.random_range(0..9) {
+        match rng.random_range(0..10) {
             0 => cut(&world, hob),
             1 => for_a_while(&world, hob, lasts, "is unplugged", |s, on| {
                 s.is_plugged = !on
@@ -49,6 +51,7 @@ pub async fn fail_at_random(world: Arc<World>, seed: u64) {
                 };
                 for_disk(&world, lasts, state);
             }
+            8 => greet(&world, hob),
             _ => put_clock(&world, &mut rng),
         }
     }
@@ -68,6 +71,15 @@ fn reboot(world: &World, hob: usize) {
 fn trip(world: &World, hob: usize) {
     world.note(&format!("{} trips", HOBS[hob]));
     world.lock().sockets[hob].hob.trip();
+}
+
+/// A hello of another host than the daemon.
+pub fn greet(world: &World, hob: usize) {
+    world.note(&format!("a stranger says hello to {}", HOBS[hob]));
+    let mut frame = [0; MAX_ENCODED];
+    let hello = ours(ROLE_HOST, 0, 0, "a stranger", "host");
+    let length = encode(&hello, 0, &mut frame).expect("it fits a frame");
+    world.deliver(hob, &frame[..length]);
 }
 
 fn put_clock(world: &World, rng: &mut ChaCha8Rng) {
@@ -105,10 +117,15 @@ fn for_disk(world: &Arc<World>, lasts: Duration, state: DiskState) {
     });
 }
 
-/// Ends all faults that last.
+/// Ends all faults that last, a lock-out by the hand that switches off and on.
 pub fn end_all_faults(world: &World) {
+    world.mend();
     world.disk.set(DiskState::default());
+    let now = world.now();
     for socket in &mut world.lock().sockets {
+        if socket.hob.is_locked_out() {
+            socket.hob.reboot(now);
+        }
         (socket.is_plugged, socket.is_mute) = (true, false);
         (socket.lost, socket.doubled, socket.late) = (0.0, 0.0, 0.0);
     }

@@ -1,11 +1,10 @@
 //! The lives of a daemon in one world: begun, used, killed or stopped, and begun again on the same store.
 
-use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_store::{Reader, ResultFilter, WindowFilter};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tempfile::TempDir;
@@ -14,15 +13,16 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::sleep;
 
 use super::faults::{end_all_faults, fail_at_random};
-use super::users::{User, ask_at_random};
-use super::world::{HOBS, World};
+use super::users::ask_at_random;
+use super::world::{HOBS, Left, World};
 use crate::config::Config;
 use crate::daemon::Daemon;
 use crate::machine::Machine;
-use crate::model::{Command, DeviceState};
 use crate::{OpenDevice, Opened, config::Address};
 
+use super::fleet;
 use super::link::Link;
+use super::mended::{MENDED_WITHIN, check_mended, check_store, until_all_works};
 
 /// Between two looks at the promises.
 const CHECK_EVERY: Duration = Duration::from_millis(100);
@@ -30,9 +30,30 @@ const CHECK_EVERY: Duration = Duration::from_millis(100);
 /// Between two windows that the simulated learner looks at.
 const LEARN_EVERY: Duration = Duration::from_millis(100);
 
-/// From when nothing fails any more until all has to work again: the longest wait between two tries to connect, what a
-/// hello and a silent device take, and what the store is asked again after.
-const MENDED_WITHIN: Duration = Duration::from_secs(40);
+/// Lengths of a course, each within a range.
+struct Lengths {
+    lives: Range<u32>,
+    life_ms: Range<u64>,
+    /// From the end of one life to the next.
+    dead_ms: Range<u64>,
+}
+
+impl Lengths {
+    fn of(left: Left) -> Self {
+        match left {
+            Left::Script => Self {
+                lives: 1..4,
+                life_ms: 1_000..30_000,
+                dead_ms: 0..15_000,
+            },
+            Left::Board => Self {
+                lives: 1..3,
+                life_ms: 1_000..4_000,
+                dead_ms: 0..1_000,
+            },
+        }
+    }
+}
 
 /// Course of events in a world.
 pub struct Course {
@@ -73,12 +94,16 @@ fn paused_runtime() -> Runtime {
 /// Runs a daemon for so long with hobs that nobody asks for anything. Returns the connections made to each.
 pub fn idle(time: Duration) -> [u64; HOBS.len()] {
     // Calm.
-    let world = World::new(0);
+    let world = World::new(0, Left::Script);
     let folder = memory();
     paused_runtime().block_on(async {
         world.begin_life();
         let machine = machine_in(&world);
-        let daemon = Daemon::start_on(machine, configuration(folder.path()), open_in(&world));
+        let daemon = Daemon::start_on(
+            machine,
+            configuration(&world, folder.path()),
+            open_in(&world),
+        );
         let daemon = daemon.await.expect("it starts");
         sleep(time).await;
         daemon.stop().await;
@@ -89,26 +114,29 @@ pub fn idle(time: Duration) -> [u64; HOBS.len()] {
 }
 
 /// Runs one seed.
-pub fn run(seed: u64) -> Course {
+pub fn run(seed: u64, left: Left) -> Course {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let folder = memory();
     let store = folder.path().join("store");
-    let world = World::new(seed);
+    let world = World::new(seed, left);
+    let lengths = Lengths::of(left);
     let lives = if world.is_calm {
         1
     } else {
-        rng.random_range(1..4)
+        rng.random_range(lengths.lives)
     };
     for life in 1..=lives {
         let runtime = paused_runtime();
         let is_last = life == lives;
         runtime.block_on(async {
-            live(&world, &store, rng.random(), is_last).await;
+            let life = Duration::from_millis(rng.random_range(lengths.life_ms.clone()));
+            live(&world, &store, rng.random(), life, is_last).await;
             world.end_life();
         });
         // Its tasks end wherever each of them is: killed, where it was not stopped.
         drop(runtime);
-        world.pass_without_daemon(Duration::from_millis(rng.random_range(0..15_000)));
+        let dead_ms = rng.random_range(lengths.dead_ms.clone());
+        world.pass_without_daemon(Duration::from_millis(dead_ms));
         check_store(&world, &store);
         if world.lock().promises.broken.is_some() {
             break;
@@ -121,35 +149,40 @@ pub fn run(seed: u64) -> Course {
     }
 }
 
-fn configuration(store: &Path) -> Config {
+fn configuration(world: &World, store: &Path) -> Config {
     let mut text = String::from("discover_usb = false\n");
     for name in HOBS {
         text += &format!("[[device]]\nname = \"{name}\"\naddress = \"serial:{name}\"\n");
     }
     let mut config = Config::parse(&text, "simulation").expect("a configuration");
     config.store = store.to_owned();
+    config.fleet = world.is_edge.then(fleet::config);
     config
 }
 
-async fn live(world: &Arc<World>, store: &Path, seed: u64, is_last: bool) {
+async fn live(world: &Arc<World>, store: &Path, seed: u64, life: Duration, is_last: bool) {
     world.begin_life();
     world.note("a daemon begins");
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let machine = machine_in(world);
     let open = open_in(world);
-    let daemon = match Daemon::start_on(machine, configuration(store), open).await {
+    let daemon = match Daemon::start_on(machine, configuration(world, store), open).await {
         Ok(daemon) => daemon,
         Err(error) => return world.note_broken(format!("the daemon does not start: {error}")),
     };
     world.set_daemon(daemon.clone());
     beside(world, &daemon);
+    if world.is_edge {
+        let part = fleet::take_part(Arc::clone(world), daemon.clone(), rng.random());
+        tokio::spawn(part);
+    }
     let users = tokio::spawn(ask_at_random(
         Arc::clone(world),
         daemon.clone(),
         rng.random(),
     ));
     let faults = tokio::spawn(fail_at_random(Arc::clone(world), rng.random()));
-    sleep(Duration::from_millis(rng.random_range(1_000..30_000))).await;
+    sleep(life).await;
     users.abort();
     faults.abort();
     if !is_last {
@@ -161,7 +194,13 @@ async fn live(world: &Arc<World>, store: &Path, seed: u64, is_last: bool) {
     }
     end_all_faults(world);
     world.note("all is mended");
-    sleep(MENDED_WITHIN).await;
+    match world.left {
+        Left::Script => sleep(MENDED_WITHIN).await,
+        Left::Board => until_all_works(&daemon).await,
+    }
+    if world.is_edge {
+        fleet::check_settled(world, &daemon).await;
+    }
     check_mended(world, &daemon).await;
     daemon.stop().await;
     world.note("the daemon has stopped");
@@ -210,111 +249,4 @@ fn beside(world: &Arc<World>, daemon: &Daemon) {
             looks.check_now();
         }
     });
-}
-
-/// Checks that all works, now that nothing fails.
-async fn check_mended(world: &Arc<World>, daemon: &Daemon) {
-    for (hob, name) in HOBS.into_iter().enumerate() {
-        let state = daemon.device(name).map(|report| report.state);
-        let works = !matches!(
-            state,
-            None | Some(
-                DeviceState::Searching | DeviceState::Suspended | DeviceState::Incompatible
-            )
-        );
-        if !works {
-            world.note_broken(format!("{name} is {state:?} though nothing fails any more"));
-        }
-        let eve = User {
-            world: Arc::clone(world),
-            daemon: daemon.clone(),
-            hob,
-            name: "eve",
-        };
-        if let Err(error) = daemon.take_lease(name, "eve", true).await {
-            world.note_broken(format!("{name} cannot be taken over: {error}"));
-        }
-        // What tripped is cleared first.
-        let _ = daemon.command(name, "eve", Command::ClearFault).await;
-        world.number_heating_request(hob);
-        let power_w = 700;
-        let heats = daemon
-            .command(name, "eve", Command::Power { power_w })
-            .await;
-        let asked_w = world.lock().sockets[hob].hob.asked_w;
-        if heats.is_err() || asked_w != power_w {
-            world.note_broken(format!("{name} has {asked_w} of {power_w} W: {heats:?}"));
-        }
-        if !eve.off().await {
-            world.note_broken(format!("{name} cannot be switched off"));
-        }
-        check_windows(world, daemon, name);
-        check_lookup(world, daemon, hob).await;
-    }
-}
-
-/// Checks that each window that was announced is counted in one place.
-fn check_windows(world: &World, daemon: &Daemon, name: &str) {
-    let Some(report) = daemon.device(name) else {
-        return;
-    };
-    let w = &report.windows;
-    let counted = w.stored + w.refused + w.dropped_by_device + w.lost + w.not_stored;
-    // The one that is at the store.
-    if w.announced.abs_diff(counted) > 1 {
-        world.note_broken(format!("{name}'s windows do not add up: {w:?}"));
-    }
-}
-
-/// Checks that the lookup that a hob uses is one that the store knows.
-async fn check_lookup(world: &World, daemon: &Daemon, hob: usize) {
-    let used = world.lock().sockets[hob].hob.lookup.clone();
-    let rows = daemon.lookups(HOBS[hob]).await.unwrap_or_default();
-    let blob = used.to_bytes();
-    let is_known = rows
-        .iter()
-        .any(|row| row.version == used.version && row.blob == blob);
-    if used.version > 0 && !is_known {
-        let name = HOBS[hob];
-        world.note_broken(format!(
-            "{name} uses lookup {} that the store does not know",
-            used.version
-        ));
-    }
-}
-
-/// Checks that what was acknowledged is in the store.
-fn check_store(world: &World, folder: &Path) {
-    let reader = match Reader::open(folder) {
-        Ok(reader) => reader,
-        Err(error) => return world.note_broken(format!("the store cannot be read: {error}")),
-    };
-    let windows = reader.windows(&WindowFilter::default());
-    let limit = Some(u32::MAX);
-    let results = reader.results(&ResultFilter {
-        limit,
-        ..ResultFilter::default()
-    });
-    let (windows, results) = match (windows, results) {
-        (Ok(windows), Ok(results)) => (windows, results),
-        (windows, results) => {
-            let why = format!("the store cannot be read: {windows:?} {results:?}");
-            return world.note_broken(why.chars().take(300).collect());
-        }
-    };
-    let key = |device: &str, boot, seq| {
-        let hob = HOBS.iter().position(|hob| *hob == device)?;
-        Some((hob, boot, seq))
-    };
-    let stored = windows.iter().filter_map(|w| key(&w.device, w.boot, w.seq));
-    let kept = results.iter().filter_map(|r| key(&r.device, r.boot, r.seq));
-    let (stored, kept): (BTreeSet<_>, BTreeSet<_>) = (stored.collect(), kept.collect());
-    let promises = &mut world.lock().promises;
-    let lost = promises.stored.difference(&stored).next();
-    let lost_result = promises.results.difference(&kept).next();
-    if let Some(lost) = lost.or(lost_result) {
-        promises.broken.get_or_insert(format!(
-            "hob, boot, number {lost:?} was acknowledged, and is not in the store"
-        ));
-    }
 }

@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use ihd_link::{LinkError, Transport};
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::messages::AnyMessage;
 use rand::RngExt;
 
 use super::world::{HOBS, World};
@@ -23,6 +22,8 @@ pub struct Link {
     socket: usize,
     connection: u64,
     deframer: Deframer,
+    /// Bytes of a frame that is not whole yet.
+    going: Vec<u8>,
     /// The transport's clock where it is ahead of the world's: a request waits on it.
     ahead: Duration,
     /// Frames of the hob are held up until then.
@@ -53,6 +54,7 @@ impl Link {
             socket,
             connection: place.connection,
             deframer: Deframer::new(),
+            going: Vec::new(),
             ahead: Duration::ZERO,
             late_until: Duration::ZERO,
             coming: VecDeque::new(),
@@ -99,13 +101,11 @@ impl Transport for Link {
         self.check()?;
         let now = self.clock();
         for &byte in bytes {
-            let Some(Ok(frame)) = self.deframer.push(byte) else {
+            self.going.push(byte);
+            if !matches!(self.deframer.push(byte), Some(Ok(_))) {
                 continue;
-            };
-            let (number, payload) = frame.split();
-            let Ok(message) = AnyMessage::decode(frame.id, payload) else {
-                continue;
-            };
+            }
+            let frame = std::mem::take(&mut self.going);
             let times = {
                 let state = &mut *self.world.lock();
                 let place = &mut state.sockets[self.socket];
@@ -120,7 +120,7 @@ impl Transport for Link {
                 }
             };
             for _ in 0..times {
-                self.world.deliver(self.socket, number, &message);
+                self.world.deliver(self.socket, &frame);
             }
         }
         Ok(())

@@ -1,30 +1,42 @@
 //! Deterministic simulation of the daemon: one seed gives devices, links, disk, clocks and users with all their faults, in simulated time.
 //!
 //! ```text
-//!  users ──► Daemon ──► link ──► hob        one runtime, one thread, a paused clock
+//!  users ──► Daemon ──► link ──► hob        scripts, or the firmware on the simulated board; one runtime, one thread, a paused clock
 //!              │         faults.rs: cut, lost, doubled, late; reboots, trips; disk slow or full; clock put on and back; kills
-//!              └──► store (SQLite, in memory-backed files)
+//!              ├──► store (SQLite, in memory-backed files)
+//!              └──► fleet: a server that stalls and forgets, workers that lie; in every third seed
 //!  promises.rs checks at every frame that a hob receives, at every answer, and every 100 ms
 //! ```
 //!
 //! The daemon is the product's own; only what blocks runs otherwise ([`crate::machine`]). `IHD_SEED=4711 cargo nextest run -p ihd-daemon
-//! simulation` runs one seed again and prints its course; `IHD_SEEDS=100000` runs so many.
+//! simulation` runs one seed again and prints its course; `IHD_SEEDS=100000` runs so many, `IHD_BOARD_SEEDS=100` so many with a board.
 
+mod board;
 mod disk;
 mod faults;
+mod fleet;
 mod hob;
 mod life;
 mod link;
+mod mended;
 mod promises;
+mod script;
 mod users;
 mod world;
 
+use std::ops::Range;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 pub use disk::Disk;
+use world::Left;
 
 /// Seeds of the short form.
 const SEEDS: u64 = 100;
+
+/// Seeds of the short form with the firmware as one of the hobs: ten seconds of a core.
+const BOARD_SEEDS: Range<u64> = 1..8;
 
 fn of_environment(name: &str) -> Option<u64> {
     let value = std::env::var(name).ok()?;
@@ -32,22 +44,18 @@ fn of_environment(name: &str) -> Option<u64> {
 }
 
 /// Runs seed after seed on as many threads as there are cores, and collects the promises that were broken.
-#[test]
-fn promises_hold_whatever_fails() {
+fn run_all(seeds: Range<u64>, left: Left) {
     let one = of_environment("IHD_SEED");
-    let seeds = match one {
-        Some(seed) => seed..seed + 1,
-        None => 0..of_environment("IHD_SEEDS").unwrap_or(SEEDS),
-    };
-    let next = std::sync::atomic::AtomicU64::new(seeds.start);
-    let broken = std::sync::Mutex::new(Vec::new());
+    let seeds = one.map_or(seeds, |seed| seed..seed + 1);
+    let next = AtomicU64::new(seeds.start);
+    let broken = Mutex::new(Vec::new());
     let run = || {
         loop {
-            let seed = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            let seed = next.fetch_add(1, Ordering::Relaxed);
             if !seeds.contains(&seed) || broken.lock().unwrap().len() >= 5 {
                 return;
             }
-            let course = life::run(seed);
+            let course = life::run(seed, left);
             if one.is_some() {
                 println!("{}", course.text());
             }
@@ -71,9 +79,22 @@ fn promises_hold_whatever_fails() {
 }
 
 #[test]
+fn promises_hold_whatever_fails() {
+    let seeds = of_environment("IHD_SEEDS").unwrap_or(SEEDS);
+    run_all(0..seeds, Left::Script);
+}
+
+#[test]
+fn promises_hold_with_the_firmware_as_a_hob() {
+    let more = of_environment("IHD_BOARD_SEEDS");
+    run_all(more.map_or(BOARD_SEEDS, |seeds| 0..seeds), Left::Board);
+}
+
+#[test]
 fn one_seed_gives_one_course() {
-    for seed in [1, 2, 3] {
-        let (first, second) = (life::run(seed).text(), life::run(seed).text());
+    let scripts = [1, 2, 3].map(|seed| (seed, Left::Script));
+    for (seed, left) in scripts.into_iter().chain([(6, Left::Board)]) {
+        let [first, second] = [(), ()].map(|()| life::run(seed, left).text());
         assert!(first.lines().count() > 20, "something happens");
         let mut lines = first.lines().zip(second.lines());
         let differ = lines.find(|(first, second)| first != second);

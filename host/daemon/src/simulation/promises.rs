@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use ihd_shared::wire::messages::AnyMessage;
-use ihd_shared::wire::number::Number;
 use tokio::time::Instant;
 
+use super::hob::read;
 use super::world::{HOBS, World};
 use crate::model::{Notice, What};
 use crate::store_queue::{DAEMON, DEVICE, RESERVE};
@@ -73,7 +73,7 @@ impl World {
         let state = &mut *self.lock();
         let (place, asked_w) = (
             &mut state.promises.places[hob],
-            state.sockets[hob].hob.asked_w,
+            state.sockets[hob].hob.asked_w(),
         );
         place.off = place.off.max(Some(number));
         if asked_w > 0 && place.last_heating < number {
@@ -84,15 +84,31 @@ impl World {
         }
     }
 
-    /// Delivers a frame of the daemon to a hob.
-    pub fn deliver(&self, hob: usize, number: Number, message: &AnyMessage<'_>) {
-        if let AnyMessage::SetPower(m) = message {
-            self.note(&format!("{} is asked for {} W", HOBS[hob], m.power_w));
-            if m.power_w > 0 {
-                self.check_power(hob, m.power_w);
+    /// Delivers a frame to a hob: the daemon's, or a stranger's hello.
+    pub fn deliver(&self, hob: usize, frame: &[u8]) {
+        let asked = |message: &AnyMessage<'_>| match message {
+            AnyMessage::SetPower(m) => Some(m.power_w),
+            _ => None,
+        };
+        let is_hello = |message: &AnyMessage<'_>| matches!(message, AnyMessage::Hello(_));
+        let of_frame = read(frame, |_, message| (asked(message), is_hello(message)));
+        let (power_w, is_hello) = of_frame.unwrap_or_default();
+        if let Some(power_w) = power_w {
+            self.note(&format!("{} is asked for {power_w} W", HOBS[hob]));
+            if power_w > 0 {
+                self.check_power(hob, power_w);
             }
         }
-        self.lock().sockets[hob].hob.receive(number, message);
+        let state = &mut *self.lock();
+        let place = &mut state.sockets[hob].hob;
+        place.receive(frame);
+        let asked_w = place.asked_w();
+        if is_hello && asked_w > 0 {
+            state.promises.note_broken(format!(
+                "a conversation with {} begins with {asked_w} W of the one before it",
+                HOBS[hob]
+            ));
+        }
     }
 
     fn check_power(&self, hob: usize, power_w: u16) {
@@ -136,7 +152,7 @@ impl World {
             let socket = &mut state.sockets[hob];
             socket.hob.live_until(now);
             let place = &mut state.promises.places[hob];
-            if socket.hob.asked_w == 0 || is_held {
+            if socket.hob.asked_w() == 0 || is_held {
                 place.unheld_since = None;
                 continue;
             }
@@ -146,7 +162,7 @@ impl World {
                 false => UNHELD_AT_MOST,
             };
             if now - since > bound {
-                let asked_w = socket.hob.asked_w;
+                let asked_w = socket.hob.asked_w();
                 state.promises.note_broken(format!(
                     "{name} heats with {asked_w} W since {:.3} s, and no lease lives",
                     since.as_secs_f64()

@@ -1,4 +1,4 @@
-//! A hob as a script: the firmware's handling of frames and time, without the physics.
+//! The hob as a script: the firmware's handling of frames and time, without the physics.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -19,6 +19,8 @@ use ihd_shared::wire::messages::{
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
+use super::hob::{Hob, read};
+
 /// One half-cycle at 50 Hz.
 const HALF_CYCLE: Duration = Duration::from_millis(10);
 
@@ -29,15 +31,14 @@ const TELEMETRY_EVERY: u32 = 10;
 const WINDOW_EVERY: u32 = 70;
 
 /// The hob.
-pub struct Hob {
+pub struct Script {
     /// Differs from boot to boot.
-    pub boot_id: u32,
+    boot_id: u32,
     /// Power that a host asked for, in watt.
-    pub asked_w: u16,
-    /// The lookup in use.
-    pub lookup: RlLookup,
+    asked_w: u16,
+    lookup: RlLookup,
     /// Windows made in this boot.
-    pub windows: u32,
+    windows: u32,
     hello: Hello,
     half_cycle: u32,
     /// World's time of half-cycle 0.
@@ -57,7 +58,7 @@ pub struct Hob {
     sent: VecDeque<(Duration, Vec<u8>)>,
 }
 
-impl Hob {
+impl Script {
     /// Begins at the world's time `now`.
     pub fn new(boot_id: u32, now: Duration) -> Self {
         Self {
@@ -82,34 +83,6 @@ impl Hob {
         }
     }
 
-    /// It loses power: all is forgotten but its lookup, which lies in flash.
-    pub fn reboot(&mut self, now: Duration) {
-        let lookup = self.lookup.clone();
-        *self = Self::new(self.boot_id + 1, now);
-        self.lookup = lookup;
-    }
-
-    /// A fault trips: the bridge is off, and nobody may ask for power before it is cleared.
-    pub fn trip(&mut self) {
-        self.asked_w = 0;
-        self.fault = Fault::from_number(1);
-        let (half_cycle, fault) = (self.half_cycle, self.fault);
-        self.send(&FaultEvent { half_cycle, fault });
-    }
-
-    /// Frames that have left by `now`, one after the other.
-    pub fn take_sent(&mut self, now: Duration) -> Option<Vec<u8>> {
-        match self.sent.front() {
-            Some((at, _)) if *at <= now => self.sent.pop_front().map(|(_, frame)| frame),
-            _ => None,
-        }
-    }
-
-    /// Drops the frames on their way to a host that is cut off.
-    pub fn forget_sent(&mut self) {
-        self.sent.clear();
-    }
-
     fn now(&self) -> Duration {
         self.began + HALF_CYCLE * self.half_cycle
     }
@@ -129,28 +102,6 @@ impl Hob {
 
     fn reply(&mut self, outcome: Outcome, detail: u32) {
         self.send(&Reply { outcome, detail });
-    }
-
-    /// Lives until `now`.
-    pub fn live_until(&mut self, now: Duration) {
-        while self.now() + HALF_CYCLE <= now {
-            self.half_cycle += 1;
-            self.unheard = self.unheard.saturating_add(1);
-            if self.unheard >= HOST_UNHEARD_HALF_CYCLES {
-                self.asked_w = 0;
-            }
-            if let Some(lookup) = self.pending.take() {
-                self.lookup = lookup;
-            }
-            if self.is_paired && self.streams {
-                if self.half_cycle.is_multiple_of(TELEMETRY_EVERY) {
-                    self.send_telemetry();
-                }
-                if self.half_cycle.is_multiple_of(WINDOW_EVERY) {
-                    self.send_window();
-                }
-            }
-        }
     }
 
     fn state(&self) -> State {
@@ -235,8 +186,7 @@ impl Hob {
         self.send(&WindowEnd { seq, crc32 });
     }
 
-    /// Takes a frame of the host.
-    pub fn receive(&mut self, number: Number, message: &AnyMessage<'_>) {
+    fn take(&mut self, number: Number, message: &AnyMessage<'_>) {
         if !matches!(message, AnyMessage::ResendWindow(_)) {
             self.unheard = 0;
         }
@@ -360,5 +310,70 @@ impl Hob {
             panel_level: 255,
             key_locked: false,
         });
+    }
+}
+
+impl Hob for Script {
+    fn asked_w(&self) -> u16 {
+        self.asked_w
+    }
+
+    fn lookup(&self) -> &RlLookup {
+        &self.lookup
+    }
+
+    fn receive(&mut self, frame: &[u8]) {
+        read(frame, |number, message| self.take(number, message));
+    }
+
+    fn is_locked_out(&self) -> bool {
+        false
+    }
+
+    /// All is forgotten but its lookup, which lies in flash.
+    fn reboot(&mut self, now: Duration) {
+        let lookup = self.lookup.clone();
+        *self = Self::new(self.boot_id + 1, now);
+        self.lookup = lookup;
+    }
+
+    /// The bridge is off, and nobody may ask for power before the fault is cleared.
+    fn trip(&mut self) {
+        self.asked_w = 0;
+        self.fault = Fault::from_number(1);
+        let (half_cycle, fault) = (self.half_cycle, self.fault);
+        self.send(&FaultEvent { half_cycle, fault });
+    }
+
+    fn take_sent(&mut self, now: Duration) -> Option<Vec<u8>> {
+        match self.sent.front() {
+            Some((at, _)) if *at <= now => self.sent.pop_front().map(|(_, frame)| frame),
+            _ => None,
+        }
+    }
+
+    fn forget_sent(&mut self) {
+        self.sent.clear();
+    }
+
+    fn live_until(&mut self, now: Duration) {
+        while self.now() + HALF_CYCLE <= now {
+            self.half_cycle += 1;
+            self.unheard = self.unheard.saturating_add(1);
+            if self.unheard >= HOST_UNHEARD_HALF_CYCLES {
+                self.asked_w = 0;
+            }
+            if let Some(lookup) = self.pending.take() {
+                self.lookup = lookup;
+            }
+            if self.is_paired && self.streams {
+                if self.half_cycle.is_multiple_of(TELEMETRY_EVERY) {
+                    self.send_telemetry();
+                }
+                if self.half_cycle.is_multiple_of(WINDOW_EVERY) {
+                    self.send_window();
+                }
+            }
+        }
     }
 }

@@ -24,7 +24,7 @@ pub async fn ask_at_random(world: Arc<World>, daemon: Daemon, seed: u64) {
         let rest_ms = match rng.random_bool(0.5) {
             true => rng.random_range(0..20),
             false => {
-                hob = rng.random_range(0..HOBS.len());
+                hob = world.any_hob(&mut rng);
                 name = NAMES[rng.random_range(0..NAMES.len())];
                 rng.random_range(100..4_000)
             }
@@ -114,7 +114,7 @@ impl User {
 
     async fn push_lookup(self) {
         let mut lookup = prior();
-        lookup.version = self.world.lock().sockets[self.hob].hob.lookup.version + 1;
+        lookup.version = self.world.lock().sockets[self.hob].hob.lookup().version + 1;
         let blob = lookup.to_bytes().to_vec();
         self.carry_out(Command::LookupPush { blob }).await;
     }

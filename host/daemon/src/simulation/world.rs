@@ -1,16 +1,19 @@
 //! The world around the daemon: time, hobs, and what was seen.
 
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::Instant;
 
+use super::board::Board;
 use super::disk::Disk;
+use super::fleet::Fleet;
 use super::hob::Hob;
 use super::promises::Promises;
+use super::script::Script;
 use crate::daemon::Daemon;
 
 /// Names of the hobs.
@@ -19,12 +22,28 @@ pub const HOBS: [&str; 2] = ["left", "right"];
 /// 2026-11-22 23:59:00 UTC, in milliseconds since 1970: a midnight is near.
 const ORIGIN_MS: i64 = 1_795_391_940_000;
 
+/// Kind of a hob.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Left {
+    /// A script.
+    Script,
+    /// The firmware on the simulated board, for which a second of the world costs up to a second of a core.
+    Board,
+}
+
 /// The world. It outlives the daemons in it.
 pub struct World {
     /// The disk of the store.
     pub disk: Arc<Disk>,
     /// Nothing fails by itself: promises are kept within short bounds.
     pub is_calm: bool,
+    /// Kind of the left hob; the right one is a script.
+    pub left: Left,
+    /// The daemon is an edge of a fleet.
+    pub is_edge: bool,
+    fleet: Mutex<Fleet>,
+    /// Nothing fails any more.
+    is_mended: AtomicBool,
     /// Microseconds that passed before this daemon's life.
     before_us: AtomicU64,
     life_began: Mutex<Option<Instant>>,
@@ -49,7 +68,7 @@ pub struct State {
 /// A hob and its link.
 pub struct Socket {
     /// The hob.
-    pub hob: Hob,
+    pub hob: Box<dyn Hob>,
     /// Nobody can connect to one that is not.
     pub is_plugged: bool,
     /// Nothing passes either way.
@@ -66,10 +85,14 @@ pub struct Socket {
 
 impl World {
     /// Of this seed.
-    pub fn new(seed: u64) -> Arc<Self> {
+    pub fn new(seed: u64, left: Left) -> Arc<Self> {
         let is_calm = seed.is_multiple_of(4);
-        let socket = |k: u32| Socket {
-            hob: Hob::new(100 * (k + 1), Duration::ZERO),
+        let left_hob: Box<dyn Hob> = match left {
+            Left::Script => Box::new(Script::new(100, Duration::ZERO)),
+            Left::Board => Box::new(Board::new(100, Duration::ZERO)),
+        };
+        let socket = |hob| Socket {
+            hob,
             is_plugged: true,
             is_mute: false,
             connection: 0,
@@ -80,12 +103,19 @@ impl World {
         Arc::new(Self {
             disk: Arc::default(),
             is_calm,
+            left,
+            is_edge: left == Left::Script && seed % 3 == 1,
+            fleet: Mutex::default(),
+            is_mended: AtomicBool::new(false),
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
             clock_offset_ms: AtomicI64::new(0),
             state: Mutex::new(State {
                 rng: ChaCha8Rng::seed_from_u64(seed),
-                sockets: [socket(0), socket(1)],
+                sockets: [
+                    socket(left_hob),
+                    socket(Box::new(Script::new(200, Duration::ZERO))),
+                ],
                 promises: Promises::default(),
                 course: Vec::new(),
             }),
@@ -141,9 +171,32 @@ impl World {
         }
     }
 
+    /// A hob at random; where a board is there, it as a rule.
+    pub fn any_hob(&self, rng: &mut ChaCha8Rng) -> usize {
+        match self.left {
+            Left::Script => rng.random_range(0..HOBS.len()),
+            Left::Board => usize::from(rng.random_bool(0.2)),
+        }
+    }
+
     /// The daemon, while one lives.
     pub fn daemon(&self) -> Option<Daemon> {
         lock(&self.daemon).clone()
+    }
+
+    /// The fleet's server.
+    pub fn fleet(&self) -> MutexGuard<'_, Fleet> {
+        lock(&self.fleet)
+    }
+
+    /// Something may fail now.
+    pub fn may_fail(&self) -> bool {
+        !self.is_calm && !self.is_mended.load(Ordering::Relaxed)
+    }
+
+    /// From now on nothing fails.
+    pub fn mend(&self) {
+        self.is_mended.store(true, Ordering::Relaxed);
     }
 
     /// All that changes but time.
