@@ -2,9 +2,9 @@
 
 use std::f64::consts::LN_2;
 
+use ihd_signal::fourier;
 use ihd_signal::noise::median;
 use nalgebra::Complex;
-use realfft::RealFftPlanner;
 
 /// Power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
 const LINE: f64 = 30.0;
@@ -34,7 +34,7 @@ impl Lines {
         if n == 0 {
             return None;
         }
-        let fft = RealFftPlanner::new().plan_fft_forward(n);
+        let fft = fourier::forward(n);
         let transformed = |part: fn(&Complex<f64>) -> f64| {
             let mut input: Vec<f64> = x.iter().zip(weight).map(|(x, w)| part(x) * w).collect();
             let mut output = fft.make_output_vec();

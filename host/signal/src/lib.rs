@@ -10,6 +10,7 @@ pub mod atomic;
 pub mod capture;
 pub mod carrier;
 pub mod correlation;
+pub mod fourier;
 pub mod load;
 pub mod noise;
 pub mod printable;

@@ -9,9 +9,8 @@
 use std::f64::consts::PI;
 
 use nalgebra::Complex;
-use realfft::RealFftPlanner;
 
-use super::{Raw, Samples, Segment};
+use super::{Raw, Samples, Segment, fourier};
 
 /// Switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
 const MOST_PERIODS: f64 = 96.0;
@@ -79,7 +78,7 @@ pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Optio
         return None;
     }
     let mut powers = vec![Vec::with_capacity(frames.count); places.len()];
-    let fft = RealFftPlanner::new().plan_fft_forward(frames.points);
+    let fft = fourier::forward(frames.points);
     let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
     let window = sin6(frames.points);
     let low_pass = low_pass(frames.block);

@@ -10,7 +10,6 @@ use ihd_signal::Capture;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::settings::{LoadKind, Settings};
 use ihd_survey::{Hints, Survey};
-use realfft::RealFftPlanner;
 
 /// 20 ms at 50 MS/s, 30 dB.
 fn capture() -> Capture {
@@ -35,7 +34,7 @@ fn survey(c: &mut Criterion) {
     group.bench_function("survey", |b| {
         b.iter(|| Survey::of(black_box(&capture), &Hints::default()));
     });
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(capture.len());
+    let fft = ihd_signal::fourier::forward(capture.len());
     let x: Vec<f64> = capture.v_v.iter().map(|v| f64::from(*v)).collect();
     let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
     group.bench_function("peer: one FFT of one channel", |b| {

@@ -4,8 +4,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use ihd_signal::Capture;
+use ihd_signal::fourier::{self, RealToComplex};
 use nalgebra::Complex;
-use realfft::{RealFftPlanner, RealToComplex};
 
 use super::time::Run;
 use super::track;
@@ -157,7 +157,7 @@ impl Spectrum {
     fn new(length: usize, dt_s: f64, (from_hz, to_hz): (f64, f64)) -> Self {
         // Twice the length, so that a line's top lies within a third of a bin of a parabola.
         let n = (2 * length).next_power_of_two().max(8);
-        let fft = RealFftPlanner::new().plan_fft_forward(n);
+        let fft = fourier::forward(n);
         let hz_per_bin = 1.0 / (dt_s * n as f64);
         let bin = |f: f64| ((f / hz_per_bin).max(1.0) as usize).min(n / 2 - 1);
         Self {

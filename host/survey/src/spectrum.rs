@@ -1,6 +1,6 @@
 //! The spectrum that a figure shows.
 
-use realfft::RealFftPlanner;
+use ihd_signal::fourier;
 
 use super::track::hann;
 
@@ -18,7 +18,7 @@ pub fn amplitude_db(x: &[f32], dt_s: f64, to_hz: f64) -> Vec<(f64, f64)> {
         return Vec::new();
     }
     let start = (x.len() - n) / 2;
-    let fft = RealFftPlanner::new().plan_fft_forward(n);
+    let fft = fourier::forward(n);
     let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
     for ((y, x), w) in input.iter_mut().zip(&x[start..start + n]).zip(hann(n)) {
         *y = f64::from(*x) * w;

@@ -6,9 +6,9 @@
 use std::f64::consts::TAU;
 
 use ihd_signal::Capture;
+use ihd_signal::fourier;
 use ihd_signal::segment::Segment;
 use nalgebra::Complex;
-use realfft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
 use super::super::delay::delay;
@@ -139,9 +139,8 @@ fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> C
         x[at.min(period - at)]
     };
     let mut padded: Vec<f64> = (0..length).map(mirrored).collect();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let forward = planner.plan_fft_forward(length);
-    let inverse = planner.plan_fft_inverse(length);
+    let forward = fourier::forward(length);
+    let inverse = fourier::inverse(length);
     let mut spectrum = forward.make_output_vec();
     if forward.process(&mut padded, &mut spectrum).is_err() {
         return;
