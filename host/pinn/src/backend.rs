@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use burn_tensor::Device;
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 use crate::PinnError;

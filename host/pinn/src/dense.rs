@@ -1,10 +1,10 @@
 //! A fully connected layer on a burn device: y = x W + b, a row of x a point.
 //!
-//! Plain tensors with `require_grad` instead of `burn_nn::Linear`: no `Module`, no `Param`, and no
+//! Plain tensors with `require_grad` instead of `burn::nn::Linear`: no `Module`, no `Param`, and no
 //! generated code for either.
 
-use burn_tensor::module::linear;
-use burn_tensor::{DType, Device, Element, Tensor, TensorData};
+use burn::tensor::module::linear;
+use burn::tensor::{DType, Device, Element, Tensor, TensorData};
 
 /// Weights `[input][output]` and biases; where the device differentiates, their gradients are kept.
 #[derive(Debug, Clone)]

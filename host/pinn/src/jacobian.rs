@@ -4,7 +4,7 @@
 //! row. So the deltas of back-propagation are carried by hand, for all slow times and both
 //! residuals in one batch: `d e / d W = a^T x delta` per row.
 
-use burn_tensor::Tensor;
+use burn::tensor::Tensor;
 use nalgebra::DMatrix;
 
 use crate::PinnError;

@@ -10,7 +10,7 @@
 //! `r_h` is linear in R and L, so at each slow time the rows of all harmonics condense, by a QR
 //! factorisation of two columns, into two: `e = d - C (R / r_scale, L / l_scale)`, C triangular.
 
-use burn_tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor};
 use nalgebra::Complex;
 
 use crate::PinnError;

@@ -1,8 +1,8 @@
 //! The RL-MLP in burn tensors (paper section II, outputs scaled): slow features, eq. (3), in, R and L in
 //! units of their scales out.
 
-use burn_tensor::activation::{softplus, tanh};
-use burn_tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::activation::{softplus, tanh};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use crate::PinnError;
 use crate::backend::Backend;

@@ -6,8 +6,8 @@ mod tests;
 
 use std::ops::Range;
 
-use burn_tensor::activation::softplus;
-use burn_tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::activation::softplus;
+use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::LayerPlace;
