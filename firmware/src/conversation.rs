@@ -14,7 +14,7 @@ pub struct Conversation {
     answer: Option<Answer>,
 }
 
-/// What a request is to the conversation.
+/// Place of a request in the conversation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
     /// A new one.

@@ -1,4 +1,4 @@
-//! What runs below the sampling path: commands from the link, power control, the active lookup.
+//! Work below the sampling path: commands from the link, power control, the active lookup.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
@@ -77,7 +77,7 @@ impl Housekeeping {
         }
     }
 
-    /// Whether the lookup in use is still what it was when it became that (a self-test).
+    /// Returns `true` if the lookup in use is still what it was when it became that (a self-test).
     pub fn is_lookup_intact(&self) -> bool {
         self.active.is_intact()
     }
@@ -92,13 +92,13 @@ impl Housekeeping {
         &self.last
     }
 
-    /// How often another lookup became active since boot: who keeps it sees from this when. Its version
-    /// may return after a reset.
+    /// Number of times that another lookup became active since boot, for whoever keeps it. Its version may return after a
+    /// reset.
     pub fn lookup_changes(&self) -> u32 {
         self.lookup_changes
     }
 
-    /// What a host has set, else [`Configure::DEFAULT`].
+    /// Settings of a host, else [`Configure::DEFAULT`].
     pub fn settings(&self) -> &Configure {
         &self.settings
     }
@@ -278,7 +278,7 @@ impl Housekeeping {
         self.control.set_temperatures(codes);
     }
 
-    /// Whether the fan is to run.
+    /// Returns `true` if the fan is to run.
     pub fn fan(&self) -> bool {
         self.control.temperatures().fan()
     }

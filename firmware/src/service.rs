@@ -22,10 +22,10 @@ use crate::log_ring::LogSource;
 use crate::realtime::Access;
 use crate::transmit_queue::Answer;
 
-/// How long clocks are counted at most before the test is given up, in milliseconds.
+/// Longest count of the clocks before the test is given up, in milliseconds.
 const CLOCKS_WITHIN_MS: u32 = 900;
 
-/// What the device is, as far as its chip and its program know.
+/// Identity of the device, as far as its chip and its program know.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
     /// DBGMCU_IDCODE; 0 where there is no chip.
@@ -50,10 +50,10 @@ pub struct Identity {
     pub chip: Option<[u8; 12]>,
 }
 
-/// What only the board can do. A board without one of these leaves it as it stands here; it is not asked again for that
+/// Abilities of the board alone. A board without one of these leaves it as it stands here; it is not asked again for that
 /// order.
 pub trait Facilities {
-    /// Whether [`Facilities::restart`] leads there.
+    /// Returns `true` if [`Facilities::restart`] leads there.
     fn has_program(&self, _into: Program) -> bool {
         false
     }
@@ -75,7 +75,7 @@ pub trait Facilities {
     fn begin_clocks(&mut self) -> bool {
         false
     }
-    /// What was counted, once it is enough.
+    /// Counts of the clocks, once they are long enough.
     fn clocks(&mut self) -> Option<Clocks> {
         None
     }
@@ -97,7 +97,7 @@ pub enum Test {
     Clocks,
 }
 
-/// What is under way.
+/// Order under way.
 enum Order {
     /// Asked for and not looked at.
     Restart(Program),
@@ -105,11 +105,11 @@ enum Order {
     Leaving(Program, u32),
     Test(Test),
     Channels(Measuring),
-    /// Since when, in milliseconds.
+    /// Counting since this time, in milliseconds.
     Clocks(u32),
 }
 
-/// What comes of a step of an order.
+/// Outcome of a step of an order.
 enum Step {
     Next(Order),
     Answer(Answer),
@@ -129,7 +129,7 @@ impl Service {
         self.received.take(frame);
     }
 
-    /// Whether the device is about to go: nobody is paired with it any more, and nothing is heated.
+    /// Returns `true` if the device is about to go: nobody is paired with it any more, and nothing is heated.
     pub fn is_leaving(&self) -> bool {
         matches!(self.order, Some((_, Order::Leaving(..))))
     }
@@ -144,12 +144,12 @@ impl Service {
 }
 
 impl Housekeeping {
-    /// What the device is, before a host asks.
+    /// Sets the identity of the device, before a host asks.
     pub fn set_identity(&mut self, identity: Identity) {
         self.queue.set_identity(identity);
     }
 
-    /// Where the log is kept until a host wants it.
+    /// Sets the place where the log is kept until a host wants it.
     pub fn set_log(&mut self, log: &'static dyn LogSource) {
         self.queue.set_log(log);
     }

@@ -42,13 +42,13 @@ pub const LOG_BYTES: usize = 512;
 pub enum Answer {
     /// The device's hello.
     Hello,
-    /// What the codes of the channels stand for.
+    /// Scales of the channels' codes.
     FrontEnd,
     /// Outcome of a command.
     Reply(Reply),
     /// The status of the moment it was asked for.
     Status(Status),
-    /// How busy the controller was.
+    /// Load of the controller.
     Utilisation(Utilisation),
     /// The lookup that is active when the answer leaves.
     Lookup,
@@ -56,19 +56,19 @@ pub enum Answer {
     Fault(FaultEvent),
     /// Replay mode was entered, left, or is missing.
     ReplayMode(ReplayMode),
-    /// What replayed blocks led to.
+    /// Estimates from replayed blocks.
     ReplayEstimates(Estimates),
     /// A piece of a window once more.
     Piece(ResendWindow),
-    /// What the device is.
+    /// Identity of the device.
     Board,
-    /// What the measuring channels show.
+    /// Means and deviations of the measuring channels.
     Channels(Channels),
-    /// Whether the trip in hardware works.
+    /// Outcome of a test of the trip in hardware.
     Comparators(Comparators),
     /// The clocks against each other.
     Clocks(Clocks),
-    /// What came of a test of the link.
+    /// Outcome of a test of the link.
     LinkTested(LinkTested),
 }
 
@@ -80,7 +80,7 @@ struct TestData {
     bytes: u16,
 }
 
-/// What the codes of this firmware's channels stand for.
+/// Scales of the codes of this firmware's channels.
 pub fn front_end() -> FrontEnd {
     FrontEnd {
         v_full_scale_mv: V_FULL_SCALE_MV,
@@ -91,7 +91,7 @@ pub fn front_end() -> FrontEnd {
     }
 }
 
-/// How far a window has been sent.
+/// Progress of a window that is being sent.
 struct Cursor {
     header: Header,
     stage: Stage,
@@ -152,12 +152,12 @@ impl TransmitQueue {
         &self.hello
     }
 
-    /// What the device is.
+    /// Sets the identity of the device.
     pub fn set_identity(&mut self, identity: Identity) {
         self.identity = identity;
     }
 
-    /// Where the log is kept until it is sent.
+    /// Sets the place where the log is kept until it is sent.
     pub fn set_log(&mut self, log: &'static dyn LogSource) {
         self.log = Some(log);
     }
@@ -186,7 +186,7 @@ impl TransmitQueue {
         }
     }
 
-    /// Whether another answer would find no room.
+    /// Returns `true` if another answer would find no room.
     pub fn is_full(&self) -> bool {
         self.answers.is_full()
     }
@@ -196,7 +196,7 @@ impl TransmitQueue {
         let _ = self.answers.push_back((number, answer));
     }
 
-    /// As [`TransmitQueue::answer`], for what answers no request.
+    /// Queues a message that answers no request.
     pub fn tell(&mut self, answer: Answer) {
         self.answer(Number::NONE, answer);
     }
@@ -470,7 +470,7 @@ impl TransmitQueue {
         (n, self.frame(&chunk, out))
     }
 
-    /// As [`TransmitQueue::pairs`], for the trajectory.
+    /// Does for the trajectory the same as [`TransmitQueue::pairs`].
     #[inline(never)]
     fn trajectory(
         &mut self,

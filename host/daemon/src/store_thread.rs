@@ -381,13 +381,20 @@ pub struct StoreWorker {
 }
 
 impl StoreWorker {
-    fn start(mut self, machine: &Machine) -> std::io::Result<Running> {
-        #[cfg(test)]
-        if let Some(disk) = machine.disk().cloned() {
-            return Ok(Running::Task(tokio::spawn(self.serve_simulated(disk))));
+    #[cfg(test)]
+    fn start(self, machine: &Machine) -> std::io::Result<Running> {
+        match machine.disk().cloned() {
+            Some(disk) => Ok(Running::Task(tokio::spawn(self.serve_simulated(disk)))),
+            None => self.start_thread(),
         }
-        #[cfg(not(test))]
-        let _ = machine;
+    }
+
+    #[cfg(not(test))]
+    fn start(self, _: &Machine) -> std::io::Result<Running> {
+        self.start_thread()
+    }
+
+    fn start_thread(mut self) -> std::io::Result<Running> {
         let thread = std::thread::Builder::new().name("ihd-store".to_owned());
         let serve = move || while self.wait_for_job() && self.do_next() {};
         Ok(Running::Thread(thread.spawn(serve)?))

@@ -21,17 +21,17 @@ use super::resend::{Resend, Step};
 use super::tap::Tap;
 use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
 
-/// How long a command waits for its answer unless [`Client::set_timeout`] changes it.
+/// Time that a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How often a host that wants its power to stay on is heard, with or without a question: the device ends it after
-/// [`HOST_UNHEARD_HALF_CYCLES`], 10 s at 50 Hz.
+/// Longest silence of a host that wants its power to stay on: the device ends it after [`HOST_UNHEARD_HALF_CYCLES`], 10 s at
+/// 50 Hz.
 pub const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
 
 /// Times that a request is sent within its time-out: an answer is lost as any frame.
 const TRIES: u32 = 3;
 
-/// How long a command that gives way to an `off` still waits for its answer.
+/// Time that a command that gives way to an `off` still waits for its answer.
 const GRACE: Duration = Duration::from_millis(50);
 
 /// Events that may wait for [`Client::next_event`] while commands are answered; a window takes
@@ -50,10 +50,10 @@ pub struct Client {
     hello: Hello,
     front_end: FrontEnd,
     frame_seq: u16,
-    /// Of the last request.
+    /// Number of the last request.
     number: Number,
     awaited: Option<Awaited>,
-    /// What was awaited last, once it has come.
+    /// Answer that was awaited last, once it has come.
     answer: Option<Answer>,
     timeout: Duration,
     giving_way: GivingWay,
@@ -64,7 +64,7 @@ pub struct Client {
     pieces_asked: u32,
 }
 
-/// Which answer is waited for.
+/// Answer that is waited for.
 #[derive(Clone, Copy)]
 struct Awaited {
     id: u8,
@@ -148,7 +148,7 @@ impl Client {
         self.exchange(request, awaited, tries)
     }
 
-    /// As [`Client::request`], where the answer is only that it was done.
+    /// Makes a request of which the answer is only that it was done.
     pub(super) fn order<R>(&mut self, order: &R) -> Result<(), LinkError>
     where
         R: for<'a> Request<Answer<'a> = Reply>,
@@ -156,12 +156,12 @@ impl Client {
         self.request(order).map(|_: Reply| ())
     }
 
-    /// What the codes of the device's channels stand for.
+    /// Scales of the codes of the device's channels.
     pub fn front_end(&self) -> &FrontEnd {
         &self.front_end
     }
 
-    /// How the device describes itself.
+    /// Description of the device, by itself.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
@@ -186,7 +186,7 @@ impl Client {
         self.transport.clock()
     }
 
-    /// How long a command waits for its answer, on the transport's clock.
+    /// Sets the time that a command waits for its answer, on the transport's clock.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
     }
@@ -233,7 +233,7 @@ impl Client {
         self.request(&GetStatus {})
     }
 
-    /// How busy the controller was since this was asked last.
+    /// Load of the controller since this was asked last.
     ///
     /// # Errors
     /// As every command.
@@ -250,7 +250,7 @@ impl Client {
         self.push_lookup_bytes(&lookup.to_bytes())
     }
 
-    /// As [`Client::push_lookup`], for bytes that may be no lookup at all: the device judges.
+    /// Pushes bytes that may be no lookup at all: the device judges.
     ///
     /// # Errors
     /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.

@@ -31,7 +31,7 @@ impl Number {
         }
     }
 
-    /// Whether this is a later request's than `other`: fewer than half of all numbers lie between.
+    /// Returns `true` if this is a later request's than `other`: fewer than half of all numbers lie between.
     pub const fn is_after(self, other: Self) -> bool {
         let ahead = self.0.wrapping_sub(other.0);
         ahead != 0 && ahead < 0x8000

@@ -90,21 +90,32 @@ impl Shared {
 }
 
 impl Learner {
-    /// As [`Learner::start`], on this machine.
+    /// Begins the threads, or none on a simulated machine.
     ///
     /// # Errors
     /// As [`Learner::start`].
+    #[cfg(test)]
     pub fn start_on(
         machine: &Machine,
         settings: LearnerSettings,
         outcomes: Sender<Learned>,
     ) -> Result<Self, LearnerError> {
-        #[cfg(test)]
-        if machine.disk().is_some() {
-            return Ok(Self::simulated(settings, outcomes));
+        match machine.disk() {
+            Some(_) => Ok(Self::simulated(settings, outcomes)),
+            None => Self::start(settings, outcomes),
         }
-        #[cfg(not(test))]
-        let _ = machine;
+    }
+
+    /// Begins the threads: a machine of the product is never simulated.
+    ///
+    /// # Errors
+    /// As [`Learner::start`].
+    #[cfg(not(test))]
+    pub fn start_on(
+        _: &Machine,
+        settings: LearnerSettings,
+        outcomes: Sender<Learned>,
+    ) -> Result<Self, LearnerError> {
         Self::start(settings, outcomes)
     }
 

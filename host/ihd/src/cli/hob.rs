@@ -164,13 +164,18 @@ fn tell(speed: f64, event: ServerEvent) {
     let _ = match event {
         ServerEvent::Connected(from) => say!("{from} connected"),
         ServerEvent::TurnedAway(from) => say!("{from} turned away: one host at a time"),
-        ServerEvent::Disconnected(why) => say!(
-            "disconnected{}",
-            match why {
+        ServerEvent::Disconnected { why, asked_w } => {
+            let why = match why {
                 Ended::Left => "",
                 Ended::NoHello => ": no hello that fits within 5 s",
+            };
+            match asked_w {
+                0 => say!("disconnected{why}"),
+                _ => say!(
+                    "disconnected{why}; {asked_w} W stay asked for until 10 s pass or another host says hello"
+                ),
             }
-        ),
+        }
         ServerEvent::Impossible(why) => {
             complain(format_args!("warning: {why}"));
             Ok(())

@@ -299,7 +299,7 @@ fn a_hob_does_not_heat_for_a_dead_daemon() {
     let (ended, is_left) = (Arc::clone(&stop), Arc::clone(&stop));
     let served = thread::spawn(move || {
         let watch = |event| {
-            if matches!(event, ServerEvent::Disconnected(_)) {
+            if matches!(event, ServerEvent::Disconnected { .. }) {
                 ended.store(true, Ordering::Relaxed);
             }
         };

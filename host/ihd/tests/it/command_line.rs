@@ -1,9 +1,10 @@
 //! `ihd` as a user calls it: help, exit codes, the trainer in process and over TCP.
-use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
-use std::process::{Child, ChildStdout, Command, Output, Stdio};
+use std::process::{Command, Output};
 
 use serde_json::Value;
+
+use crate::process::Hob;
 
 fn ihd() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
@@ -224,51 +225,14 @@ fn a_store_keeps_every_session_in_a_folder_of_its_own() {
     }
 }
 
-/// A simulated hob in a process of its own; ends with the test.
-struct HobProcess {
-    child: Child,
-    /// What it prints; with nobody to read it, it would end at the next line.
-    stdout: BufReader<ChildStdout>,
-}
-
-impl HobProcess {
-    /// The hob and its address.
-    fn start() -> (Self, String) {
-        let mut command = ihd();
-        command
-            .args(["hob", "--listen", "127.0.0.1:0"])
-            .stdout(Stdio::piped());
-        let mut child = command.spawn().expect("ihd hob runs");
-        let stdout = child.stdout.take().expect("piped");
-        let mut hob = Self {
-            child,
-            stdout: BufReader::new(stdout),
-        };
-        let mut line = String::new();
-        hob.stdout.read_line(&mut line).expect("UTF-8");
-        let (_, rest) = line
-            .split_once("tcp:")
-            .unwrap_or_else(|| panic!("{line:?}"));
-        let (address, _) = rest.split_once(';').unwrap_or_else(|| panic!("{line:?}"));
-        (hob, address.to_owned())
-    }
-}
-
-impl Drop for HobProcess {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 #[test]
 fn the_trainer_works_over_tcp() {
-    let (_hob, address) = HobProcess::start();
+    let hob = Hob::start();
+    let address = &hob.address;
     let report = trained(&format!("--device tcp:{address} --power 1500"));
     assert_eq!(number(&report, "/lookup_version"), 1.0);
     assert_eq!(
-        report["device"].as_str().map(|d| d.contains(&address)),
+        report["device"].as_str().map(|d| d.contains(address)),
         Some(true)
     );
     // No truth comes over a link.

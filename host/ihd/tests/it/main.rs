@@ -14,6 +14,7 @@ mod identify_accuracy;
 mod inspect;
 #[cfg(all(feature = "log", unix))]
 mod log;
+mod process;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]

@@ -1,14 +1,15 @@
 //! `ihd record` and `ihd replay` as a user calls them.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::cargo_bin;
 use ihd_capture::mcap;
 use ihd_capture::mcap::SessionReader;
 use serde_json::Value;
+
+use crate::process::{Hob, Process};
 
 fn ihd(args: &str, dir: &Path) -> Command {
     let mut command = Command::new(cargo_bin("ihd"));
@@ -27,36 +28,6 @@ fn json(output: &Output) -> Value {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{stderr}");
     serde_json::from_slice(&output.stdout).expect("JSON on stdout")
-}
-
-/// A process that ends with the test.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// A simulated hob behind a port, and its address.
-fn hob(dir: &Path) -> (Process, String) {
-    let mut command = ihd("hob --listen 127.0.0.1:0", dir);
-    let mut child = command
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("ihd hob runs");
-    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
-    let line = lines.next().expect("a line").expect("UTF-8");
-    // With nobody to read, the hob would end at its next line.
-    std::thread::spawn(move || lines.for_each(drop));
-    let address = line
-        .split("tcp:")
-        .nth(1)
-        .and_then(|rest| rest.split(';').next());
-    let address = address.unwrap_or_else(|| panic!("{line:?}")).to_owned();
-    (Process(child), address)
 }
 
 /// Longest wait for an event; it only ends a hang.
@@ -119,15 +90,14 @@ fn a_recording_replays_identically() {
 #[test]
 fn a_killed_recorder_leaves_a_readable_file() {
     let dir = tempfile::tempdir().unwrap();
-    let (_hob, address) = hob(dir.path());
+    let hob = Hob::start();
+    let address = &hob.address;
     let args = format!("record --device tcp:{address} --power 1500 --out killed.mcap");
-    let recorder = ihd(&args, dir.path()).stdout(Stdio::null()).spawn();
-    let mut recorder = Process(recorder.expect("ihd record runs"));
+    let mut recorder = Process::start(&mut ihd(&args, dir.path()), false);
     let path = dir.path().join("killed.mcap");
     await_size(&path, 300_000);
     // SIGKILL: it cannot be caught.
-    recorder.0.kill().unwrap();
-    recorder.0.wait().unwrap();
+    recorder.kill();
     let (seen, cut) = events(&path);
     assert!(cut, "it did not end in order");
     assert!(seen > 50, "{seen}");
@@ -148,15 +118,10 @@ fn a_recording_killed_at_any_moment_is_inspected() {
     for bytes in [0, 1, 3_000, 40_000, 300_000] {
         let file = format!("killed-{bytes}.mcap");
         let args = format!("record --device sim --power 1500 --out {file}");
-        let recorder = ihd(&args, dir.path())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn();
-        let mut recorder = Process(recorder.expect("ihd record runs"));
+        let mut recorder = Process::start(&mut ihd(&args, dir.path()), true);
         let path = dir.path().join(&file);
         await_size(&path, bytes);
-        recorder.0.kill().unwrap();
-        recorder.0.wait().unwrap();
+        recorder.kill();
         if !path.exists() {
             continue;
         }
@@ -197,7 +162,8 @@ fn a_recording_killed_at_any_moment_is_inspected() {
 #[test]
 fn a_device_that_vanishes_leaves_a_summary_and_3() {
     let dir = tempfile::tempdir().unwrap();
-    let (hob, address) = hob(dir.path());
+    let hob = Hob::start();
+    let address = hob.address.clone();
     let args = format!("record --device tcp:{address} --out vanished.mcap --json");
     let recorder = ihd(&args, dir.path())
         .stdout(Stdio::piped())
@@ -226,7 +192,8 @@ fn a_device_that_vanishes_leaves_a_summary_and_3() {
 #[cfg(unix)]
 fn an_interrupted_recorder_ends_the_file_in_order() {
     let dir = tempfile::tempdir().unwrap();
-    let (_hob, address) = hob(dir.path());
+    let hob = Hob::start();
+    let address = &hob.address;
     let args = format!("record --device tcp:{address} --out ended.mcap --json");
     let recorder = ihd(&args, dir.path()).stdout(Stdio::piped()).spawn();
     let recorder = recorder.expect("ihd record runs");

@@ -67,7 +67,12 @@ pub enum ServerEvent {
     /// A host connected.
     Connected(SocketAddr),
     /// It was let go.
-    Disconnected(Ended),
+    Disconnected {
+        /// Why.
+        why: Ended,
+        /// Power that it has left asked for, in watt.
+        asked_w: u16,
+    },
     /// A second host was turned away; the link has one host at a time.
     TurnedAway(SocketAddr),
     /// The machine is too slow: of the last minute this share, 0 to 1, was not simulated.
@@ -235,7 +240,12 @@ impl Server {
         };
         if let Err(why) = guest.exchange(&mut self.hob, now) {
             self.guest = None;
-            watch(ServerEvent::Disconnected(why));
+            let control = self.hob.housekeeping().control();
+            let asked_w = match control.request().is_of_host() {
+                true => control.asked_w(),
+                false => 0,
+            };
+            watch(ServerEvent::Disconnected { why, asked_w });
         }
     }
 }

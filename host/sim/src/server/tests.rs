@@ -39,7 +39,10 @@ impl Port {
         let mut watch = |event| match event {
             ServerEvent::Connected(_) => events.push("connected".to_owned()),
             ServerEvent::TurnedAway(_) => events.push("turned away".to_owned()),
-            ServerEvent::Disconnected(why) => events.push(format!("{why:?}")),
+            ServerEvent::Disconnected { why, asked_w: 0 } => events.push(format!("{why:?}")),
+            ServerEvent::Disconnected { why, asked_w } => {
+                events.push(format!("{why:?} {asked_w} W"));
+            }
             other => panic!("{other:?}"),
         };
         self.server.exchange(now, &mut watch);

@@ -20,7 +20,7 @@ fn a_daemon_heats_nothing_by_itself_and_is_seen() {
     let listed: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(listed[0]["name"], "bench");
     // By its address, too.
-    let place = format!("tcp:{}", kitchen.hob_address);
+    let place = kitchen.hob.place();
     let (code, stdout, _) = kitchen.device(&[&place, "status"]);
     assert_eq!(code, 0);
     assert!(stdout.contains("idle"), "{stdout}");
@@ -35,7 +35,7 @@ fn a_daemon_heats_nothing_by_itself_and_is_seen() {
 fn a_log_of_what_the_daemon_has_says_so() {
     let kitchen = Kitchen::start();
     let config = kitchen.dir.path().join("ihd.toml");
-    let place = format!("tcp:{}", kitchen.hob_address);
+    let place = kitchen.hob.place();
     for device in ["bench", &place] {
         let mut log = super::processes::ihd();
         log.args(["log", device, "--config"]).arg(&config);

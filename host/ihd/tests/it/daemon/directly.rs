@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::sync::MutexGuard;
 
-use super::processes::{Process, alone, asked_w_directly, device, free_port, heated, hob, ihd};
+use super::processes::{alone, device, free_port, heated, ihd};
+use crate::process::{Hob, Process};
 
 struct Bench {
-    _hob: Process,
-    address: String,
+    hob: Hob,
     place: String,
     config: PathBuf,
     dir: tempfile::TempDir,
@@ -16,19 +16,19 @@ struct Bench {
 
 fn bench() -> Bench {
     let alone = alone();
-    let (hob, address) = hob();
+    let hob = Hob::start();
+    let place = hob.place();
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("ihd.toml");
     let text = format!(
-        "listen = \"127.0.0.1:{}\"\nstore = {:?}\n[[device]]\nname = \"bench\"\naddress = \"tcp:{address}\"\n",
+        "listen = \"127.0.0.1:{}\"\nstore = {:?}\n[[device]]\nname = \"bench\"\naddress = \"{place}\"\n",
         free_port(),
         dir.path().join("store"),
     );
     std::fs::write(&config, text).unwrap();
     Bench {
-        _hob: hob,
-        place: format!("tcp:{address}"),
-        address,
+        hob,
+        place,
         config,
         dir,
         _alone: alone,
@@ -56,7 +56,7 @@ fn names_and_addresses_are_found() {
 
 #[test]
 fn power_ends_off_however_it_ends() {
-    let bench = bench();
+    let mut bench = bench();
     // The last half-cycle that it saw has the power that was asked for, once there was time for that.
     let mut for_s = 2;
     let heated = loop {
@@ -65,7 +65,7 @@ fn power_ends_off_however_it_ends() {
         let (code, stdout, stderr) = device(&bench.config, &args);
         assert!([0, 4].contains(&code), "{stderr}");
         let heated: serde_json::Value = serde_json::from_str(&stdout).unwrap();
-        assert_eq!(asked_w_directly(&bench.address), 0);
+        assert_eq!(bench.hob.left_with_w(), 0);
         if heated["last"]["live"]["power_w"].as_f64() > Some(900.0) {
             assert_eq!(code, 0);
             break heated;
@@ -83,7 +83,8 @@ fn power_ends_off_however_it_ends() {
         "{live:#}"
     );
     assert!(live["r_ohm"].as_f64().is_some_and(|r| r > 0.5), "{live:#}");
-    for signal in ["INT", "TERM"] {
+    // A kill leaves it to the hob.
+    for (signal, code, left_w) in [("INT", 0, 0), ("TERM", 0, 0), ("KILL", -1, 900)] {
         let mut command = ihd();
         command
             .args(["device", "bench", "power", "900", "--config"])
@@ -92,15 +93,15 @@ fn power_ends_off_however_it_ends() {
         // Its first line: it was asked for then.
         power.line_with("bench: ");
         power.signal(signal);
-        assert_eq!(power.code(), 0);
-        assert_eq!(asked_w_directly(&bench.address), 0, "{signal}");
+        assert_eq!(power.code(), code);
+        assert_eq!(bench.hob.left_with_w(), left_w, "{signal}");
     }
 }
 
 #[test]
 fn a_sweep_shows_what_the_device_finds() {
-    let bench = bench();
-    let (stdout, _) = heated(&bench.config, |times| {
+    let mut bench = bench();
+    let (stdout, times) = heated(&bench.config, |times| {
         let powers = vec!["1500"; times].join(",");
         ["bench", "sweep", "--power", &powers]
             .map(str::to_owned)
@@ -108,25 +109,15 @@ fn a_sweep_shows_what_the_device_finds() {
     });
     assert!(stdout.contains("nobody learns"), "{stdout}");
     assert!(stdout.contains("of 1500 W"), "{stdout}");
-    assert_eq!(asked_w_directly(&bench.address), 0);
+    for _ in 0..=times.ilog2() {
+        assert_eq!(bench.hob.left_with_w(), 0);
+    }
 }
 
 #[test]
 fn a_device_that_does_not_heat_exits_with_4() {
-    let mut command = ihd();
-    command.args(["hob", "--listen", "127.0.0.1:0", "--pot", "none"]);
-    let mut hob = Process::start(&mut command, false);
-    let line = hob.line_with("tcp:");
-    let place = format!(
-        "tcp:{}",
-        line.split_once("tcp:")
-            .unwrap()
-            .1
-            .split(';')
-            .next()
-            .unwrap()
-            .trim()
-    );
+    let hob = Hob::start_with(&["--listen", "127.0.0.1:0", "--pot", "none"]);
+    let place = hob.place();
     let bench = bench();
     let (code, _, stderr) = device(&bench.config, &[&place, "power", "1000", "--for", "3"]);
     assert_eq!(code, 4, "{stderr}");

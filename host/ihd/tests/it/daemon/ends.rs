@@ -2,7 +2,8 @@
 
 use std::os::unix::net::UnixDatagram;
 
-use super::processes::{Kitchen, PATIENCE, Process, asked_w_directly, free_port, ihd};
+use super::processes::{Kitchen, free_port, ihd};
+use crate::process::{PATIENCE, Process};
 
 #[test]
 fn a_signal_ends_it_in_order_with_the_hob_off() {
@@ -13,7 +14,7 @@ fn a_signal_ends_it_in_order_with_the_hob_off() {
         kitchen.daemon.signal(signal);
         assert_eq!(kitchen.daemon.code(), 0, "{signal}");
         kitchen.daemon.line_with("stopped");
-        assert_eq!(asked_w_directly(&kitchen.hob_address), 0, "{signal}");
+        assert_eq!(kitchen.hob.left_with_w(), 0, "{signal}");
         kitchen.start_daemon_again();
     }
 }
@@ -43,13 +44,13 @@ fn a_killed_daemon_leaves_its_store_whole_and_its_port_free() {
 fn a_second_signal_ends_it_at_once() {
     let mut kitchen = Kitchen::start();
     // A hob that does not answer any more makes the end long.
-    kitchen.hob.signal("STOP");
+    kitchen.hob.process.signal("STOP");
     kitchen.daemon.signal("INT");
     kitchen.daemon.line_with("stopping");
     kitchen.daemon.signal("INT");
     kitchen.daemon.line_with("once more: ending at once");
     assert_eq!(kitchen.daemon.code(), 130);
-    kitchen.hob.signal("CONT");
+    kitchen.hob.process.signal("CONT");
 }
 
 #[test]

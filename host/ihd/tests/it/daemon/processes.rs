@@ -1,18 +1,15 @@
 //! A hob, a daemon and commands, each a process; they end with the test.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Longest wait for an event; it only ends a hang.
-pub const PATIENCE: Duration = Duration::from_secs(300);
+use crate::process::{Hob, PATIENCE, Process};
 
 pub fn ihd() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
@@ -24,102 +21,10 @@ pub fn ihd() -> Command {
     command
 }
 
-/// A process whose lines are read as they come; killed at the end.
-pub struct Process {
-    child: Child,
-    lines: Receiver<String>,
-    /// Everything that was read so far.
-    pub said: String,
-}
-
-impl Process {
-    /// Starts it; its standard output is read, or its standard error.
-    pub fn start(command: &mut Command, stderr: bool) -> Self {
-        match stderr {
-            true => command.stderr(Stdio::piped()).stdout(Stdio::null()),
-            false => command.stdout(Stdio::piped()).stderr(Stdio::inherit()),
-        };
-        let mut child = command.spawn().expect("it starts");
-        let (tx, lines) = channel();
-        let from: Box<dyn std::io::Read + Send> = match stderr {
-            true => Box::new(child.stderr.take().unwrap()),
-            false => Box::new(child.stdout.take().unwrap()),
-        };
-        std::thread::spawn(move || {
-            for line in BufReader::new(from).lines().map_while(Result::ok) {
-                if tx.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Self {
-            child,
-            lines,
-            said: String::new(),
-        }
-    }
-
-    /// The first line from now on that holds `word`.
-    pub fn line_with(&mut self, word: &str) -> String {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            let left = until.saturating_duration_since(Instant::now());
-            match self.lines.recv_timeout(left) {
-                Ok(line) => {
-                    self.said += &format!("{line}\n");
-                    if line.contains(word) {
-                        return line;
-                    }
-                }
-                Err(e) => panic!("{word:?} was never said ({e}):\n{}", self.said),
-            }
-        }
-    }
-
-    #[cfg(unix)]
-    pub fn signal(&self, name: &str) {
-        let sent = Command::new("kill")
-            .args([&format!("-{name}"), &self.child.id().to_string()])
-            .status();
-        assert!(sent.unwrap().success());
-    }
-
-    /// Its exit code, once it has ended.
-    pub fn code(&mut self) -> i32 {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                return status.code().unwrap_or(-1);
-            }
-            assert!(Instant::now() < until, "it does not end:\n{}", self.said);
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 /// One kitchen at a time: a hob follows the wall's clock, and several on a busy machine lag.
 pub fn alone() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// A simulated hob behind a port, and its address.
-pub fn hob() -> (Process, String) {
-    let mut command = ihd();
-    command.args(["hob", "--listen", "127.0.0.1:0"]);
-    let mut hob = Process::start(&mut command, false);
-    let line = hob.line_with("tcp:");
-    let (_, rest) = line.split_once("tcp:").unwrap();
-    let address = rest.split(';').next().unwrap().trim().to_owned();
-    (hob, address)
 }
 
 /// A port that is free now.
@@ -131,9 +36,8 @@ pub fn free_port() -> u16 {
 /// A daemon of one hob behind a port, its folder and its configuration.
 pub struct Kitchen {
     pub daemon: Process,
-    pub hob: Process,
+    pub hob: Hob,
     pub dir: TempDir,
-    pub hob_address: String,
     _alone: MutexGuard<'static, ()>,
 }
 
@@ -141,12 +45,13 @@ impl Kitchen {
     pub fn start() -> Self {
         let alone = alone();
         let dir = tempfile::tempdir().unwrap();
-        let (hob, hob_address) = hob();
+        let hob = Hob::start();
         let port = free_port();
         let text = format!(
             "store = {:?}\nlisten = \"127.0.0.1:{port}\"\n\
-             [[device]]\nname = \"bench\"\naddress = \"tcp:{hob_address}\"\n",
-            dir.path().join("store")
+             [[device]]\nname = \"bench\"\naddress = \"{}\"\n",
+            dir.path().join("store"),
+            hob.place()
         );
         std::fs::write(dir.path().join("ihd.toml"), text).unwrap();
         let daemon = daemon(&dir.path().join("ihd.toml"));
@@ -154,7 +59,6 @@ impl Kitchen {
             daemon,
             hob,
             dir,
-            hob_address,
             _alone: alone,
         };
         kitchen.until("it is connected", |report| report["state"] == "idle");
@@ -244,24 +148,4 @@ pub fn outcome(output: Output) -> (i32, String, String) {
     assert!(!stderr.contains("panicked"), "{stderr}");
     let code = output.status.code().expect("an exit code");
     (code, text(output.stdout), stderr)
-}
-
-/// What the hob itself says it was asked for, in watt, over its one link; the daemon must be gone.
-pub fn asked_w_directly(address: &str) -> u64 {
-    let dir = tempfile::tempdir().unwrap();
-    let config = dir.path().join("ihd.toml");
-    let text = format!("listen = \"127.0.0.1:{}\"\n", free_port());
-    std::fs::write(&config, text).unwrap();
-    let place = format!("tcp:{address}");
-    let until = Instant::now() + PATIENCE;
-    let stdout = loop {
-        let (code, stdout, stderr) = device(&config, &[&place, "status", "--json"]);
-        if code == 0 {
-            break stdout;
-        }
-        // The hob may not know yet that the host before is gone.
-        assert!(code == 3 && Instant::now() < until, "{stderr}");
-    };
-    let report: Value = serde_json::from_str(&stdout).unwrap();
-    report["live"]["asked_w"].as_u64().unwrap()
 }

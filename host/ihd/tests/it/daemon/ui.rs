@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::processes::{PATIENCE, Process, alone, ihd};
+use super::processes::{alone, ihd};
+use crate::process::{PATIENCE, Process};
 
 /// A demonstration, what it said, and where.
 fn demonstration(dir: &Path, args: &[&str]) -> (Process, String) {

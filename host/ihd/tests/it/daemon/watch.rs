@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use nix::pty::{Winsize, openpty};
 use nix::sys::termios::{LocalFlags, tcgetattr};
 
-use super::processes::{Kitchen, PATIENCE, free_port, ihd, outcome};
+use super::processes::{Kitchen, free_port, ihd, outcome};
+use crate::process::PATIENCE;
 
 /// The parser's own size, too.
 const ROWS: u16 = 24;
