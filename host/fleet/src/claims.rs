@@ -20,11 +20,11 @@ pub struct Claim {
     pub host: String,
     /// Folder of the store there.
     pub store: String,
-    /// When it was put, in milliseconds since 1970, UTC.
+    /// Time at which it was put, in milliseconds since 1970, UTC.
     pub at_ms: i64,
 }
 
-/// What a daemon may do with the name that it is configured with.
+/// Right of a daemon to its configured name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
     /// The server has not said yet.
@@ -36,7 +36,7 @@ pub enum Standing {
     Refused(String),
 }
 
-/// What comes of a claim that the server has.
+/// Consequence of the claim that the server has.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The name is free, or this store's of before: it is to be claimed from here.
@@ -54,7 +54,7 @@ impl Claim {
         (&self.host, &self.store) == (&other.host, &other.store)
     }
 
-    /// What comes of it for who wants the name `edge`, where the server has `there`. A store that was moved takes its name along: who began
+    /// Judges the claim of the name `edge` against the one that the server has. A store that was moved takes its name along: the daemon that began
     /// last has it, and the place of before hears of that.
     pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> Verdict {
         let Some(there) = there else {
@@ -77,7 +77,7 @@ impl Claim {
     }
 }
 
-/// Who has claimed a name, and the number of the entry, 0 without one.
+/// Claim of a name and the number of its entry, 0 without one.
 ///
 /// # Errors
 /// [`EngineError`].

@@ -81,7 +81,7 @@ fn header(text: &str) -> String {
     text
 }
 
-/// Why a window was given up, and by whom; none where it is not among the dead.
+/// Reason for which a window was given up, and its worker; none where it is not among the dead.
 pub(crate) async fn why(
     context: &Context,
     hob: &str,

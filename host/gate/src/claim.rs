@@ -226,7 +226,7 @@ struct Residual {
     /// Stated R in ohm and L in henry.
     r_ohm: f64,
     l_h: f64,
-    /// What they leave of the voltage, in volt.
+    /// Voltage that they leave unexplained, in volt.
     left: Complex<f64>,
 }
 

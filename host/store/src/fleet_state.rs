@@ -44,7 +44,7 @@ pub enum FleetState {
     GivenUp(GivenUp),
 }
 
-/// Why nobody will identify a window.
+/// Reason for which nobody will identify a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GivenUp {
     /// Its samples went before it was sent.
@@ -53,7 +53,7 @@ pub enum GivenUp {
     Dead,
 }
 
-/// What became of a window that was due.
+/// Outcome of a window that was due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
     /// The fleet has the window, and owes a result.
@@ -64,10 +64,10 @@ pub enum Sent {
     Nothing,
 }
 
-/// What is remembered of the fleet's server, by which one that has lost what it had is known.
+/// Marks of the fleet's server, by which one that lost its data is recognised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FleetMark {
-    /// When the consumer of this edge's results was made, in microseconds since 1970, UTC.
+    /// Time at which the consumer of this edge's results was made, in microseconds since 1970, UTC.
     ConsumerMade,
     /// The number that the last window has in the queue.
     LastWindow,
@@ -216,7 +216,7 @@ impl Store {
         Ok(None)
     }
 
-    /// What was remembered of the fleet's server.
+    /// Marks of the fleet's server.
     ///
     /// # Errors
     /// What the database reports.

@@ -103,7 +103,7 @@ impl Store {
         Ok(window.map_or(Due::Gone, |window| Due::Window(Box::new(window))))
     }
 
-    /// What became of windows that were due.
+    /// Outcomes of windows that were due.
     ///
     /// # Errors
     /// What the databases report; those of days before have been noted.

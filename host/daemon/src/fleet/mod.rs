@@ -26,7 +26,7 @@ use crate::learning::{Answer, InUse, Task, Work, WorkerFigures, power_w};
 use crate::printable::printable;
 use crate::store_thread::StoreTrouble;
 
-/// How long the fleet is trusted after it has answered last: so long may a result take.
+/// Duration of trust after the fleet's last answer: the longest that a result may take.
 pub const TRUSTED_FOR: Duration = Duration::from_secs(20);
 
 /// Trust in a fleet: a lease, which holds nothing once its time is over, whatever became of the task that renews it.
@@ -145,7 +145,7 @@ impl Daemon {
         self.in_store(move |store| store.read_due(&due)).await
     }
 
-    /// What became of windows that were due.
+    /// Outcomes of windows that were due.
     ///
     /// # Errors
     /// What the store reports.
@@ -198,7 +198,7 @@ impl Daemon {
         Ok(all)
     }
 
-    /// What was remembered of the fleet's server.
+    /// Marks of the fleet's server.
     ///
     /// # Errors
     /// What the store reports.

@@ -86,7 +86,7 @@ impl Answer {
 }
 
 impl Stated {
-    /// What is held against the samples.
+    /// The statement that is held against the samples.
     pub fn claim(&self) -> Claim<'_> {
         Claim {
             t_s: &self.t_s,

@@ -24,7 +24,7 @@ pub struct FleetReport {
     /// All windows in this edge's store by their progress; all 0 where this is none.
     #[serde(default)]
     pub states: FleetStates,
-    /// What at this edge needs somebody, in words.
+    /// Alarms of this edge, in words.
     #[serde(default)]
     pub alarms: Vec<String>,
     /// Answers that this edge has got since its daemon began.
@@ -178,7 +178,7 @@ pub struct FleetEdge {
     /// All windows in its store by their progress.
     #[serde(default)]
     pub states: FleetStates,
-    /// What there needs somebody, in words.
+    /// Alarms there, in words.
     #[serde(default)]
     pub alarms: Vec<String>,
     /// When it was heard of last, in milliseconds since 1970, UTC.

@@ -60,7 +60,7 @@ fn nothing() -> Answer {
     }
 }
 
-/// What an honest worker answers to a window that is due.
+/// An honest worker's answer to a window that is due.
 async fn honest(daemon: &Daemon, due: &DueWindow) -> Answer {
     let Due::Window(window) = daemon.read_due(due.clone()).await.unwrap() else {
         panic!("{due:?} is not there");

@@ -4,20 +4,20 @@ use std::collections::BTreeSet;
 
 use ihd_daemon::model::FleetStates;
 
-/// How long a window may be due, in milliseconds: a server that starts again takes less.
+/// Longest time that a window may be due before an alarm, in milliseconds: a server that starts again takes less.
 const DUE_FOR_MS: i64 = 10 * 60_000;
 
-/// How long a window may be without an answer, in milliseconds.
+/// Longest time without an answer before an alarm, in milliseconds.
 const SENT_FOR_MS: i64 = 3_600_000;
 
-/// What is told already.
+/// Alarms that were told already.
 #[derive(Default)]
 pub struct Alarms {
     told: BTreeSet<&'static str>,
 }
 
 impl Alarms {
-    /// What needs somebody, in words; what is new is told in the log, once, and so is its end.
+    /// Alarms in words; a new one is logged once, and so is its end.
     pub fn look(&mut self, states: &FleetStates, now_ms: i64) -> Vec<String> {
         let now = alarms(states, now_ms);
         for (what, text) in &now {

@@ -24,7 +24,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// How often the whole fleet is looked at: a thousand hobs are as many small answers.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
 
-/// How often this edge's own windows are counted.
+/// Time between two counts of this edge's own windows.
 const COUNT_EVERY: Duration = Duration::from_secs(5);
 
 /// How often a card is renewed that says nothing new.

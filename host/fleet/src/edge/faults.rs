@@ -1,11 +1,11 @@
-//! What fails now: each cause is told once, then counted until it works again.
+//! Present failures: each cause is told once, then counted until it works again.
 
 use std::collections::BTreeMap;
 
 /// Texts of one part that are told; what it says beside them is counted alone.
 const MOST_TEXTS: usize = 8;
 
-/// What fails now, by the part that it is of.
+/// Present failures by part.
 #[derive(Debug, Default)]
 pub struct Faults {
     of: BTreeMap<&'static str, Fault>,

@@ -12,7 +12,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(10);
 /// Windows that are asked for at a look; those behind them are asked for at the next.
 const AT_ONCE: usize = 64;
 
-/// How long a window may be without an answer before it is asked for, in milliseconds.
+/// Time without an answer after which a window is asked for among the dead, in milliseconds.
 const ASKED_AFTER_MS: i64 = 20_000;
 
 /// Looks until the edge ends.

@@ -29,7 +29,7 @@ const UNREADABLE: &str = "unreadable";
 /// How long one request for results waits.
 const ASK_FOR: Duration = Duration::from_secs(5);
 
-/// How long it may take until a request is answered. The client ends it 5 s after its time, answered or not.
+/// Longest wait for the answer to a request. The client ends it 5 s after its time, answered or not.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(ASK_FOR.as_secs() + 4);
 
 /// Takes results in until the edge ends.
@@ -75,7 +75,7 @@ fn heard(link: &Link) {
     link.renew();
 }
 
-/// What one request brings.
+/// Takes in the results that one request brings.
 async fn take_some(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(), EngineError> {
     let failed = |why: String| EngineError::new(names::RESULTS, why);
     let asked = Instant::now();

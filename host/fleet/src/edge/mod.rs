@@ -74,9 +74,9 @@ pub(crate) struct Link {
 #[derive(Default)]
 pub(crate) struct State {
     pub connected: bool,
-    /// Why the server does not answer; empty where it does.
+    /// Reason for which the server does not answer; empty where it does.
     away: String,
-    /// What this edge may do with its name.
+    /// Right of this edge to its name.
     pub standing: Standing,
     pub faults: Faults,
     pub answers: Answers,
@@ -167,7 +167,7 @@ impl Link {
         lock(&self.state)
     }
 
-    /// Whether this edge has a part in the fleet now: the server answers, can do what is needed, and the edge's name is this store's.
+    /// Returns `true` while this edge takes part in the fleet: the server answers, can do what is needed, and the edge's name is this store's.
     pub fn is_admitted(&self) -> bool {
         self.reaches() && self.state().standing == Standing::Held
     }
@@ -188,7 +188,7 @@ impl Link {
         }
     }
 
-    /// What is wrong now, in words; empty where nothing is.
+    /// Present failures in words; empty where there is none.
     pub fn why(&self) -> String {
         let state = self.state();
         let refused = match &state.standing {
@@ -213,7 +213,7 @@ impl Link {
         self.daemon.trust_fleet(until);
     }
 
-    /// Whether the server answers and is new enough; told where it is not.
+    /// Returns `true` where the server answers and is new enough; logs where it is not.
     pub fn reaches(&self) -> bool {
         if !self.state().connected {
             return false;

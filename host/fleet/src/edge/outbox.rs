@@ -26,7 +26,7 @@ const BATCH: usize = 64;
 /// Between two looks where nothing was heard of.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// How long a whole batch may take, from its first window to its last acknowledgement.
+/// Longest time of a whole batch, from its first window to its last acknowledgement.
 const BATCH_WITHIN: Duration = Duration::from_secs(8);
 
 /// How long the fleet has for a result, in milliseconds, since it got the window. Results that were deleted before this edge took them cost
@@ -160,7 +160,7 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
 
 type Acknowledged = (DueWindow, Sent, Result<PublishAck, PublishError>);
 
-/// What became of a batch so far.
+/// Outcome of a batch so far.
 #[derive(Default)]
 struct Batch {
     under_way: UnderWay<Acknowledged>,

@@ -9,7 +9,7 @@ use std::time::Duration;
 use ihd_daemon::fleet::TRUSTED_FOR;
 use tokio::time::Instant;
 
-/// How long a result is waited for at all: until the windows behind it show that the fleet answers.
+/// Longest wait for a result at all: until the windows behind it show that the fleet answers.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
 /// Windows that are waited for at most; beyond them the fleet is behind in any case.
@@ -51,7 +51,7 @@ impl Answers {
     }
 }
 
-/// When the outbox and the inbox did last what they are there for; none while they fail.
+/// Times at which outbox and inbox last succeeded; none while they fail.
 #[derive(Debug, Default)]
 pub struct Signs {
     sent: Option<Instant>,

@@ -6,7 +6,7 @@ use super::robust::assert_whole;
 use super::server::Server;
 use super::site::{PATIENCE, Site, Worker, fleet, init, status, until};
 
-/// How many windows of the site's store are in a state; none while its daemon does not say.
+/// Number of windows of the site's store in a state; none while its daemon does not answer.
 fn windows(site: &Site, state: &str) -> Option<u64> {
     site.fleet()?["states"][state].as_u64()
 }

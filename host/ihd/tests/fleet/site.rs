@@ -178,7 +178,7 @@ impl Site {
         self.folder = folder;
     }
 
-    /// What its daemon tells of the fleet; none while it does not answer.
+    /// Its daemon's report of the fleet; none while it does not answer.
     pub fn fleet(&self) -> Option<Value> {
         let mut stream = TcpStream::connect(&self.listen).ok()?;
         let head = "GET /api/v1/fleet HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
@@ -188,7 +188,7 @@ impl Site {
         serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
     }
 
-    /// Whether a hob of it is there, and does not heat.
+    /// Returns `true` where a hob of it is connected and does not heat.
     pub fn is_idle(&self, hob: &str) -> bool {
         let report = self.fleet().unwrap_or_default();
         let hobs = report["devices"].as_array().cloned().unwrap_or_default();
@@ -232,7 +232,7 @@ impl Site {
         fs::read_to_string(self.path().join("log")).unwrap_or_default()
     }
 
-    /// How many windows are in its store.
+    /// Number of windows in its store.
     pub fn stored(&self) -> u64 {
         let reader = Reader::open(&self.store()).expect("its store");
         let windows = reader.windows(&WindowFilter::default());

@@ -27,7 +27,7 @@ pub struct Alone {
     pub identified: Option<Box<Identified>>,
     /// Findings, worst first.
     pub findings: Vec<Remark>,
-    /// Why the window may not teach; none where it may.
+    /// Reason for which the window may not teach; none where it may.
     pub refused: Option<String>,
 }
 

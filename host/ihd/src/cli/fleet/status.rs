@@ -81,7 +81,7 @@ fn amiss(report: &FleetReport) -> Option<String> {
     }
 }
 
-/// What edges say that needs somebody.
+/// Alarms of all edges.
 fn alarms(report: &FleetReport) -> impl Iterator<Item = String> {
     let of = |edge: &FleetEdge| {
         let name = edge.name.clone();
