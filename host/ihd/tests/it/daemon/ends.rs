@@ -9,6 +9,7 @@ use crate::process::{PATIENCE, Process};
 fn a_signal_ends_it_in_order_with_the_hob_off() {
     let mut kitchen = Kitchen::start();
     for signal in ["TERM", "INT", "HUP"] {
+        kitchen.until("the hob is there", |r| r["state"] == "idle");
         let _power = kitchen.in_the_background(&["bench", "power", "900"]);
         kitchen.until("it heats", |r| r["asked_by_daemon_w"] == 900);
         kitchen.daemon.signal(signal);
