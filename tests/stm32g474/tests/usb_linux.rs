@@ -88,7 +88,7 @@ fn whole_windows_are_recorded_over_usb() {
     // A host that is slow to read has the device drop some, which it counts: nothing is lost in silence.
     for what in ["windows", "telemetry"] {
         let missing = number(&report, &format!("{what}_missing"));
-        let dropped = number(&report, &format!("device_{what}_dropped"));
+        let dropped = number(&report, &format!("{what}_dropped"));
         assert_eq!(missing, dropped, "{what}: {report}");
     }
     let surveyed = desk.guest.shell("ihd inspect a.mcap").unwrap();
