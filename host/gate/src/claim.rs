@@ -138,6 +138,8 @@ pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmed, ClaimE
     let seen = |p: &&Residual| SEEN.contains(&p.phase);
     let all: Vec<&Residual> = points.iter().filter(seen).collect();
     let per_phasor = segment.samples_per_period();
+    // Two boxcars make a triangle: of its samples two thirds count.
+    let kernel = 1.5 * boxcar(per_phasor).samples() as f64;
     let look = |of: &[&Residual], own: Limit| {
         let samples = of.len() as f64 * per_phasor;
         Difference::of(of, samples, noise).check(of, own)
@@ -148,12 +150,12 @@ pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmed, ClaimE
         let of: Vec<&Residual> = all.iter().filter(within).copied().collect();
         if of.len() >= LEAST_PHASORS {
             look(&of, OWN_ERROR)?;
-            let sum: f64 = of.iter().map(|p| p.chi2(noise, per_phasor)).sum();
+            let sum: f64 = of.iter().map(|p| p.chi2(noise, kernel)).sum();
             *chi2 = (sum / of.len() as f64).max(1.0);
         }
     }
     let mean = look(&all, OWN_MEAN_ERROR)?;
-    left(&all, noise, per_phasor)?;
+    left(&all, noise, kernel)?;
     Ok(Confirmed {
         i_amplitude_a: along(claim.t_s, &points, |p| p.i.norm()),
         chi2: {
@@ -237,10 +239,13 @@ impl Residual {
         noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a
     }
 
-    /// Two boxcars make a triangle: of its samples two thirds count, and an amplitude is twice a mean.
-    fn chi2(&self, noise: WhiteNoise, per_phasor: f64) -> f64 {
-        let samples = 1.5 * boxcar(per_phasor).samples() as f64;
-        let expected = 4.0 * self.variance(noise) / samples;
+    /// Mean square that white noise alone leaves, in V²: an amplitude is twice a mean of so many samples.
+    fn expected(&self, noise: WhiteNoise, samples: f64) -> f64 {
+        4.0 * self.variance(noise) / samples
+    }
+
+    fn chi2(&self, noise: WhiteNoise, samples: f64) -> f64 {
+        let expected = self.expected(noise, samples);
         match expected > 0.0 {
             true => self.left.norm_sqr() / expected,
             false => 1.0,
@@ -354,12 +359,11 @@ impl Difference {
 }
 
 /// Checks the power that is left beside noise.
-fn left(all: &[&Residual], noise: WhiteNoise, per_phasor: f64) -> Result<(), ClaimError> {
-    let samples = 1.5 * boxcar(per_phasor).samples() as f64;
+fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimError> {
     let (mut power, mut white, mut whole) = (0.0, 0.0, 0.0);
     for p in all {
         power += p.left.norm_sqr();
-        white += 4.0 * p.variance(noise) / samples;
+        white += p.expected(noise, samples);
         whole += p.v.norm_sqr();
     }
     let left_pct = 100.0 * ((power - 2.0 * white).max(0.0) / whole).sqrt();

@@ -11,7 +11,7 @@ use ihd_survey::calibration::blind::Correction;
 use ihd_train::NetworkConfig;
 use ihd_train::learning::identify_alone;
 
-use super::outcome::{Course, Numbers};
+use super::outcome::{Course, Numbers, weighted_mean};
 use crate::model::{FitRemark, FitStep};
 
 /// A worker's answer to one window.
@@ -97,9 +97,7 @@ impl Stated {
 
     /// The window's numbers: values as stated, currents of the samples, deviations no smaller than noise allows.
     pub fn numbers(&self, confirmed: &Confirmed) -> Numbers {
-        let weights = || confirmed.i_amplitude_a.iter().map(|i| i * i);
-        let all: f64 = weights().sum();
-        let mean = |x: &[f64]| weights().zip(x).map(|(w, x)| w * x).sum::<f64>() / all;
+        let i_a = &confirmed.i_amplitude_a;
         let sigma_pct = |sigma: &[f64], value: &[f64], least: f64| {
             let relative: Vec<f64> = sigma
                 .iter()
@@ -107,15 +105,15 @@ impl Stated {
                 .map(|(s, x)| 100.0 * s / x)
                 .collect();
             match relative.len() == value.len() {
-                true => mean(&relative).max(least),
+                true => weighted_mean(i_a, &relative).max(least),
                 false => least,
             }
         };
         let [least_r_pct, least_l_pct] = confirmed.sigma_pct;
         Numbers {
-            i_crest_a: confirmed.i_amplitude_a.iter().copied().fold(0.0, f64::max),
-            r_ohm: mean(&self.r_ohm),
-            l_h: mean(&self.l_h),
+            i_crest_a: i_a.iter().copied().fold(0.0, f64::max),
+            r_ohm: weighted_mean(i_a, &self.r_ohm),
+            l_h: weighted_mean(i_a, &self.l_h),
             sigma_r_pct: sigma_pct(&self.r_sigma_ohm, &self.r_ohm, least_r_pct),
             sigma_l_pct: sigma_pct(&self.l_sigma_h, &self.l_h, least_l_pct),
             iterations: self.iterations,

@@ -358,10 +358,10 @@ fn work(shared: &Shared) {
     }
 }
 
-fn learn(shared: &Shared, mut task: Task, known: Box<Known>) {
+fn learn(shared: &Shared, task: Task, known: Box<Known>) {
     let device = task.device.clone();
     let began = Instant::now();
-    let (mut known, mut found) = match &mut task.work {
+    let (mut known, mut found) = match &task.work {
         Work::Window(window) => study(shared, known, window, task.truth.as_deref()),
         Work::Answered(window, answer) => {
             match answered(shared, known, task.boot, window, answer) {
@@ -423,7 +423,7 @@ fn answered(
     known: Box<Known>,
     boot: u32,
     window: &Window,
-    answer: &mut Answer,
+    answer: &Answer,
 ) -> Result<(Box<Known>, Found), Box<Known>> {
     let note = |standing| note_answer(shared, answer, window.seq, standing);
     let stated = match &answer.found {
@@ -441,30 +441,20 @@ fn answered(
     let (known, taken) = guarded(shared, known, |learning| {
         learning.take(boot, window, &stated.claim())
     });
-    let believed = match taken {
-        Ok(Ok(believed)) => believed,
-        Ok(Err(Disbelief::Refuted(_))) if differ(skew_s, answer.skew_s) => {
-            note(Standing::Outdated);
-            return Err(known);
+    let standing = match taken {
+        Ok(Ok(believed)) => {
+            note(Standing::Confirmed);
+            let found = Found::believed(window, stated.clone(), believed, answer.busy);
+            return Ok((known, found));
         }
-        Ok(Err(Disbelief::Refuted(why))) => {
-            note(Standing::Refuted(why.to_string()));
-            return Err(known);
+        Ok(Err(Disbelief::Refuted(why))) if !differ(skew_s, answer.skew_s) => {
+            Standing::Refuted(why.to_string())
         }
-        Ok(Err(Disbelief::Outdated | Disbelief::Sensors(_))) => {
-            note(Standing::Outdated);
-            return Err(known);
-        }
-        Err(panic) => {
-            note(Standing::Refuted(panic));
-            return Err(known);
-        }
+        Ok(Err(_)) => Standing::Outdated,
+        Err(panic) => Standing::Refuted(panic),
     };
-    note(Standing::Confirmed);
-    let busy = answer.busy;
-    let stated = std::mem::replace(&mut answer.found, Err(String::new())).unwrap_or_default();
-    let found = Found::believed(window, stated, believed, busy);
-    Ok((known, found))
+    note(standing);
+    Err(known)
 }
 
 /// Difference of two skews in seconds beyond which R and L differ by more than the check allows.

@@ -250,19 +250,23 @@ impl Numbers {
 
     /// Of a result.
     pub fn of(identified: &Identified) -> Self {
-        let weights = || identified.i_amplitude_a.iter().map(|i| i * i);
-        let all: f64 = weights().sum();
-        let mean = |x: &[f64]| weights().zip(x).map(|(w, x)| w * x).sum::<f64>() / all;
+        let i_a = &identified.i_amplitude_a;
         let (sigma_r_pct, sigma_l_pct) = identified
             .relative_sigma_pct()
             .unwrap_or((f64::NAN, f64::NAN));
         Self {
-            i_crest_a: identified.i_amplitude_a.iter().copied().fold(0.0, f64::max),
-            r_ohm: mean(&identified.r_ohm),
-            l_h: mean(&identified.l_h),
+            i_crest_a: i_a.iter().copied().fold(0.0, f64::max),
+            r_ohm: weighted_mean(i_a, &identified.r_ohm),
+            l_h: weighted_mean(i_a, &identified.l_h),
             sigma_r_pct,
             sigma_l_pct,
             iterations: u32::try_from(identified.iterations).unwrap_or(u32::MAX),
         }
     }
+}
+
+/// Mean of a figure weighted with the squared current.
+pub(super) fn weighted_mean(i_a: &[f64], x: &[f64]) -> f64 {
+    let weights = || i_a.iter().map(|i| i * i);
+    weights().zip(x).map(|(w, x)| w * x).sum::<f64>() / weights().sum::<f64>()
 }

@@ -121,7 +121,7 @@ impl Learning {
             return Err(Disbelief::Sensors(fault.text.clone()));
         }
         let mut sensors = self.sensors;
-        sensors.count(&evidence);
+        let findings = sensors.count(&evidence);
         let before = self.sensors.correction();
         if before.is_some() != sensors.correction().is_some() {
             return Err(Disbelief::Outdated);
@@ -135,7 +135,7 @@ impl Learning {
             chi2: &confirmed.chi2,
         };
         let mut curve = network::curve(&segment, &found, time_s(window));
-        let findings = self.hear(&evidence);
+        self.sensors = sensors;
         let newest_s = self.map.newest_s();
         if self.boot == Some(boot) && newest_s.is_finite() {
             if curve.t_s < newest_s - LATEST_S {
